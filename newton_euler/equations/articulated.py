@@ -1,19 +1,21 @@
-"""Recursions over the axes of a tree of bodies: inverse dynamics, the mass matrix M and its factor.
+"""Recursive algorithms over a tree of bodies: inverse dynamics, mass matrix M and its factorization.
 
-Each joint velocity of the tree has an axis. Velocities are numbered from the ground to the leaves. Each axis
-has a point, which lies on the axis of a hinge. Spatial vectors are about these points, in the world frame: a
-wrench (6,) is (force, torque), a motion (6,) is (linear, angular). The recursions are those of
-R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008:
+Each joint velocity of the tree has an axis: the axis of a hinge, the direction of a slide, or one of three
+axes of a ball. Velocities are numbered from the ground to the leaves. Each axis has a point, which lies on
+the axis of a hinge. Spatial vectors are about these points, in the world frame: a wrench (6,) is (force,
+torque), a motion (6,) is (linear, angular). The recursions are those of R. Featherstone, Rigid Body Dynamics
+Algorithms, Springer 2008:
 
     rnea_backward   wrenches on bodies, projected onto velocities                       section 5.3
     crba            M, by composite rigid bodies                                        section 6.2
     factorize       M = L D L^T, leaves first, by articulated bodies                    section 7.3
 
-In articulated bodies all joints beyond an axis are free to move. An axis s whose articulated body has the
-inertia I has the pivot d = s . U with U = I s, and the inertia I - U U^T / d goes to the axis before. L and D
-are those of an elimination of M in joint coordinates, since the factor for an order of elimination is unique.
-M itself is not computed. The factor takes a constant number of operations per axis, and so does each product
-with L^-1 or L^-T. An elimination of M takes a number that grows with the square of the axes before.
+The articulated body of an axis consists of all bodies beyond the axis, with all joints between them free to
+move. An axis s whose articulated body has the inertia I has the pivot d = s . U with U = I s. The inertia
+I - U U^T / d is passed to the axis before. L and D are those of an elimination of M in joint coordinates,
+because the factor for an order of elimination is unique; M itself is not computed. The factor takes a
+constant number of operations per axis, and so does each product with L^-1 or L^-T. The operations of an
+elimination of M grow with the square of the number of axes between an axis and the ground.
 """
 
 from __future__ import annotations
@@ -29,9 +31,10 @@ from newton_euler.equations.sparse import SINGULAR, Rows, add, add_symmetric
 from newton_euler.scalars import Array, Scalar, cross, minimum, symmetric, tilde
 
 MAX_JOINT_SPACE_DEPTH = 6
-"""Number of an axis, counted from the ground, up to which M is eliminated in joint coordinates.
+"""Depth of an axis, counted from the ground, up to which M is eliminated in joint coordinates.
 
-Of 0 to 16, 6 has the fewest operations for the tracker, chains of 20 rods and three public humanoids."""
+Of the values 0 to 16, 6 gives the fewest operations for a solar tracker, chains of 20 rods and three public
+humanoid models."""
 
 
 class Axis(NamedTuple):
@@ -40,8 +43,8 @@ class Axis(NamedTuple):
     Attributes:
         direction: (3,) unit vector.
         slides: True for a slide, False for a hinge and for the three axes of a ball.
-        arm: (3,) to the point of this axis, m; from the point of the axis before, or from the ground's center
-            of mass.
+        arm: (3,) vector to the point of this axis, m. It begins at the point of the axis before; for a first
+            axis it begins at the ground's center of mass.
     """
 
     direction: Array
@@ -53,15 +56,20 @@ class Axis(NamedTuple):
         return self.direction @ (wrench[:3] if self.slides else wrench[3:])
 
     def motion(self, rate: Scalar) -> Array:
-        """Compute the motion (6,) of the body beyond for a rate of the axis."""
+        """Compute the motion (6,) that a rate of the axis, m/s or rad/s, gives to the body beyond it."""
         own, none = self.direction * rate, np.zeros(3)
         return np.concatenate([own, none] if self.slides else [none, own])
 
 
 class SpatialInertia(NamedTuple):
-    """Inertia of a rigid or articulated body about a point, (3, 3) each.
+    """Inertia of a rigid or articulated body about a point, world frame.
 
-    An acceleration (a, alpha) takes the wrench (mass a + coupling^T alpha, coupling a + inertia alpha).
+    An acceleration (a, alpha) needs the wrench (mass a + coupling^T alpha, coupling a + inertia alpha).
+
+    Attributes:
+        mass: (3, 3) kg; for an articulated body, the mass differs between directions.
+        coupling: (3, 3) kg m.
+        inertia: (3, 3) kg m^2.
     """
 
     mass: Array
@@ -70,7 +78,7 @@ class SpatialInertia(NamedTuple):
 
     @classmethod
     def none(cls) -> SpatialInertia:
-        """Return the inertia of nothing."""
+        """Return zero inertia."""
         return cls(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)))
 
     @classmethod
@@ -85,24 +93,29 @@ class SpatialInertia(NamedTuple):
         return cls(mass * np.eye(3), np.zeros((3, 3)), inertia).moved(lever)
 
     def joined(self, other: SpatialInertia) -> SpatialInertia:
-        """Add an inertia about the same point."""
+        """Return the sum with another inertia about the same point."""
         return SpatialInertia(*(a + b for a, b in zip(self, other, strict=True)))
 
     def moved(self, arm: Array) -> SpatialInertia:
-        """Compute the inertia about another point; the arm (3,) leads from there to the present point."""
+        """Compute the inertia about another point; the arm (3,), m, leads from there to the present point."""
         across = tilde(arm)
         coupling = self.coupling + across @ self.mass
         turned = across @ coupling.T - self.coupling @ across
         return SpatialInertia(self.mass, coupling, self.inertia + symmetric(turned))
 
     def momentum(self, axis: Axis) -> Array:
-        """Compute the wrench (6,) that gives a unit acceleration along an axis through the point."""
+        """Compute the wrench (6,) for a unit acceleration along an axis through the point: U = I s."""
         if axis.slides:
             return np.concatenate([self.mass @ axis.direction, self.coupling @ axis.direction])
         return np.concatenate([self.coupling.T @ axis.direction, self.inertia @ axis.direction])
 
     def released(self, momentum: Array, gain: Array) -> SpatialInertia:
-        """Compute I - U U^T / d, felt through a free axis, for U (6,) and U / d (6,)."""
+        """Compute the inertia I - U U^T / d that acts through a free axis on the axis before.
+
+        Args:
+            momentum: (6,) U = I s.
+            gain: (6,) U / d.
+        """
         linear, angular = momentum[:3], momentum[3:]
         return SpatialInertia(
             self.mass - symmetric(np.outer(linear, gain[:3])),
@@ -112,7 +125,15 @@ class SpatialInertia(NamedTuple):
 
 
 class Rotor(NamedTuple):
-    """Armature of a joint coordinate x with d2x/dt2 = J vdot - gamma; adds inertia * J^T J to M."""
+    """Armature (rotor inertia) of a joint coordinate x with d2x/dt2 = J vdot - gamma.
+
+    A rotor adds inertia * J^T J to the mass matrix M.
+
+    Attributes:
+        inertia: kg m^2 or kg.
+        jacobian: sparse row J over v.
+        gamma: m/s^2 or rad/s^2.
+    """
 
     inertia: Scalar
     jacobian: dict[int, Scalar]
@@ -120,7 +141,7 @@ class Rotor(NamedTuple):
 
 
 def add_rotors(rows: Rows, rotors: Iterable[Rotor]) -> None:
-    """Add the inertias of rotors to M."""
+    """Add the inertias of rotors to the sparse mass matrix M."""
     for rotor in rotors:
         for i, x in rotor.jacobian.items():
             for j, y in rotor.jacobian.items():
@@ -129,24 +150,24 @@ def add_rotors(rows: Rows, rotors: Iterable[Rotor]) -> None:
 
 
 def moved_wrench(wrench: Array, arm: Array) -> Array:
-    """Compute a wrench (6,) about another point; the arm (3,) leads from there to the present point."""
+    """Compute a wrench (6,) about another point; the arm (3,), m, leads from there to the present point."""
     return np.concatenate([wrench[:3], wrench[3:] + cross(arm, wrench[:3])])
 
 
 @dataclass(frozen=True, eq=False)
 class AxisTree:
-    """Axes of a tree.
+    """Axes of all joint velocities of a tree of bodies.
 
     Attributes:
-        axes: (nv,) axes, each after those between the ground and itself.
-        before: (nv,) number of the axis before each, -1 for the ground.
+        axes: (nv,) axes; each one follows the axes between the ground and itself.
+        before: (nv,) number of the axis before each axis on the path to the ground, -1 for a first axis.
     """
 
     axes: list[Axis]
     before: list[int]
 
     def on_paths(self, beyond: Iterable[int]) -> list[int]:
-        """Return these axes and all between them and the ground, leaves first."""
+        """Return the numbers of some axes and of all axes between them and the ground, leaves first."""
         found: set[int] = set()
         for k in beyond:
             while k >= 0 and k not in found:
@@ -155,17 +176,22 @@ class AxisTree:
         return sorted(found, reverse=True)
 
     def pass_on(self, wrenches: dict[int, Array], k: int) -> None:
-        """Add the wrench (6,) on axis k to that on the axis before."""
+        """Add the wrench (6,) on axis k to the wrench on the axis before, about the point of that axis."""
         before = self.before[k]
         if before >= 0:
             moved = moved_wrench(wrenches[k], self.axes[k].arm)
             wrenches[before] = wrenches[before] + moved if before in wrenches else moved
 
     def rnea_backward(self, wrenches: Mapping[int, Array]) -> dict[int, Scalar]:
-        """Project wrenches onto velocities, N or N m.
+        """Project wrenches onto the joint velocities: backward pass of recursive Newton-Euler inverse
+        dynamics.
 
         Args:
-            wrenches: (6,) by axis: the sum for the bodies that this axis, and none beyond, moves.
+            wrenches: (6,) by axis number: sum for the bodies that this axis moves and no later axis moves,
+                about the point of the axis.
+
+        Returns:
+            Force or torque along each axis, N or N m, by axis number.
         """
         carried, found = dict(wrenches), dict[int, Scalar]()
         for k in self.on_paths(wrenches):
@@ -174,20 +200,26 @@ class AxisTree:
         return found
 
     def crba(self, inertias: Sequence[SpatialInertia], order: Iterable[int]) -> Rows:
-        """Compute the nonzeros of M (nv, nv) in the rows and columns of some axes.
+        """Compute rows and columns of the mass matrix M (nv, nv) by the composite rigid body algorithm.
 
         Args:
-            inertias: (nv,) for each axis, of the bodies that it, and none beyond in the order, moves.
-            order: the axes, leaves first; all between them and the ground are among them.
+            inertias: (nv,) for each axis: sum for the bodies that this axis moves and no later axis in
+                `order` moves, about the point of the axis.
+            order: numbers of the axes, leaves first. All axes between them and the ground must be included.
+
+        Returns:
+            Sparse rows of M.
         """
         composites, rows = list(inertias), [dict[int, Any]() for _ in self.axes]
         for k in order:
+            # wrench for a unit acceleration of axis k: its components along all axes to the ground
             axis, place = self.axes[k], k
             wrench = composites[k].momentum(axis)
             add_symmetric(rows, k, k, axis.component(wrench))
             while (before := self.before[place]) >= 0:
                 wrench, place = moved_wrench(wrench, self.axes[place].arm), before
                 add_symmetric(rows, k, place, self.axes[place].component(wrench))
+            # pass the composite inertia to the axis before
             if (before := self.before[k]) >= 0:
                 composites[before] = composites[before].joined(composites[k].moved(axis.arm))
         return rows
@@ -202,11 +234,13 @@ class AxisTree:
         joint coordinates.
 
         Args:
-            inertias: (nv,) for each axis, of the bodies that it, and none beyond, moves.
-            rotors: all rotors.
-            scales: (nv,) usual sizes of the pivots; if None, pivots of articulated bodies have no ratio.
+            inertias: (nv,) for each axis: sum for the bodies that this axis moves and no later axis moves,
+                about the point of the axis.
+            rotors: rotors of all armatures.
+            scales: (nv,) usual magnitudes of the pivots. If None, the pivots of articulated bodies are not
+                part of the pivot ratio.
         """
-        # which axes are eliminated how
+        # which axes are eliminated in joint coordinates, and which by articulated bodies
         depths = list[int]()
         for before in self.before:
             depths.append(1 if before < 0 else depths[before] + 1)
@@ -215,7 +249,7 @@ class AxisTree:
         in_joint_space = self.on_paths([*near, *coupled])
         deep = sorted(set(range(len(depths))).difference(in_joint_space), reverse=True)
 
-        # articulated bodies: a rotor here turns with one axis, and adds to the axis' pivot
+        # articulated bodies; a rotor of a deep axis turns with this axis only, and adds to its pivot
         armature: dict[int, Scalar] = {}
         for rotor in rotors:
             for k, x in rotor.jacobian.items():
@@ -228,7 +262,7 @@ class AxisTree:
             gains[k] = momentum * (1.0 / pivots[k])
             bodies[before] = bodies[before].joined(bodies[k].released(momentum, gains[k]).moved(axis.arm))
 
-        # joint coordinates: what is deeper moves as articulated bodies
+        # joint coordinates; the deeper bodies count as articulated bodies
         rows = self.crba(bodies, in_joint_space)
         add_rotors(rows, [rotor for rotor in rotors if not deep or not pivots.keys() & rotor.jacobian])
         factor = sparse.factorize(rows, in_joint_space, scales)
@@ -242,13 +276,15 @@ class AxisTree:
 
 @dataclass(frozen=True, eq=False)
 class TreeFactor:
-    """L D L^T of the mass matrix of a tree, a `newton_euler.equations.sparse.MassFactor`.
+    """Factorization M = L D L^T of the mass matrix of a tree.
+
+    The class implements `newton_euler.equations.sparse.MassFactor`.
 
     Attributes:
         tree: the axes.
-        gains: U / d (6,) of the axes that articulated bodies eliminate.
-        factor: D of all axes, and L of the other axes.
-        pivot_ratio: as of `newton_euler.equations.sparse.Factor`.
+        gains: U / d (6,) of each axis that is eliminated by articulated bodies, by axis number.
+        factor: D of all axes, and L of the axes that are eliminated in joint coordinates.
+        pivot_ratio: smallest ratio of a pivot to its usual magnitude, not positive if M is singular.
     """
 
     tree: AxisTree
@@ -258,13 +294,18 @@ class TreeFactor:
 
     @property
     def pivots(self) -> list[Any]:
-        """(nv,) pivots d."""
+        """Pivots d (nv,) of all axes."""
         return self.factor.pivots
 
     def lower(self, right: dict[int, Any], wrenches: Mapping[int, Array] | None = None) -> dict[int, Any]:
-        """Compute L^-1 b for a sparse b, from which the wrenches of `rnea_backward` are subtracted, if given.
+        """Compute L^-1 b, or L^-1 (b - tau) with the projection tau of wrenches on axes.
 
-        The wrenches on each axis go to the axis before, together with those that its free motion takes.
+        The wrench on each axis is passed to the axis before, together with the wrench that accelerates the
+        articulated body of the axis.
+
+        Args:
+            right: sparse vector b.
+            wrenches: (6,) by axis number, see `AxisTree.rnea_backward`.
         """
         x, carried = dict(right), dict(wrenches or {})
         for k in self.tree.on_paths([*carried, *(k for k in x if k in self.gains)]):
@@ -282,7 +323,7 @@ class TreeFactor:
         return self.factor.scaled(x)
 
     def upper(self, right: dict[int, Any]) -> dict[int, Any]:
-        """Compute L^-T b for a sparse b, ground first: accelerations go from axis to axis."""
+        """Compute L^-T b for a sparse vector b, passing accelerations from the ground to the leaves."""
         x, moving = self.factor.upper(right), dict[int, Array]()
         for k, (axis, before) in enumerate(zip(self.tree.axes, self.tree.before, strict=True)):
             motions = list[Array]()

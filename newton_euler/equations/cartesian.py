@@ -1,16 +1,18 @@
-"""The paper's equations of motion: Cartesian coordinates, Euler parameters, Lagrange multipliers.
+"""Equations of motion in Cartesian coordinates: centers of mass, quaternions and Lagrange multipliers.
 
-Equation (21), body 1 (the ground) left out:
+Equation numbers are those of the paper S. Srang, S. Ath, M. Yamakita, Advances in Science, Technology and
+Engineering Systems Journal 5(5), 709-716, 2020; `docs/explanation/errata.md` lists its errata. The
+coordinates are q = (r, p) of each moving body: center of mass r and Euler parameters p, a unit quaternion (w,
+x, y, z). Equation (21) without the ground is
 
     | M      B^T |            | g - b                                     |
     | P      0   | | qddot  | | -c                                        |
     |            | |        | =
     | Phi_q  0   | | -lambda| | gamma - K_D (Phi_q qdot) - K_P Phi(q)     |
 
-with q = (r, p) of each body. Each symbol is the method of that name in
-`newton_euler.equations.cartesian_terms`. Two errata change the printed equation: the Euler-parameter rows are
-stabilized like the others (erratum 11), and the ground has no coordinates (erratum 4). The tracker then has
-42 coordinates, 34 + 6 constraints and 2 degrees of freedom.
+with the multipliers lambda, and Baumgarte's gains K_D and K_P. Each other symbol is the method of that name
+in `newton_euler.equations.cartesian_terms`. Two errata change the printed equation: the rows of the Euler
+parameters are stabilized like the others (erratum 11), and the ground has no coordinates (erratum 4).
 """
 
 from __future__ import annotations
@@ -35,14 +37,14 @@ from newton_euler.scalars import Array, Scalar, sqrt
 
 
 class Cartesian(CartesianTerms):
-    """Cartesian formulation of a scene: equation (21), solved with dense matrices or by elimination."""
+    """Cartesian form of the equations of a scene: equation (21), solved with dense or sparse matrices."""
 
     name = "cartesian"
 
     # Equation (21), solved with dense matrices
 
     def equation_21(self, q: Array, qdot: Array) -> tuple[Array, Array]:
-        """Assemble the matrix and the right side of eq. (21) from eqs (16), (19) and (20) of the bodies."""
+        """Assemble the matrix and the right side of equation (21) at q (7 n,) and qdot (7 n,)."""
         n6, n7 = 6 * len(self.bodies), self.nv
         phi_q_rows, b_rows = self.Phi_q_and_B(q, qdot)
         Phi_q, B, P = to_array(phi_q_rows, n7), to_array(b_rows, n6), to_array(self.P(q), n7)
@@ -62,7 +64,7 @@ class Cartesian(CartesianTerms):
         return matrix, np.concatenate(right)
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute M (6 n, 7 n) and g - b (6 n,), with rotors."""
+        """Compute M (6 n, 7 n) and g - b (6 n,) of equation (21), armatures (rotor inertias) included."""
         M, force = self.M(q), self.g(q, v) - self.b(q, v)
         for inertia, on_q, on_b, gamma in zip(*self.rotors(q, v), strict=True):
             push = inertia * to_array([on_b], len(force))[0]  # -a (Phi_q qddot - gamma) on the coordinate
@@ -71,12 +73,12 @@ class Cartesian(CartesianTerms):
         return M, force
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Solve equation (21), as eq. (22) does, for qddot (7 n,) and lambda (k,).
+        """Solve equation (21) for the accelerations qddot (7 n,) and the multipliers lambda (k,).
 
-        If constraints are redundant, lambda is the smallest of the solutions.
+        If constraints are redundant, lambda is the minimum-norm solution.
 
         Raises:
-            SingularityError: if qddot is not unique, naming the joint that loses rank.
+            SingularityError: if qddot is not unique, naming the joint with dependent constraints.
         """
         matrix, right = self.equation_21(q, v)
         n, unused = self.nv, rows_left_out(self)
@@ -84,7 +86,7 @@ class Cartesian(CartesianTerms):
         force_units = np.concatenate([self.force_units, np.ones(len(self.bodies))])
         units = self.phi_units[: self.rows], self.velocity_units, force_units
         try:
-            max_rank = constraint_rank(self) - len(self.bodies)  # Euler parameters' norms are rows of A
+            max_rank = constraint_rank(self) - len(self.bodies)  # without the rows of the quaternions' norms
             qddot, multipliers = dense.solve_augmented(matrix, right, *units, max_rank)
         except np.linalg.LinAlgError as error:
             raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
@@ -102,14 +104,15 @@ class Cartesian(CartesianTerms):
     # Equation (21), solved by sparse elimination
 
     def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
-        """Factorize M over generic scalars; accelerations are (rddot, omegadot' / p^T p) of each body.
+        """Compute the linear equations for (rddot, omegadot' / p^T p) of each body.
 
-        With qddot eliminated from equation (21), M is block diagonal and B M^-1 B^T as sparse as the
-        joints: omegadot' = 2 L pddot, eq. (11), and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
+        omegadot' = 2 L pddot, equation (11), is the angular acceleration in the body frame. With these
+        unknowns in place of qddot, M is block diagonal, and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
         """
         _, B = self.Phi_q_and_B(q, v)
         right = self.right_side(q, v)
         force = self._applied(q, v)
+        # mass matrix: mass m_i and inertia J'_i of each body
         mass: Rows = [{} for _ in force]
         scales = []
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
@@ -123,7 +126,7 @@ class Cartesian(CartesianTerms):
                 factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
         # the rows of the norms of p need no equation: the unknowns omegadot' keep the norms
         count = sum(number < self.rows for number in rows.numbers)
-        # an armature is a soft constraint: x'' + lambda / a = 0
+        # an armature of inertia a on a coordinate x is a soft constraint: x'' + lambda / a = 0
         inertias, _, of_rotors, gammas = self.rotors(q, v)
         soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         usual = rows.scales and rows.scales[: count + len(soft)]
@@ -132,7 +135,7 @@ class Cartesian(CartesianTerms):
         return Equations(factor, free, [*B, *of_rotors], right, used, refine=True, softness=soft)
 
     def _applied(self, q: Array, v: Array) -> Array:
-        """Compute g - b (6 n,) of eq. (21) for Euler parameters of norm 1."""
+        """Compute g - b (6 n,) of equation (21): applied forces minus velocity terms."""
         force = self.g(q, v)
         parts = zip(self.bodies, self.split(q), self.split(v), strict=True)
         for k, (body, (_, p), (_, pdot)) in enumerate(parts):
@@ -143,11 +146,14 @@ class Cartesian(CartesianTerms):
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute the residuals of a sparse solution constraint by constraint, without the matrix B."""
+        """Compute the residuals of accelerations and multipliers constraint by constraint, without B.
+
+        See `newton_euler.equations.formulation.Formulation.sparse_residuals`.
+        """
         equations, frames = self.sparse_equations(q, v, rows), self.frames(q, v)
         # bodies: accelerations minus applied forces
         force, right = -self._applied(q, v), -equations.gamma.astype(object)
-        moving = frames[:1]  # with accelerations in place of velocities
+        moving = frames[:1]  # frames with accelerations in place of velocities
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
             spin = accelerations[angular]
@@ -185,7 +191,10 @@ class Cartesian(CartesianTerms):
         return rows, np.array([measured[key].gamma for key in keys])
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
-        """Compute qddot (7 n,) from a sparse solution: 2 L pddot = omegadot' and p^T pddot = -c, eq. (2)."""
+        """Compute qddot (7 n,) from a sparse solution.
+
+        pddot follows from 2 L pddot = omegadot' and from equation (2), p^T pddot = -c, with stabilization.
+        """
         qddot = []
         for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(v), strict=True)):
             rddot = [solution.acceleration.get(6 * k + i, 0.0) for i in range(3)]
@@ -195,7 +204,7 @@ class Cartesian(CartesianTerms):
         return np.array(qddot)
 
     def mass_rows(self, q: Array) -> Rows:
-        """Compute the nonzeros of the matrix (7 n, 7 n) of the kinetic energy: m and 4 L^T J' L."""
+        """Compute the sparse mass matrix (7 n, 7 n) of the kinetic energy: m and 4 L^T J' L of each body."""
         rows: Rows = [{} for _ in range(self.nv)]
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             spread(rows[7 * k : 7 * k + 3], 7 * k, body.mass * np.eye(3))
@@ -210,11 +219,11 @@ class Cartesian(CartesianTerms):
     # Interface to integrators, projection and assembly
 
     def orientations(self, q: Array, v: Array) -> list[Array]:
-        """Return the Euler parameters (4,) of all bodies as they are, not normalized."""
+        """Return the quaternions (4,) of all bodies, ground first, not normalized."""
         return [self.mechanism.bodies[0].quaternion, *(p for _, p in self.split(q))]
 
     def own_coordinates(self, state: State) -> tuple[Array, Array]:
-        """Compute (r, p) and their rates in a state: pdot = 1/2 G^T omega."""
+        """Compute (r, p) of the moving bodies and their rates at a state: pdot = 1/2 G^T omega."""
         parts, v = [np.zeros(0)], [np.zeros(0)]
         for k in range(1, len(self.mechanism.bodies)):
             p = state.quaternion[k]
@@ -232,7 +241,7 @@ class Cartesian(CartesianTerms):
         return np.concatenate(moved)
 
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """Compute Phi(q) and 1/2 (p^T p - 1), and the nonzeros of their Jacobian."""
+        """Compute Phi(q), then 1/2 (p^T p - 1) of each body, and the sparse rows of their Jacobian."""
         rest = np.zeros(self.nv)
         jacobian = [*self.Phi_q_and_B(q, rest)[0], *self.P(q)]
         return np.concatenate([self.Phi(q, rest), self.norms(q)]), jacobian
@@ -255,7 +264,7 @@ class Cartesian(CartesianTerms):
         return rows
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
-        """Compute rddot and omegadot = 2 G pddot, because Gdot pdot = 0, (b, 3) each."""
+        """Compute rddot and omegadot = 2 G pddot of all bodies, (b, 3) each; Gdot pdot is zero."""
         linear, angular = [np.zeros(3)], [np.zeros(3)]
         for (_, p), (rddot, pddot) in zip(self.split(q), self.split(vdot), strict=True):
             linear.append(rddot)
@@ -265,7 +274,7 @@ class Cartesian(CartesianTerms):
     def reactions(
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute forces and torques (j, 3) of joints from eq. (17)."""
+        """Compute forces and torques (j, 3) of joints at their joint points from equation (17)."""
         frames = self.frames(q, v)
         return at_joint_points(
             self, frames, constraint_wrenches(self, frames, self.measured(q, v), multipliers)

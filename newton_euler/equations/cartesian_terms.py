@@ -1,8 +1,11 @@
-"""Terms of the paper's equations of motion, each a method named by its symbol.
+"""Terms of the equations of motion in Cartesian coordinates, each a method named by its symbol in the paper.
 
-Coordinates are q = (r, p) of each moving body: center of mass and Euler parameters. See
-`newton_euler.equations.cartesian` for the equations and their solution. Couplings and prescribed motions are
-further rows of Phi and B; armatures are in the last section.
+The coordinates are q = (r, p) of each of n moving bodies: center of mass r and Euler parameters p, a unit
+quaternion (w, x, y, z). `newton_euler.equations.cartesian` has the equations and their solution, and
+`docs/explanation/errata.md` names the paper and lists its errata. Matrices of the paper: R rotation,
+G and L with R = G L^T, omega = 2 G pdot (world frame), omega' = 2 L pdot (body frame), J' inertia in the body
+frame. Phi_r and Phi_theta are derivatives of Phi for displacements and small rotations (world frame) of a
+body. Couplings (gears) and prescribed motions are further rows of Phi and B. The last section adds armatures.
 """
 
 from __future__ import annotations
@@ -27,30 +30,41 @@ from newton_euler.scalars import Array, Scalar, cross, zeros
 
 
 class Rotors(NamedTuple):
-    """Constraint rows of armatures.
+    """Sparse rows of the joint coordinates x on which armatures (rotor inertias) act.
 
-    An armature of inertia a on a coordinate x has d2x/dt2 = Phi_q qddot - gamma; a force on x acts through
-    B^T.
+    d2x/dt2 = Phi_q qddot - gamma, and a force on x acts on the bodies through B^T.
+
+    Attributes:
+        inertias: kg m^2 or kg.
+        on_q: rows of Phi_q.
+        on_b: rows of B.
+        gammas: m/s^2 or rad/s^2.
     """
 
     inertias: list[Scalar]
-    """kg m^2 or kg."""
     on_q: Rows
-    """Rows of Phi_q."""
     on_b: Rows
-    """Rows of B."""
     gammas: list[Scalar]
 
 
 class CartesianTerms(Formulation):
-    """Matrices and vectors of equation (21) in the Cartesian coordinates of a scene.
+    """Matrices and vectors of equation (21) of a scene with n moving bodies.
 
-    State: q (7 n,), qdot (7 n,) of the n moving bodies: (r, p) of each body, world frame, m. The residuals
-    `phi` are Phi(q) of joints and couplings, then 1/2 (p^T p - 1) of the bodies.
+    The state is q (7 n,) and v = qdot (7 n,): (r, p) of each moving body, world frame, and their rates. The
+    residuals `phi` are Phi(q) of joints and couplings, then 1/2 (p^T p - 1) of each body.
+
+    Attributes:
+        bodies: the moving bodies, without the ground.
+        force_units: (6 n,) divisors that make forces and torques dimensionless.
     """
 
     def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
-        """Baumgarte's gains are K_D = 2 alpha, K_P = alpha^2 (Appendix B); none for alpha = 0."""
+        """Collect the constraints of a scene.
+
+        Args:
+            scene: the scene.
+            alpha: 1/s, gives Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 (paper, Appendix B); 0 for none.
+        """
         mechanism = scene.mechanism
         self.bodies = mechanism.bodies[1:]
         n, poses = len(self.bodies), [body.pose for body in mechanism.bodies]
@@ -66,14 +80,15 @@ class CartesianTerms(Formulation):
     # Section 2: coordinates
 
     def split(self, q: Array) -> list[tuple[Array, Array]]:
-        """Return (r, p) of each moving body, or their rates."""
+        """Split q (7 n,) into (r, p) of each moving body, or qdot into their rates."""
         return [(q[k : k + 3], q[k + 3 : k + 7]) for k in range(0, self.nv, 7)]
 
     def frames(self, q: Array, v: Array) -> list[Frame]:
-        """Compute the frames of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
+        """Compute pose and velocity of all bodies, ground first; results of recent states are kept."""
         return self.remembered(q, v, self._frames)
 
     def _frames(self, q: Array, qdot: Array) -> list[Frame]:
+        """Compute pose and velocity of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
         ground = self.mechanism.bodies[0]
         frames = [Frame(ground.center_of_mass, ground.pose.rotation, np.zeros(3), np.zeros(3))]
         for (r, p), (rdot, pdot) in zip(self.split(q), self.split(qdot), strict=True):
@@ -81,7 +96,7 @@ class CartesianTerms(Formulation):
         return frames
 
     def norms(self, q: Array) -> Array:
-        """Compute 1/2 (p^T p - 1) of each body, (n,), eq. (1)."""
+        """Compute the error of the quaternions' norms, 1/2 (p^T p - 1) of each body, (n,), eq. (1)."""
         return np.array([0.5 * (p @ p - 1.0) for _, p in self.split(q)])
 
     def c(self, qdot: Array) -> Array:
@@ -89,7 +104,7 @@ class CartesianTerms(Formulation):
         return np.array([pdot @ pdot for _, pdot in self.split(qdot)])
 
     def P(self, q: Array) -> Rows:
-        """Compute the nonzeros of P (n, 7 n), eqs (15) and (20): p_i^T of each body."""
+        """Compute the sparse matrix P (n, 7 n), eqs (15) and (20): p_i^T of each body."""
         rows: Rows = [{} for _ in self.bodies]
         for k, (_, p) in enumerate(self.split(q)):
             spread(rows[k : k + 1], 7 * k + 3, p[None])
@@ -110,12 +125,12 @@ class CartesianTerms(Formulation):
         return np.concatenate([*gammas, [c.gamma(measured, self.time) for c in self.couplings]])
 
     def Phi_q_and_B(self, q: Array, qdot: Array) -> tuple[Rows, Rows]:
-        """Compute the nonzeros of Phi_q (k, 7 n), eq. (5), and B (k, 6 n), eqs (18) and (20).
+        """Compute the sparse matrices Phi_q (k, 7 n), eq. (5), and B (k, 6 n), eqs (18) and (20).
 
-        Phi_p = 2 Phi_theta G, since delta theta = 2 G delta p. It makes the paper's
-        B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
-        because G L^T = R.
+        A small rotation is delta theta = 2 G delta p, and therefore Phi_p = 2 Phi_theta G. With G L^T = R,
+        the paper's B = [Phi_r, 1/2 Phi_p L^T] equals [Phi_r, Phi_theta R].
         """
+        # joints
         frames = self.frames(q, qdot)
         phi_q: Rows = []
         b: Rows = []
@@ -124,6 +139,7 @@ class CartesianTerms(Formulation):
             on_q, on_b = self._rows(q, frames, e.first, e.second, blocks)
             phi_q.extend(on_q)
             b.extend(on_b)
+        # couplings: sums over their joint coordinates
         measured = self.measured(q, qdot)
         for coupling in self.couplings:
             totals: Rows = [{}, {}]
@@ -138,7 +154,7 @@ class CartesianTerms(Formulation):
         return phi_q, b
 
     def right_side(self, q: Array, qdot: Array) -> Array:
-        """Compute gamma - K_D (Phi_q qdot) - K_P Phi(q), eqs (6), (8) and (9) with erratum 1."""
+        """Compute gamma - K_D (Phi_q qdot) - K_P Phi(q) (k,), eqs (6), (8) and (9) with erratum 1."""
         gamma = self.gamma(q, qdot)
         if not (self.K_D or self.K_P):
             return gamma
@@ -147,7 +163,14 @@ class CartesianTerms(Formulation):
     def _rows(
         self, q: Array, frames: list[Frame], first: int, second: int, blocks: Jacobian
     ) -> tuple[Rows, Rows]:
-        """Compute the nonzeros of rows of Phi_q and of B for a Jacobian between two bodies."""
+        """Compute the sparse rows of Phi_q and of B for a Jacobian between two bodies.
+
+        Args:
+            q: (7 n,) coordinates.
+            frames: pose and velocity of all bodies.
+            first, second: numbers of the bodies.
+            blocks: Jacobian blocks (k, 3) for displacements and rotations of both bodies.
+        """
         r_i, theta_i, r_j, theta_j = blocks
         on_q: Rows = [{} for _ in r_i]
         on_b: Rows = [{} for _ in r_i]
@@ -178,23 +201,28 @@ class CartesianTerms(Formulation):
         return np.concatenate(terms)
 
     def l_h_pdot(self, body: Body, p: Array, pdot: Array) -> Array:
-        """Compute L H pdot (3,) of a body with H = 4 Ldot^T J' L, eq. (13).
+        """Compute the gyroscopic torque L H pdot (3,) of a body, N m, with H = 4 Ldot^T J' L, eq. (13).
 
         With omega' = 2 L pdot, eq. (11), L H pdot = omega' x J' omega' + 2 (p^T pdot) J' omega'. The last
-        term is zero where eq. (1) holds, and eq. (12) leaves it out.
+        term is zero for a unit quaternion, and eq. (12) leaves it out.
         """
         omega = 2.0 * matrix_l(p) @ pdot
         momentum = body.inertia @ omega
         return cross(omega, momentum) + 2.0 * (p @ pdot) * momentum
 
     def g(self, q: Array, qdot: Array) -> Array:
-        """Compute g (6 n,), eqs (20) and (24): applied f_i in the world and n'_i in the body."""
+        """Compute the applied forces g (6 n,), eqs (20) and (24).
+
+        For each moving body: force f_i, world frame, N, and torque n'_i, body frame, N m.
+        """
+        # gravity and forces on bodies
         frames = self.frames(q, qdot)
         applied = applied_wrenches(self.scene, self.seen(q, qdot))
         wrenches = [
             wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
             for body, wrench in zip(self.mechanism.bodies, applied, strict=True)
         ]
+        # forces on joint coordinates
         measured = self.measured(q, qdot)
         for law, u in zip(self.scene.joint_forces, self.joint_forces(q, qdot), strict=True):
             (r_i, theta_i, r_j, theta_j), driven = measured[law.key].jacobian, self.between[law.key]
@@ -211,7 +239,7 @@ class CartesianTerms(Formulation):
     # Extension: armatures
 
     def rotors(self, q: Array, qdot: Array) -> Rotors:
-        """Compute the rows of armatures: of one coordinate each, of three angular velocities on balls."""
+        """Compute the rows of all armatures: one for a hinge or slide, three for a ball joint."""
         frames, measured = self.frames(q, qdot), self.measured(q, qdot)
         found = Rotors([], [], [], [])
         for armature in self.scene.armatures:

@@ -42,26 +42,26 @@ phases of the sines; the value is a number if there is one sine. Sample times, i
 bodies, settings of a run and a controller's model of the mechanism do not vary: their names are refused
 with the reason.
 
-Joint coordinates of runs in batches, sweeps, sensitivities and fits are zero at the orientations of the
-initial pose, with the points of each joint as far apart as the scene describes. `with_parameters` with
-`point_on_first`, `point_on_second` or `length` returns a scene with an initial pose of its own, from
-which coordinates are counted. Parameters of bodies' centers and frames, joints, couplings and motions
-move the closed configurations: `newton_euler.runs.starts` assembles a start for each run, and has initial
-coordinates as further parameters. A mechanism keeps the constraints of the description. If some
-constraints are redundant at the scene's own values, other values may leave a loop open that the full set
-would lock.
+In batches, sweeps, sensitivities and fits, joint coordinates are zero at the orientations of the scene's
+initial pose. The two points of each joint are then as far apart as in the scene. `with_parameters` with
+`point_on_first`, `point_on_second` or `length` returns a scene with another initial pose, at which joint
+coordinates are zero. Parameters of bodies' centers and frames, joints, couplings and motions change the
+closed configurations. `newton_euler.runs.starts` therefore assembles a start for each run; initial joint
+coordinates are additional parameters there. The choice of independent constraints is that of the scene's own
+values. If constraints are redundant at these values, other values may open a loop that all constraints
+together would lock.
 
 A name may end in one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy` (the same
 as `yx`), `JOINT.point.z`; other values are indexed from 0, as in `JOINT.target.0` and `JOINT.gains.1.0`.
 
-A name that stands for two parameters is refused. Numbers tell the two apart: `bodies[2].mass`,
+A name that stands for two parameters is rejected. Numbered names distinguish them: `bodies[2].mass`,
 `joints[3].point`, `couplings[0].ratio`, `control[0].target`, `forces[1].stiffness`, `armatures[0].inertia`
-and `motions[0].function`. The distance to singular configurations is judged at the scene's own values: masses
-that are orders of magnitude away make runs slower, not wrong.
+and `motions[0].function`. The distance to singular configurations is judged at the scene's own values. Masses
+that differ from them by orders of magnitude make runs slower, not wrong.
 
-Elements declare the numbers that vary (`newton_euler.model.fields`). Compiled code has two more kinds of
-parameters: `JOINT.held`, the force that a sampled controller holds, and numbers of a function between two
-knots, such as `motions[0].function.piece`.
+Classes of elements declare the numbers that vary (`newton_euler.model.fields`). Compiled code has two more
+kinds of parameters: `JOINT.held`, the force that a sampled controller holds, and the polynomial piece of a
+function of time between two of its knots, such as `motions[0].function.piece`.
 """
 
 from __future__ import annotations
@@ -85,23 +85,28 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.variable import altered, functions_of
 from newton_euler.scalars import NUMBERS, Array
 
-PIECE = ".piece"  # suffix of names of what a function with knots is between two of them
+PIECE = ".piece"
+"""Suffix of the name of a parameter that holds a function of time between two of its knots."""
 
 
 Owner = tuple[str, int, str]
-"""A parameter: the field of the scene or its mechanism, the number of the element there, and the
-attribute."""
+"""An attribute with parameters: field of the scene or mechanism, number of the element there, attribute name.
 
-MECHANICAL = ("bodies", "joints", "couplings")  # fields of mechanisms; the others are those of scenes
+An example is ("bodies", 2, "mass")."""
+
+MECHANICAL = ("bodies", "joints", "couplings")
+"""Fields with elements that belong to the mechanism; the other fields belong to the scene."""
+
 GRAVITY: Owner = ("scene", 0, "gravity")
+"""The attribute with the gravity of a scene."""
 
 
 class Place(NamedTuple):
-    """Position of a parameter's numbers in a scene.
+    """Location of the numbers of a parameter in a scene.
 
     Attributes:
         owner: the attribute with these numbers.
-        component: index of one number of the attribute's value; None for all of the value.
+        component: index of one number in the attribute's value; None if the parameter is the whole value.
         field: declaration of the attribute.
     """
 
@@ -111,7 +116,7 @@ class Place(NamedTuple):
 
 
 def _parts(scene: Scene) -> dict[str, list[Any]]:
-    """Return the elements with parameters, by the field of the scene or mechanism."""
+    """Return all elements that may have parameters, by the field of the scene or mechanism."""
     return {
         "scene": [scene],
         "bodies": list(scene.mechanism.bodies),
@@ -124,14 +129,18 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
     }
 
 
-@lru_cache(maxsize=8)  # scenes, most recently used
+@lru_cache(maxsize=8)  # the most recently used scenes
 def _owners(scene: Scene) -> dict[str, list[Owner]]:
-    """Find the attributes that names without components stand for."""
+    """List, by parameter name without component, the attributes that the name stands for.
+
+    Each attribute has a plain name, such as `crank.mass`, and a unique numbered name, such as
+    `bodies[2].mass`. A plain name may stand for several attributes.
+    """
     found: dict[str, list[Owner]] = {"gravity": [GRAVITY]}
     for what, elements in _parts(scene).items():
         for k, element in enumerate(elements):
             if what == "scene" or (what == "bodies" and k == 0):
-                continue  # the ground has none
+                continue  # the ground has no parameters
             for attribute in element.variables:
                 found.setdefault(f"{_place(what, element)}.{attribute}", []).append((what, k, attribute))
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
@@ -140,7 +149,16 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
 
 
 def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
-    """Raise `MechanismError` for a parameter that moves the closed configurations."""
+    """Check that parameters do not change the closed configurations of a scene.
+
+    Args:
+        scene: the scene.
+        names: names of parameters.
+        where: beginning of the error message.
+
+    Raises:
+        MechanismError: for a parameter of geometry, couplings or prescribed motions.
+    """
     for name, place in places(scene, names).items():
         if place.field.moves_loops:
             needed = "one that leaves the closed configurations where they are"
@@ -148,9 +166,12 @@ def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
 
 
 def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
-    """Return the numbers of functions with knots between the knots around a time in s, by name.
+    """Return the current polynomial piece of each function of time with knots, by parameter name.
 
-    If not `smooth`, only attributes whose functions jump are included.
+    Args:
+        scene: the scene with the functions.
+        time: s; a piece is valid between the two knots around this time.
+        smooth: True for all functions, False for functions with jumps only.
     """
     found = {}
     for owner, functions in scene.functions.items():
@@ -162,19 +183,32 @@ def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
 def pieces_along(
     scene_at: Callable[[Array], Scene], x: Array, directions: Array, time: float
 ) -> dict[str, Array]:
-    """Compute the changes (k, p) of `pieces` along directions (inputs, p) of x, in which they are linear."""
+    """Compute the directional derivatives of `pieces`, which depend linearly on the parameters.
+
+    Args:
+        scene_at: returns the scene with the parameter values of a vector x (inputs,).
+        x: (inputs,) the parameter values.
+        directions: (inputs, p) directions in the space of x.
+        time: s.
+
+    Returns:
+        (k, p) for each piece of k numbers, by parameter name.
+    """
     here = pieces(scene_at(x), time)
     moved = [pieces(scene_at(x + direction), time) for direction in directions.T]
     return {name: np.array([each[name] - piece for each in moved]).T for name, piece in here.items()}
 
 
 def numbered(what: str, k: int, attribute: str) -> str:
-    """Return the unique name of a parameter: element names have no brackets."""
+    """Return the unique numbered name of a parameter, such as `bodies[2].mass`.
+
+    Names of elements have no brackets, so that a numbered name is never a plain name.
+    """
     return f"{what}[{k}].{attribute}"
 
 
 def unambiguous(scene: Scene, name: str) -> str:
-    """Return a name of a parameter that stays unique if more elements are appended to the scene.
+    """Return the name of a parameter that remains unique if elements are appended to the scene.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
@@ -186,7 +220,7 @@ def unambiguous(scene: Scene, name: str) -> str:
 
 
 def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
-    """Find the places of parameters by their names.
+    """Find where the numbers of parameters are in a scene, by name.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
@@ -204,7 +238,7 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
         field = parts[what][k].field_of(attribute)
         found[name] = place = Place(owners[base][0], component, field)
         if name.endswith(PIECE):
-            continue  # of a function whose samples may be parameters, too
+            continue  # samples of the same function may be parameters as well
         others = given.setdefault(place.owner, [])
         if others and (component is None or None in others or component in others):
             raise MechanismError(f"parameter {name!r}", "has another value by another name", "one of them")
@@ -215,7 +249,16 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
 def _split(
     parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: str
 ) -> tuple[str, tuple[int, ...] | None]:
-    """Split a name into the name of the attribute and the component."""
+    """Split a parameter name into the name of the attribute and the index of the component.
+
+    Args:
+        parts: elements of the scene by field.
+        owners: attributes by name.
+        name: the parameter name.
+
+    Returns:
+        Name of the attribute; index of the component, None for the whole value.
+    """
     if name in owners:
         return name, None
     for dots in (1, 2) if isinstance(name, str) else ():
@@ -231,7 +274,7 @@ def _split(
 
 
 def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
-    """Raise `MechanismError` for the name of a number that does not vary."""
+    """Raise `MechanismError`, with the reason, for the name of a number that cannot vary between runs."""
     for what, elements in parts.items():
         for k, element in enumerate(elements):
             prefixes = (f"{_place(what, element)}.", numbered(what, k, ""))
@@ -242,12 +285,20 @@ def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
 
 
 def _place(what: str, element: Any) -> str:
-    """Return the prefix of names of an element's parameters."""
+    """Return the beginning of the parameter names of an element, such as the name of a body."""
     return element.name if what in ("scene", *MECHANICAL) else element.prefix
 
 
 def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | None:
-    """Return the index into a value of the given shape that the ending of a name stands for, or None."""
+    """Convert the ending of a parameter name to an index.
+
+    Args:
+        shape: shape of the attribute's value.
+        ending: last parts of the name, such as ["z"], ["xy"] or ["1", "0"].
+
+    Returns:
+        The index; None if the ending is no component of such a value.
+    """
     letters = ending[0] if len(ending) == 1 else ""
     if set(shape) == {3} and len(letters) == len(shape) and set(letters) <= set("xyz"):
         return tuple(sorted("xyz".index(letter) for letter in letters))  # matrices are symmetric
@@ -258,7 +309,10 @@ def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | N
 
 
 def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
-    """Return the names of the numbers of a field of a function of time, as `target.amplitude`."""
+    """Return the valid names for a misnamed number of a function of time.
+
+    An example is `pivot.target.amplitude`, whose valid name is `pivot.target.0`; empty for other names.
+    """
     base, _, wanted = str(name).rpartition(".")
     found = list[str]()
     for what, k, attribute in owners.get(base, ()):
@@ -273,7 +327,7 @@ def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name:
 
 
 def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
-    """Return names to propose for an unknown name, the nearest first; of the same element if known."""
+    """Return the most similar names for an unknown name, of the same element if that exists."""
     element, _, _ = str(name).partition(".")
     of_element = [each for each in owners if each.startswith(f"{element}.")]
     known = of_element or [each for each in owners if "[" not in each]
@@ -281,7 +335,11 @@ def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
 
 
 def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
-    """Return the scene's own value; for functions of time their numbers, or the numbers of a piece."""
+    """Return the scene's own value of an attribute.
+
+    The value of a function of time is the vector of its numbers; with `piece`, the numbers of its polynomial
+    piece at time 0.
+    """
     what, k, attribute = owner
     if piece:
         return piece_numbers(functions_of(getattr(parts[what][k], attribute)), 0.0)
@@ -289,9 +347,9 @@ def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Arra
 
 
 def parameter_names(scene: Scene) -> list[str]:
-    """Return the names of all parameters, numbered ones where several share a name.
+    """Return the names of all parameters of a scene; parameters that share a name have numbered names.
 
-    Forces that controllers hold are none: runs set them.
+    Forces held by sampled controllers are not listed, because the controllers set them during a run.
     """
     names: list[str] = []
     for name, owners in _owners(scene).items():
@@ -301,7 +359,14 @@ def parameter_names(scene: Scene) -> list[str]:
 
 
 def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[str, Array]:
-    """The scene's own values of these or of all of its parameters: () or (3,) or (3, 3) floats each.
+    """Return the scene's own values of parameters, by name.
+
+    Args:
+        scene: the scene.
+        names: names of parameters; all parameters if None.
+
+    Returns:
+        Arrays of floats, of shape (), (3,), (3, 3) or another shape of the attribute.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
@@ -316,7 +381,13 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
 
 
 def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
-    """Return the undisplaced points of displacement parameters: world frame, initial pose, m."""
+    """Return the points from which displacement parameters are measured, by name.
+
+    Names of other parameters are ignored.
+
+    Returns:
+        (3,) in the world frame at the initial pose, m; () for one component.
+    """
     found: dict[str, Array] = {}
     for name, (owner, component, field) in places(scene, names).items():
         what, _, attribute = owner
@@ -329,25 +400,26 @@ def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
 
 
 def parameter_layout(scene: Scene, names: Iterable[str]) -> tuple[tuple[object, ...], ...]:
-    """Return names of parameters with their shapes and, of functions of time, counts of each term's numbers.
+    """Return what compiled code depends on if parameters are its inputs: all but their values.
 
-    Compiled code with these parameters as inputs depends on the layout, but not on the values.
+    Returns:
+        For each parameter: name, shape and, for a function of time, the count of numbers of each term.
     """
     names, functions = list(names), scene.functions
     values, found = parameter_values(scene, names), []
     for name, (owner, *_) in places(scene, names).items():
-        own = () if name.endswith(PIECE) else functions.get(owner, ())  # pieces have one size
+        own = () if name.endswith(PIECE) else functions.get(owner, ())  # all pieces have the same size
         counts = tuple(len(term.part("")) for function in own for term in terms(function))
         found.append((name, values[name].shape, counts))
     return tuple(found)
 
 
 def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
-    """Parameter values as arrays of floats.
+    """Check values of parameters and convert them to arrays of floats, by name.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two, and for a value that the scene itself would refuse.
+        MechanismError: for a name that stands for two, and for a value that the scene cannot have.
     """
     own = parameter_values(scene, values)
     arrays = {}
@@ -365,7 +437,7 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
 
 
 def element_of(scene: Scene, owner: Owner) -> Any:
-    """Return the element that has a parameter."""
+    """Return the element with an attribute, such as the body whose mass it is."""
     what, k, _ = owner
     return _parts(scene)[what][k]
 
@@ -376,7 +448,7 @@ def own_value(scene: Scene, owner: Owner) -> Array:
 
 
 def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | None:
-    """Return the error that other values of attributes of one element raise; None for valid values."""
+    """Return the error that new values of attributes of one element raise; None for valid values."""
     try:
         element = element_of(scene, next(iter(values)))
         element.rebuilt({attribute: value for (_, _, attribute), value in values.items()})
@@ -386,7 +458,7 @@ def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | Non
 
 
 def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """Construct the scene again with other values of some parameters, with all checks."""
+    """Construct a scene with other values of some parameters, by name, with all checks."""
     parts = _substituted(scene, values, places(scene, values), checked=True)
     (changed,) = parts.pop("scene")
     mechanism = Mechanism(*(parts.pop(field) for field in MECHANICAL))
@@ -394,10 +466,13 @@ def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """Copy the scene with other values of some parameters; scalars of any kind, not checked."""
+    """Copy a scene with other values of some parameters, by name, without checks.
+
+    The values may be symbolic scalars, when the equations of the scene are traced for compilation.
+    """
     parts = _substituted(scene, values, places(scene, values), checked=False)
     (changed,) = parts.pop("scene")
-    size = scene.mechanism.size  # the description's own makes residuals dimensionless
+    size = scene.mechanism.size  # the size of the scene itself makes residuals dimensionless
     elements = {field: tuple(parts.pop(field)) for field in MECHANICAL}
     mechanism = altered(scene.mechanism, size=size, **elements)
     changed = altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
@@ -406,21 +481,36 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
-    """Copy the scene with other control laws, not checked, for equations only: without outputs."""
+    """Copy a scene with other control laws and without outputs, not checked; for equations of motion only."""
     changed = altered(scene, control=tuple(laws), outputs=frozenset())
     inherit_mobility(changed, scene)
     return changed
 
 
 def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
-    """Return the scene with control laws of zero force on these coordinates, and no other control."""
+    """Copy a scene so that its equations measure joint coordinates and allow forces on them.
+
+    The copy has a control law of zero force on each of the coordinates, and no other control laws.
+
+    Args:
+        scene: the scene.
+        keys: joint coordinates (joint, number).
+    """
     return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in dict.fromkeys(keys)])
 
 
 def _substituted(
     scene: Scene, values: Mapping[str, Any], found: Mapping[str, Place], checked: bool
 ) -> dict[str, list[Any]]:
-    """Return the elements of `_parts` with other values at these places."""
+    """Return the elements of `_parts` with other values of parameters.
+
+    Args:
+        scene: the scene.
+        values: new values by parameter name.
+        found: where these parameters are in the scene, by name.
+        checked: True to construct changed elements with all checks, False to copy them without checks.
+    """
+    # whole attributes and their components
     parts = _parts(scene)
     fields: dict[tuple[str, int], dict[str, Any]] = {}
     for (what, k, attribute), value in _assigned(parts, values, found).items():
@@ -428,6 +518,7 @@ def _substituted(
     for (what, k), attributes in fields.items():
         element = parts[what][k]
         parts[what][k] = element.rebuilt(attributes) if checked else element.varied(attributes)
+    # polynomial pieces replace functions of time
     for name in values:
         if name.endswith(PIECE):
             what, k, attribute = found[name].owner
@@ -439,9 +530,9 @@ def _substituted(
 def _assigned(
     parts: dict[str, list[Any]], values: Mapping[str, Any], places: Mapping[str, Place]
 ) -> dict[Owner, Any]:
-    """Return the values of all changed attributes; components are put into the scene's own value.
+    """Return the new value of each changed attribute, without polynomial pieces of functions.
 
-    Pieces of functions are left out.
+    New components replace components of the scene's own value.
     """
     found: dict[Owner, Any] = {}
     for name, (owner, component, _) in places.items():

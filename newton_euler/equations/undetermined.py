@@ -25,7 +25,7 @@ from newton_euler.scalars import Array
 
 
 class ReactionPlace(NamedTuple):
-    """Where the reaction of a joint acts.
+    """Body and point on which the reaction of a joint acts.
 
     Attributes:
         joint: number of the joint.

@@ -1,4 +1,8 @@
-"""Consistent states: poses that close all joints and velocities that keep them closed; initial states."""
+"""Consistent states: find them, and check that the initial states of runs are consistent.
+
+A consistent state has poses that close all joints and velocities that keep them closed. `assemble` finds one
+near a guess; `initial_state` gives the state from which runs of a scene start.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +29,20 @@ from newton_euler.model.state import State, stacked, whole_revolutions
 from newton_euler.scalars import Array, unstacked
 
 VELOCITY_TOLERANCE = 1e-9
-"""Largest rate of a constraint violation at the start, divided by the largest speed: m/s, and rad/s times the
-size of the mechanism."""
+"""Largest rate of a constraint residual at the start, divided by the largest speed of the state.
+
+Rates in rad/s are multiplied by the mechanism's size before the division."""
 
 CONSISTENT_STARTS: WeakKeyDictionary[Scene, State] = WeakKeyDictionary()
-"""Consistent initial states, by scene."""
+"""Checked initial states that `initial_state` has returned, by scene."""
 
 
 @checked
 def assemble(scene: Scene, guess: State) -> State:
-    """Find the consistent state near a guess: positions first, then velocities, by steps of least length.
+    """Find a consistent state near a guess: positions first, then velocities, by minimum-norm Newton steps.
 
     Args:
-        scene: the mechanism, with its prescribed motions at time 0.
+        scene: the mechanism; its prescribed motions have their values at time 0.
         guess: a state of the scene's bodies; its loops may be open.
 
     Raises:
@@ -59,12 +64,13 @@ def assemble(scene: Scene, guess: State) -> State:
 
 
 @checked
-@np.errstate(all="ignore")  # states that overflow are refused, here or by a run
+@np.errstate(all="ignore")  # states that overflow are rejected, here or by a run
 def initial_state(scene: Scene) -> State:
     """Return the consistent state from which runs of a scene start.
 
-    This is the scene's initial state if it has one, else the initial pose of its mechanism, at rest or with
-    its prescribed motions. `State.angles` of the result are complete.
+    If the scene has an initial state, it is checked and returned. Else the state is the initial pose of the
+    mechanism, at rest or with the prescribed motions. The result contains all angles whose full revolutions
+    matter (`State.angles`).
 
     Raises:
         MechanismError: naming the joint, gear, motion or force that the scene's initial state violates.
@@ -93,7 +99,10 @@ def initial_state(scene: Scene) -> State:
 
 
 def with_angles(scene: Scene, state: State) -> State:
-    """Complete the angles of a state that a scene depends on, see `State.angles`."""
+    """Return a state with all angles whose full revolutions forces or couplings of a scene depend on.
+
+    Angles that the state does not have follow from couplings, or are between -pi and pi.
+    """
     keys = counted_angles(scene)
     if state.angles.keys() >= set(keys):
         return state
@@ -105,37 +114,48 @@ def with_angles(scene: Scene, state: State) -> State:
 
 
 def check_revolutions(scene: Scene, state: State) -> None:
-    """Raise `MechanismError` for an angle that differs from the poses by other than whole revolutions."""
+    """Raise `MechanismError` for an angle of a state that does not match the poses up to full revolutions."""
     frames = state.frames() if state.angles else []
     for key, angle in state.angles.items():
         x = float(scene.mechanism.measure(key, frames)[0])
-        if not _is_of_pose(angle, x):
+        if not _matches_pose(angle, x):
             problem = f"coordinate {key[1]} is {angle:.9g} rad in a state whose poses have it at {x:.9g} rad"
             needed = "the same angle up to whole revolutions, 2 pi each"
             raise MechanismError(f"joint {key[0]!r}", problem, needed)
 
 
-def _is_of_pose(angle: Any, x: Any) -> Any:
-    """True where the angle of a state and the angle x of its poses, rad, differ by whole revolutions."""
+def _matches_pose(angle: Any, x: Any) -> Any:
+    """Return True if an angle and the angle x of the poses, rad, differ by full revolutions; or an array."""
     gap = np.abs(x + whole_revolutions(angle - x) - angle)
     return gap <= CLOSURE_TOLERANCE + 4.0 * np.finfo(float).eps * np.abs(angle)
 
 
 def measured_coordinate(scene: Scene, state: State, key: Key) -> tuple[float, float]:
-    """Measure a joint coordinate, with the revolutions of `State.angles`, and its rate, m or rad."""
+    """Measure a joint coordinate (joint, number) and its rate at a state, m or rad, and per s.
+
+    Angles include the full revolutions of `State.angles`.
+    """
     x, rate = map(float, scene.mechanism.measure(key, state.frames()))
     return x + state.revolutions(key, x), rate
 
 
 def inherit_initial_state(scene: Scene, of: Scene) -> None:
-    """Take over the start of another scene with the same geometry and the same initial state."""
+    """Use for a scene the initial state of another scene with the same geometry, without checks."""
     CONSISTENT_STARTS[scene] = initial_state(of)
 
 
 def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
-    """Compute (q, v), (n, nq + nv), at n states; the result of a state does not depend on the others.
+    """Compute coordinates and velocities of n states at once.
 
-    Its round-off differs from that of `system.coordinates`.
+    The result of a state is the same, bit for bit, whatever the other states are. Its round-off may differ
+    from that of `system.coordinates`.
+
+    Args:
+        system: gives the form of the equations.
+        states: the states.
+
+    Returns:
+        (n, nq + nv): q and v of each state.
     """
     if system.couplings:
         return np.array([np.concatenate(system.coordinates(state)) for state in states])
@@ -147,7 +167,10 @@ def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
 
 
 def _check_joints(scene: Scene, state: State) -> None:
-    """Raise `MechanismError` for a joint that is open or opens by more than noise."""
+    """Raise `MechanismError` for a joint that is open or opening.
+
+    Joints whose constraints are redundant except for noise may be open as far as the noise requires.
+    """
     try:
         scene.mechanism.check_closed(state.frames(), "in the initial state")
         _check_velocities(scene, state)
@@ -157,7 +180,7 @@ def _check_joints(scene: Scene, state: State) -> None:
 
 
 def _check_velocities(scene: Scene, state: State) -> None:
-    """Raise `MechanismError` for the first joint that opens faster than `VELOCITY_TOLERANCE`."""
+    """Raise `MechanismError` for the first joint whose bodies separate faster than `VELOCITY_TOLERANCE`."""
     mechanism, frames = scene.mechanism, state.frames()
     size, speed = mechanism.size, _speed(scene, state)
     for equations in mechanism.equations:
@@ -175,14 +198,23 @@ def _check_velocities(scene: Scene, state: State) -> None:
 
 
 def _rates_allowed(equations: JointEquations, speed: Any, size: float) -> Array:
-    """Compute the allowed rates, m/s or rad/s, of the rows of a joint at the largest speed, m/s."""
+    """Compute the largest allowed rate of each constraint row of a joint, (k,), m/s or rad/s.
+
+    Args:
+        equations: constraint rows of the joint.
+        speed: largest speed of the state, m/s.
+        size: size of the mechanism, m.
+    """
     return VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
 
 
 def check_states(scene: Scene, states: Sequence[State]) -> dict[int, MechanismError]:
-    """Check initial states of runs of a scene; return errors by number of the run.
+    """Check the initial states of many runs of a scene.
 
-    All states are checked together first. Those not found consistent are checked one by one.
+    All states are checked together first, which is fast. Those not found consistent are checked one by one.
+
+    Returns:
+        Errors by number of the run.
     """
     errors = {}
     for k in np.flatnonzero(~_surely_consistent(scene, states)).tolist():
@@ -197,9 +229,10 @@ def check_states(scene: Scene, states: Sequence[State]) -> dict[int, MechanismEr
 
 
 def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
-    """True (n,) for states that are certainly consistent; all are examined together.
+    """Find the states that are certainly consistent; all are examined together.
 
-    False for every state if the scene has couplings or prescribed motions.
+    Returns:
+        (n,) True for a consistent state; all False if the scene has couplings or prescribed motions.
     """
     shape, sure = (len(scene.mechanism.bodies), 3), np.zeros(len(states), dtype=bool)
     whole = [k for k, state in enumerate(states) if isinstance(state, State) and _is_whole(state, shape)]
@@ -210,13 +243,13 @@ def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
 
 
 def _is_whole(state: State, shape: tuple[int, int]) -> bool:
-    """True if the arrays of a state are floats with vectors of this shape."""
+    """Return True if the arrays of a state hold floats and have the shape (bodies, 3), or (bodies, 4)."""
     vectors = state.position, state.linear_velocity, state.angular_velocity, state.quaternion[:, 1:]
     return all(vector.dtype == np.float64 and vector.shape == shape for vector in vectors)
 
 
 def _has_angles(scene: Scene, state: State) -> bool:
-    """True if the angles of a state belong to coordinates of the scene."""
+    """Return True if all angles of a state belong to joint coordinates of the scene."""
     try:
         scene.check_angles(state.angles, "state")
     except MechanismError:
@@ -226,7 +259,7 @@ def _has_angles(scene: Scene, state: State) -> bool:
 
 @np.errstate(all="ignore")  # states that are not finite are not consistent
 def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
-    """True (n,) for closed states with the ground at its place, for a scene without couplings."""
+    """Find the consistent states of a scene without couplings, (n,) True for a consistent state."""
     count, mechanism, state = len(states), scene.mechanism, stacked(states)
     # ground at its place, unit quaternions
     ground, frames = mechanism.bodies[0], state.frames()
@@ -243,11 +276,11 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
         rates = unstacked(equations.jacobian(first, second).rate(first, second), count)
         allowed = _rates_allowed(equations, speed, mechanism.size)
         found &= np.all((np.abs(phi) <= CLOSURE_TOLERANCE) & (np.abs(rates) <= allowed), axis=1)
-    # given angles are those of the poses; ends of springs are apart
+    # given angles match the poses; the end points of springs differ
     for key in {key for each in states for key in each.angles}:
         angles = np.array([each.angles.get(key, np.nan) for each in states])
         x = unstacked([mechanism.measure(key, frames)[0]], count)[:, 0]
-        found &= np.isnan(angles) | _is_of_pose(angles, x)
+        found &= np.isnan(angles) | _matches_pose(angles, x)
     at = surroundings(scene, state)
     for span in (span for force in scene.forces for span in force.spans(at)):
         found &= unstacked([span @ span], count)[:, 0] > CLOSURE_TOLERANCE**2
@@ -255,7 +288,7 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
 
 
 def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:
-    """True if only nearly redundant joints of a state are open, and no more than they must be."""
+    """Return True if only almost redundant constraints of a state are violated, no more than they must be."""
     if mobility(scene).residual == 0.0:
         return False
     try:
@@ -294,6 +327,10 @@ def _check_couplings(scene: Scene, state: State) -> None:
 
 
 def _speed(scene: Scene, state: State) -> float:
-    """Compute the largest speed of a state, m/s: of centers of mass plus rotation at the mechanism's size."""
+    """Compute the largest speed of a state, m/s.
+
+    The result is the largest speed of a center of mass, plus the largest angular velocity times the
+    mechanism's size.
+    """
     spin = float(np.max(np.linalg.norm(state.angular_velocity, axis=1)))
     return float(np.max(np.linalg.norm(state.linear_velocity, axis=1))) + scene.mechanism.size * spin

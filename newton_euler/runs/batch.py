@@ -1,4 +1,9 @@
-"""Batches: many runs of one scene, on several threads: native code releases the interpreter lock."""
+"""Run one scene many times, with different initial states or parameters, on several threads.
+
+The scene is compiled once, and the parameters are inputs of the compiled code. Native code releases Python's
+interpreter lock, so that threads run in parallel. Where possible, each thread integrates several runs at
+once, one in each lane of a vector register (`newton_euler.compiled.lanes`).
+"""
 
 from __future__ import annotations
 
@@ -52,24 +57,24 @@ from newton_euler.runs.variation import run_values
 from newton_euler.scalars import Array, Floats
 
 PIECES_PER_THREAD = 8
-"""Number of pieces that the runs of a thread are divided into, so that all threads end at nearly one time."""
+"""Number of pieces of work per thread; small pieces let all threads end at nearly the same time."""
 
 MAX_THREADS = 4096
 """Largest number of threads. Each thread takes memory for its stack."""
 
 MIN_PIECE_RUNS = 64
-"""Least number of runs of a piece whose runs go side by side: at the end of a piece some lanes are idle."""
+"""Smallest number of runs in a piece of work for lanes; at the end of a piece some lanes are idle."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch(Sequence[Trajectory]):
-    """Runs of one scene; `batch[k]` is the trajectory of run k, or raises the error that ended it.
+    """Runs of one scene; `batch[k]` is the trajectory of run k, or raises the error that ended the run.
 
     Attributes:
         scene: the scene of all runs.
-        settings: of all runs, see `Trajectory.settings`.
+        settings: settings that all runs share, see `Trajectory.settings`.
         wall_time: s, of all runs together.
-        errors: errors by number of the run: impossible values, or runs that stopped.
+        errors: errors by number of the run: invalid parameter values, or runs that stopped early.
     """
 
     scene: Scene
@@ -104,29 +109,29 @@ class Batch(Sequence[Trajectory]):
     def stacked(self, name: str) -> Floats:
         """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
 
-        Runs that stopped have values that are not a number. The sign of quaternions may change between times,
-        unlike that of a trajectory.
+        Values of runs that stopped early are NaN. The sign of quaternions may change between times, unlike in
+        a trajectory.
 
         Raises:
             UnknownNameError: for an array that is no output of the scene.
         """
-        places = self._compiled.arrays
-        if name not in places:
-            raise UnknownNameError("array", name, tuple(places))
-        place, shape = places[name]
+        arrays = self._compiled.arrays
+        if name not in arrays:
+            raise UnknownNameError("array", name, tuple(arrays))
+        columns, shape = arrays[name]
         results = self._runs.results
-        return results[:, :, place].reshape(*results.shape[:2], *shape)
+        return results[:, :, columns].reshape(*results.shape[:2], *shape)
 
     @checked
     def joint(self, name: str) -> JointMotion:
         """Compute the coordinates (runs, n, k) of a joint and their rates, as `Trajectory.joint` does.
 
-        Runs that stopped have values that are not a number. If the geometry varies, each run takes some
-        milliseconds.
+        Values of runs that stopped early are NaN. If the geometry varies, each run takes some milliseconds.
 
         Raises:
             UnknownNameError: for an unknown joint.
         """
+        # arrays of all runs; `carried` has the joint's angles with counted revolutions, by coordinate number
         times, known = self.scene.times, self._compiled.arrays
         position, quaternion = self.stacked("position"), self.stacked("quaternion")
         velocities = [
@@ -134,9 +139,11 @@ class Batch(Sequence[Trajectory]):
         ]
         counted = [(k, key[1]) for k, key in enumerate(counted_angles(self.scene)) if key[0] == name]
         carried = {number: self.stacked("joint_angle")[:, :, k] for k, number in counted}
+        # one geometry for all runs
         if not self._compiled.kinematic:
             equations = self.scene.mechanism.joint_equations(name)
             return joint_motion(equations, times, carried, position, quaternion, *velocities)
+        # a geometry for each run
         found = []
         for run, mechanism in enumerate(self._mechanisms):
             equations = mechanism.joint_equations(name)
@@ -149,11 +156,11 @@ class Batch(Sequence[Trajectory]):
 
     @cached_property
     def _mechanisms(self) -> list[Mechanism]:
-        """The mechanisms of all runs, for varying geometry."""
+        """The mechanism of each run, with the geometry of the run."""
         return [self._mechanism(run) for run in range(len(self))]
 
     def _mechanism(self, run: int) -> Mechanism:
-        """Return the mechanism of a run."""
+        """Return the mechanism of a run, with the parameter values of the run."""
         return self._compiled.parametrized(self._runs.starts[run]).mechanism
 
     def __iter__(self) -> Iterator[Trajectory]:
@@ -255,7 +262,18 @@ def make_batch(
 
 
 def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
-    """Run all runs without an error on a number of threads; return the time taken, s."""
+    """Run all runs that have no error yet; write their results, counters and errors into `runs`.
+
+    Args:
+        runs: initial states and results.
+        compiled: the compiled scene.
+        options: integrator and step control.
+        workers: number of threads.
+
+    Returns:
+        Wall time, s.
+    """
+    # divide the runs into pieces of work
     side_by_side = runs_in_lanes(compiled, options.integrator)
     numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
     most = len(numbers) // MIN_PIECE_RUNS if side_by_side else len(numbers)
@@ -265,6 +283,7 @@ def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -
     stopped: list[bool] = []
 
     def work() -> None:
+        """Take pieces of work until none is left."""
         make: Callable[[Runs, Array], None] = partial(_make_one_by_one, compiled, options, stopped)
         if side_by_side:
             make = SideBySide(compiled, compiled.scene.times, options, stopped)
@@ -286,7 +305,15 @@ def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -
 def _make_one_by_one(
     compiled: CompiledScene, options: Options, stopped: Sequence[bool], runs: Runs, numbers: Array
 ) -> None:
-    """Run the runs with some numbers, one after the other."""
+    """Run some of the runs, given by their numbers (k,), one after another, interval by interval.
+
+    Args:
+        compiled: the compiled scene.
+        options: integrator and step control.
+        stopped: the work ends if this list is not empty.
+        runs: initial states; receives results, counters and errors.
+        numbers: numbers of the runs.
+    """
     for k in numbers.tolist():
         if stopped:
             return
@@ -303,7 +330,7 @@ def _make_one_by_one(
 def _compiled(
     scene: Scene, formulation: str | None, stabilization: str, alpha: float | None, names: tuple[str, ...]
 ) -> CompiledScene:
-    """Return the compiled scene, the same object for each batch: LLVM frees no code."""
+    """Return the compiled scene for parameters by name; recent ones are kept, because LLVM frees no code."""
     return CompiledScene(scene, formulation, stabilization, alpha, names)
 
 
@@ -321,7 +348,11 @@ def thread_count(threads: int | None = None) -> int:
 
 
 def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int:
-    """Return the number of runs; raises `OptionError` for series of several lengths."""
+    """Return the number of runs.
+
+    Raises:
+        OptionError: for states and parameter values of different lengths, or without elements.
+    """
     series = dict(parameters) if states is None else {**parameters, "states": states}
     for name, each in series.items():
         if not len(each):
@@ -338,7 +369,18 @@ def _set(
     states: Sequence[State] | None,
     parameters: Mapping[str, Any],
 ) -> dict[int, NewtonEulerError]:
-    """Set the states and parameters of all runs in x (runs, inputs); return errors by number of the run."""
+    """Write the initial states and parameters of all runs into vectors x, `starts` (runs, inputs).
+
+    Args:
+        starts: (runs, inputs) written.
+        compiled: the compiled scene.
+        states: initial states of the runs; the scene's initial state for all runs if None.
+        parameters: values, one per run, by name.
+
+    Returns:
+        Errors by number of the run.
+    """
+    # check states and values
     scene = compiled.scene
     unclosed = check_states(scene, states or ())
     closed = [initial_state(scene) if k in unclosed else state for k, state in enumerate(states or ())]
@@ -347,6 +389,7 @@ def _set(
         if name in compiled.parameters:
             place, flat = compiled.place(name), array.reshape(len(array), -1)
             starts[:, place : place + flat.shape[1]] = flat
+    # close the loops with the parameters of each run
     errors: dict[int, NewtonEulerError] = {**values.errors, **unclosed}
     assembly = assembly_of(scene, tuple(parameters))
     if assembly.is_needed:

@@ -1,9 +1,10 @@
-"""Sampled controllers of a run, and the model of the mechanism that digital control laws compute with.
+"""Sampled controllers of a run, and the mechanism model of digital computed-torque control.
 
 At each sampling instant a controller gets the readings of its sensors and returns a force, which acts until
-the next instant. A digital law with computed torque or gravity compensation knows the mechanism: encoders
-give the actuated coordinates and their rates, forward kinematics finds the pose from the pose at the previous
-instant, and inverse dynamics gives the forces.
+the next instant. A digital law with computed torque or gravity compensation uses a model of the mechanism.
+Encoders give the actuated joint coordinates and their rates. Forward kinematics finds the pose, starting from
+the pose at the previous instant. Inverse dynamics then gives the forces. A key (joint, number) names a joint
+coordinate.
 """
 
 from __future__ import annotations
@@ -34,19 +35,23 @@ from newton_euler.scalars import Array
 
 
 class Controllers:
-    """The sampled controllers of a scene in one run, with their memories."""
+    """The sampled controllers of a scene in one run, with their internal states."""
 
     def __init__(self, scene: Scene) -> None:
+        """Create the controllers, and the model of the mechanism if one of them needs it."""
         model = ControllerModel(scene).forces if roles(scene, digital=True) else None
         self._controllers = {law.key: law.controller_of(scene.control, model) for law in scene.sampled}
 
     def sample(self, due: tuple[HeldLaw, ...], time: float, readings: Array) -> dict[str, float]:
-        """Call controllers; return their forces, N or N m, by the names of `equations.parameters`.
+        """Call controllers at a sampling instant.
 
         Args:
             due: control laws whose controllers are called.
             time: s.
-            readings: (s, 2) coordinates of `Scene.sensed`, m or rad, and their rates.
+            readings: (s, 2) joint coordinates of `Scene.sensed`, m or rad, and their rates.
+
+        Returns:
+            Forces, N or N m, by the parameter names of held forces, such as `crank.held`.
 
         Raises:
             IntegrationError: if a controller fails or does not return a finite number; names its joint.
@@ -66,23 +71,24 @@ class Controllers:
 
 
 def _one_line(text: str) -> str:
+    """Replace line breaks and repeated spaces by single spaces."""
     return " ".join(text.split())
 
 
 class ControllerModel:
-    """Inverse dynamics of the digital control laws that know the mechanism, in one run.
+    """Inverse dynamics for digital control laws that use a model of the mechanism, in one run.
 
     Attributes:
-        roles: the coordinates of these control laws.
-        encoders: forward kinematics of the coordinates of all control laws.
+        roles: joint coordinates of these control laws.
+        encoders: forward kinematics from the joint coordinates of all control laws.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Compile.
+        """Compile the inverse dynamics and the forward kinematics.
 
         Raises:
-            MechanismError: naming a coordinate to which its control law cannot give any acceleration, or the
-                scene if the coordinates of its control laws do not determine the pose.
+            MechanismError: naming a coordinate to which its control law cannot give any acceleration; or
+                naming the scene, if the coordinates of its control laws do not determine the pose.
         """
         self.roles, self._models, compiled = _compiled(scene)
         if compiled is None:
@@ -93,19 +99,21 @@ class ControllerModel:
         self.encoders = Encoders(*compiled, scene)
 
     def forces(self, readings: Readings, accelerations: Sequence[float], time: float) -> dict[Key, float]:
-        """Compute the forces of the control laws, N or N m, by joint coordinate.
+        """Compute the forces of the control laws, N or N m, by key.
 
         Args:
-            readings: of encoders.
-            accelerations: commands of the computed-torque laws, in their order.
+            readings: encoder readings by key.
+            accelerations: accelerations that the computed-torque laws command, in their order, m/s^2 or
+                rad/s^2.
             time: s.
 
         Raises:
-            MechanismError: for readings that no pose has.
+            MechanismError: for readings without a matching pose.
             SingularityError: if the coordinates do not determine the motion at this pose.
         """
         found: dict[Key, float] = {}
         own_q, own_v = self.encoders.coordinates(readings, time)
+        # computed torque at the measured velocities, then gravity compensation at rest
         wanted = accelerations, [0.0] * len(self.roles.holding)
         for model, own_wanted, moves in zip(self._models, wanted, (1.0, 0.0), strict=True):
             if model is None:
@@ -129,11 +137,11 @@ def _compiled(
     tuple[InverseDynamics | None, InverseDynamics | None],
     tuple[CompiledEquations, DrivenMechanism] | None,
 ]:
-    """Compile the models of a scene's digital control laws.
+    """Compile the models of a scene's digital control laws; results of recent scenes are kept.
 
     Returns:
-        Coordinates of the laws; inverse dynamics of computed torque and of gravity compensation; the
-        mechanism driven at the coordinates of all control laws, None if they do not determine its pose.
+        Joint coordinates of the laws; inverse dynamics of computed torque and of gravity compensation, None
+        if no law needs it; forward kinematics, None if the coordinates do not determine the pose.
     """
     found = roles(scene, digital=True)
     known = known_scene(scene, found.model)
@@ -146,7 +154,11 @@ def _compiled(
 
 
 def _driven(scene: Scene) -> tuple[CompiledEquations, DrivenMechanism] | None:
-    """Drive the coordinates of all control laws by splines; None if they do not determine the pose."""
+    """Build the forward kinematics: a mechanism whose controlled joint coordinates follow splines.
+
+    Encoder readings later replace the numbers of the splines. The result is None if the coordinates do not
+    determine the pose.
+    """
     keys = [law.key for law in scene.control]
     if len(keys) != mobility(scene).degrees_of_freedom:
         return None
@@ -164,16 +176,16 @@ class Encoders:
     """Forward kinematics of encoder readings in one run, each solved from the pose before.
 
     Attributes:
-        system: equations whose coordinates are found.
+        system: equations that define the coordinates q and v of the pose.
     """
 
     def __init__(self, code: CompiledEquations, mechanism: DrivenMechanism, scene: Scene) -> None:
-        """Begin at the start of a scene.
+        """Set the pose to the initial state of a scene.
 
         Args:
             code: compiled equations of the driven mechanism.
-            mechanism: the mechanism driven at the coordinates of the scene's control laws.
-            scene: gives the start.
+            mechanism: the mechanism whose controlled joint coordinates follow splines.
+            scene: gives the initial state.
         """
         self.system: Formulation = code.system
         self._code, self._project = code, Projection(code)
@@ -183,17 +195,23 @@ class Encoders:
         self._others = [name for name in code.parameters if name not in names.values()]
 
     def coordinates(self, readings: Readings, time: float) -> tuple[Array, Array]:
-        """Find q (nq,) and v (nv,) of the pose with these coordinates and rates at a time, s.
+        """Find q (nq,) and v (nv,) of the pose that matches encoder readings.
+
+        Args:
+            readings: joint coordinate, m or rad, and rate, by key.
+            time: s.
 
         Raises:
-            MechanismError: if no pose near the one before has these coordinates.
+            MechanismError: if no pose near the previous one matches the readings.
         """
         x, code, nq = self._x, self._code, self.system.nq
         x[code.size] = time
+        # other parameters: polynomial pieces of prescribed motions at this time
         if self._others:
             values = pieces(code.scene, time)
             for name in self._others:
                 x[code.place(name) :][: len(values[name])] = values[name]
+        # the polynomial piece of a driving spline: a straight line from this time, with value and slope
         for key, place in self._places.items():
             angle, rate = readings[key][:2]
             x[place : place + 3] = time, angle, rate

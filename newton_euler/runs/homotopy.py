@@ -1,7 +1,8 @@
-"""Homotopy in native code: closed states carried in small steps from one set of parameters to another.
+"""Homotopy in native code: follow a closed configuration while parameters of the mechanism change.
 
-A homotopy moves the parameters along a straight line. After each step Newton's steps of least length close
-the loops (`newton_euler.integrators.projection.project`), so that the mechanism stays on its branch.
+The parameters move along a straight line in small steps, from the values of the scene to the values of a run.
+After each step, minimum-norm Newton steps close the loops (`newton_euler.integrators.projection.project`).
+The mechanism therefore stays on its branch, such as the elbow-up configuration of a four-bar linkage.
 """
 
 from __future__ import annotations
@@ -16,16 +17,19 @@ from newton_euler.integrators.stepper import Equations
 
 @dataclass(frozen=True, eq=False)
 class HomotopyRecord(Record):
-    """Paths of n runs from the parameters of the scene to the parameters of the runs.
+    """Paths of several runs from the parameters of the scene to the parameters of the runs.
+
+    Vectors of length `inputs` hold a state (q, v), the time, flags and parameters.
 
     Attributes:
-        count: n.
-        passing: 1 if some coordinates follow from others and may stay open before the last step, else 0.
+        count: number n of runs.
+        passing: 1 if loops may be open at intermediate steps, because given joint coordinates are redundant
+            and agree only at the end; else 0.
         steps: (n,) numbers of steps.
-        own: (n, inputs) states with their parameters at the beginning.
-        states: (n, inputs) parameters at the end; their states are replaced by the closed ones.
+        own: (n, inputs) closed states with the parameters at the beginning.
+        states: (n, inputs) parameters at the end; the closed states at the end are written there.
         x: (inputs,) scratch.
-        statuses: (n,) statuses of the last projections.
+        statuses: (n,) written: status of the last projection of each run.
     """
 
     count: int
@@ -39,7 +43,12 @@ class HomotopyRecord(Record):
 
 @native
 def assemble_all(system: Equations, paths: HomotopyRecord) -> None:
-    """Close the states of all runs at the parameters at the end of their paths."""
+    """Follow the paths of all runs; write the closed states at the end of the paths.
+
+    Args:
+        system: equations of the constraints.
+        paths: the paths and the results.
+    """
     n = system.n
     inputs = system.inputs
     x = paths.x
@@ -63,7 +72,7 @@ def assemble_all(system: Equations, paths: HomotopyRecord) -> None:
                 status = project(system, last, x)
             if status != Status.DONE and (status != Status.OPEN or paths.passing == 0):
                 break
-        # project again: velocities far below the first ones get their digits
+        # project again: velocities that are much smaller than at the first projection become accurate
         if status == Status.DONE and system.projecting == 1:
             status = project(system, 1, x)
         for i in range(n):

@@ -1,7 +1,7 @@
-"""Initial coordinates of joints and their rates: numbers of the start that vary from run to run.
+"""Names of initial joint coordinates and their rates, as parameters that vary from run to run.
 
-Their names are `start.JOINT`, m or rad from the initial pose, and `start.JOINT.rate`, m/s or rad/s. The
-second coordinate of a joint has the names `start.JOINT.1` and `start.JOINT.1.rate`.
+The names are `start.JOINT`, m or rad from the initial pose, and `start.JOINT.rate`, m/s or rad/s. The second
+coordinate of a joint has the names `start.JOINT.1` and `start.JOINT.1.rate`.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from newton_euler.model.scene import Scene
 from newton_euler.runs.assemble import initial_state, measured_coordinate
 
 START_PREFIX, RATE_SUFFIX = "start.", ".rate"
-"""Beginning of names of initial coordinates and rates, and end of names of rates."""
+"""Beginning of the names of initial coordinates and rates, and end of the names of rates."""
 
 
 class Initial(NamedTuple):
-    """An initial coordinate or its rate.
+    """An initial joint coordinate or its rate.
 
     Attributes:
-        key: the joint coordinate.
+        key: the joint coordinate: name of the joint, number of the coordinate.
         order: 0 for the coordinate, 1 for its rate.
     """
 
@@ -31,7 +31,7 @@ class Initial(NamedTuple):
 
 
 def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
-    """Find the initial coordinates and rates among names of parameters.
+    """Find the initial coordinates and rates among names of parameters; other names are ignored.
 
     Raises:
         UnknownNameError: for an unknown joint.
@@ -42,14 +42,16 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
     for name in names:
         if not isinstance(name, str) or not name.startswith(START_PREFIX):
             continue
-        place = name.removeprefix(START_PREFIX).removesuffix(RATE_SUFFIX)
-        joint, _, index = place.rpartition(".")
-        mechanism, key = scene.mechanism, (place, 0)
-        if place not in mechanism.joint_names and joint and index.isdecimal():
+        # JOINT, or JOINT.NUMBER
+        joint_text = name.removeprefix(START_PREFIX).removesuffix(RATE_SUFFIX)
+        joint, _, index = joint_text.rpartition(".")
+        mechanism, key = scene.mechanism, (joint_text, 0)
+        if joint_text not in mechanism.joint_names and joint and index.isdecimal():
             key = joint, int(index)
         if key[0] not in mechanism.joint_names and _is_element(scene, name):
             continue
         key = mechanism.coordinate(key)
+        # the coordinate must be free, and named once
         if key in {motion.key for motion in scene.motions}:
             where = f"joint {key[0]!r}"
             raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
@@ -71,12 +73,12 @@ def initial_names(scene: Scene) -> list[str]:
 
 
 def _is_element(scene: Scene, name: str) -> bool:
-    """True if a name begins with the name of an element and does not stand for an initial coordinate."""
+    """Return True if a name begins with the name of an element, such as a body that is called `start`."""
     mechanism = scene.mechanism
     named = (*mechanism.body_names, *mechanism.joint_names, *(force.where for force in scene.forces))
     return any(name.startswith(f"{element}.") for element in named)
 
 
 def own_initial(scene: Scene, number: Initial) -> float:
-    """Return the scene's own value of an initial coordinate or rate."""
+    """Return an initial coordinate or rate of the scene's own initial state, m or rad, or per s."""
     return measured_coordinate(scene, initial_state(scene), number.key)[number.order]

@@ -1,7 +1,8 @@
-"""Parts of a run between sampling instants and knots, integrated one after the other.
+"""Divide a run into intervals between sampling instants and knots, and integrate them one after another.
 
-A run restarts its integrator where a sampled controller changes its force and where a function of time has a
-knot, so that each part is smooth. A scene with neither has a single interval: the whole run.
+A sampled controller changes its force at sampling instants. A function of time has knots where its polynomial
+changes. The integrator restarts at both, so that the motion is smooth within each interval. A scene with
+neither has a single interval: the whole run.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from newton_euler.runs.controllers import Controllers
 from newton_euler.scalars import Array
 
 SAME_TIME = 1e-9
-"""Fraction of a controller's period, or of the time between knots, below which two times are one."""
+"""Fraction of a controller's period, or of the time between knots, below which two times count as equal."""
 
 
 class Interval(NamedTuple):
@@ -36,8 +37,8 @@ class Interval(NamedTuple):
     Attributes:
         due: control laws whose controllers are called at the beginning.
         times: (n,) s, n >= 2: the beginning, the output times inside, the end.
-        wanted: (n,) True for the `times` that are outputs of this interval. An output at the end belongs to
-            the next interval: at a sampling instant the new force already acts.
+        wanted: (n,) True for those `times` that are outputs of this interval. An output at the end belongs
+            to the next interval, because the new force already acts at a sampling instant.
     """
 
     due: tuple[HeldLaw, ...]
@@ -46,7 +47,7 @@ class Interval(NamedTuple):
 
     @property
     def middle(self) -> float:
-        """The middle of the interval, s: no knot is near."""
+        """Middle of the interval, s, which is far from all knots."""
         return float(0.5 * (self.times[0] + self.times[-1]))
 
 
@@ -57,7 +58,7 @@ def intervals(scene: Scene, knots: Sequence[float], times: Array | None = None) 
 
     Args:
         scene: the scene that is run.
-        knots: s, ascending.
+        knots: s, times of the knots, ascending.
         times: output times, s, ascending, none negative; those of the scene if not given.
     """
     outputs, laws = scene.times if times is None else times, scene.sampled
@@ -82,18 +83,18 @@ def intervals(scene: Scene, knots: Sequence[float], times: Array | None = None) 
 
 
 def _call_time(law: HeldLaw, number: int, outputs: Array) -> float:
-    """Return the time, s, of the call of a controller with a number; the first call has number 0."""
+    """Return the time of call number 0, 1, ... of a controller, s, rounded to an equal output time."""
     return _snapped(number * law.period, SAME_TIME * law.period, outputs)
 
 
 def _snapped(time: float, slack: float, outputs: Array) -> float:
-    """Return the output time, s, that differs from a time by less than the slack, else the time itself."""
+    """Return the output time that differs from a time by less than the slack, s; else the time itself."""
     k = int(np.searchsorted(outputs, time - slack))
     return float(outputs[k]) if k < len(outputs) and outputs[k] < time + slack else time
 
 
 class SceneEquations(Protocol):
-    """Equations that take control laws and functions from their scene whenever they are evaluated."""
+    """Interface of equations that read control laws and functions of their scene at each evaluation."""
 
     scene: Scene
 
@@ -102,11 +103,13 @@ S = TypeVar("S", bound=SceneEquations)
 
 
 def with_held_values(system: S, values: Mapping[str, Any]) -> S:
-    """Copy equations and give the copy's scene values by name; the engine's model is shared.
+    """Return a copy of equations with other values of held forces and polynomial pieces in its scene.
+
+    The copy shares the engine's model with the original.
 
     Args:
         system: equations of a scene.
-        values: as `Controllers.sample` and `newton_euler.equations.parameters.pieces` name them.
+        values: by parameter name, from `Controllers.sample` and `newton_euler.equations.parameters.pieces`.
     """
     changed = copy.copy(system)
     changed.scene = with_values(system.scene, values)
@@ -114,18 +117,19 @@ def with_held_values(system: S, values: Mapping[str, Any]) -> S:
 
 
 AfterInterval = Callable[[Integrator, Array, Interval], None]
-"""Function called after each interval: with its integrator, x (inputs,) at its beginning, and itself."""
+"""Function called after each interval with the integrator, x (inputs,) at the beginning, and the interval."""
 
 
 class NativeRun(NamedTuple):
-    """A run in native code.
+    """Results of a run in native code.
 
     Attributes:
         results: (n, outputs) outputs of the scene at the n output times reached, see
             `newton_euler.compiled.outputs.named`.
-        counts: (COUNTS,) of steps and evaluations, see `newton_euler.integrators.stepper.reported_counts`.
-        stopped: the error that ended the run before the last output; None if none did.
-        wall_time: s, of the run itself, without the construction of its integrator.
+        counts: (COUNTS,) numbers of steps and evaluations, see
+        `newton_euler.integrators.stepper.reported_counts`. stopped: the error that ended the run before the
+        last output; None if none did. wall_time: s, of the run itself, without the construction of its
+        integrator.
     """
 
     results: Array
@@ -143,13 +147,14 @@ def integrate_intervals(
     after_interval: AfterInterval | None = None,
     room: int = 0,
 ) -> NativeRun:
-    """Run a compiled scene from x (inputs,), interval by interval; x is changed.
+    """Run a compiled scene interval by interval.
 
     Args:
         code: compiled equations of the scene.
-        x: state, time and parameters of the start.
+        x: (inputs,) state, time, flags and parameters at the start; overwritten during the run.
         options: integrator and step control.
-        stopped, room: see `newton_euler.compiled.run.Integrator`.
+        stopped: a list that other threads may append to; the run stops if the list is not empty.
+        room: number of integrator steps to keep, see `newton_euler.compiled.run.Integrator`.
         times: output times, s; those of the scene if not given.
         after_interval: called after each interval that reached its end.
     """

@@ -1,7 +1,8 @@
-"""Mechanisms on a base that moves: a boat, a vehicle, a shaking table.
+"""Put a scene on a moving base, such as a boat, a vehicle or a shaking table; read base motions from files.
 
-The ground of a scene becomes a body, the base, with everything that was on it. A joint connects it with a new
-ground, the world. The pose of the base, with its reference point c, is
+The ground of a scene becomes a body, the base, together with everything that was attached to the ground. A
+joint connects the base to a new ground, the world. The base has a reference point c at the initial pose; its
+position r and rotation A in the world are
 
     r = c + surge x + sway y + heave z,    A = R_z(yaw) R_y(pitch) R_x(roll)
 
@@ -36,7 +37,10 @@ from newton_euler.scalars import Array, Floats
 
 X, Y, Z = np.eye(3)
 SLIDES = {"surge": X, "sway": Y, "heave": Z}
-HINGES = {"yaw": Z, "pitch": Y, "roll": X}  # in order from the world to the base
+"""World axis of each translation of the base, by name of the motion."""
+
+HINGES = {"yaw": Z, "pitch": Y, "roll": X}
+"""Axis of each rotation of the base, by name of the motion, in the order from the world to the base."""
 
 
 @checked
@@ -57,9 +61,9 @@ def on_moving_base(
         scene: the scene on the base.
         motions: functions of time by name: surge, sway, heave (m along x, y, z of the world) and roll, pitch,
             yaw (rad), see `newton_euler.runs.moving_base`; others stay 0. If None, the base floats freely.
-        hull: mass, center of mass, inertia and shapes of the base at the scene's initial pose. If None, those
-            of the ground. If the ground has no mass, the mass of the mechanism: it changes only the forces
-            that move the base.
+        hull: body with the mass, center of mass, inertia and shapes of the base at the scene's initial pose.
+            If None, the base has the mass of the ground. If the ground has no mass, the base of a prescribed
+            motion gets the mass of the mechanism, which affects only the forces that move the base.
         point: (3,) reference point c, m, in the world at the initial pose.
         world: name of the new ground.
         joint: name of the joint between world and base, with a coordinate for each given motion: slides in
@@ -102,7 +106,7 @@ def on_moving_base(
 
 
 def _checked(where: str, motions: Mapping[str, TimeFunction]) -> dict[str, TimeFunction]:
-    """Return motions in the order of the joint's coordinates."""
+    """Check the names of motions, and return the motions in the order of the joint's coordinates."""
     names = (*SLIDES, *HINGES)
     if not motions:
         needed = f"functions of time by {', '.join(names)}"
@@ -114,7 +118,15 @@ def _checked(where: str, motions: Mapping[str, TimeFunction]) -> dict[str, TimeF
 
 
 def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, floats: bool) -> Body:
-    """Return the body that replaces the ground."""
+    """Return the body that replaces the ground.
+
+    Args:
+        where: beginning of error messages.
+        mechanism: the mechanism with the ground.
+        hull: mass properties and shapes of the base; None for those of the ground.
+        center: (3,) reference point, m, world frame at the initial pose.
+        floats: True for a base without prescribed motion, which needs a mass.
+    """
     ground = mechanism.bodies[0]
     if hull is not None:
         shapes, meshes = (*ground.shapes, *hull.shapes), (*ground.meshes, *hull.meshes)
@@ -130,7 +142,18 @@ def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, f
 
 
 def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], center: Floats) -> State:
-    """Return a state relative to the base as a state in the world, with the base at time 0."""
+    """Convert a state relative to the base to a state in the world, with the motion of the base at time 0.
+
+    Args:
+        state: state of the scene, whose first body is the ground.
+        base: body that replaces the ground.
+        motions: motions of the base by name.
+        center: (3,) reference point of the base, m.
+
+    Returns:
+        State of the world (at rest), the base and the other bodies.
+    """
+    # pose and velocity of the base
     shift, velocity, omega, turn = np.zeros(3), np.zeros(3), np.zeros(3), np.eye(3)
     for name, function in motions.items():
         x, rate = float(function.value(0.0)), float(function.rate(0.0))
@@ -139,6 +162,7 @@ def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], cent
         else:
             omega = omega + rate * (turn @ HINGES[name])
             turn = turn @ rotation(from_rotation_vector(x * HINGES[name]))
+    # poses and velocities of all bodies on the base, in the world
     still, quaternion = np.zeros(3), from_rotation(turn)
     arms = (np.vstack([base.center_of_mass, state.position[1:]]) - center) @ turn.T
     own_velocities = np.vstack([still, state.linear_velocity[1:]]) @ turn.T
@@ -160,19 +184,25 @@ def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], cent
 # Files of poses
 
 POSITION_COLUMNS = {"x": "surge", "y": "sway", "z": "heave"}
+"""Motion that each position column of a file gives."""
+
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+"""Columns of a file with the rotation of the base as a quaternion."""
+
 ANGLE_COLUMNS = ("roll", "pitch", "yaw")
+"""Columns of a file with the rotation of the base as angles, rad."""
+
 MIN_ROWS = 6
-"""Number of rows: a polynomial of the spline has as many coefficients."""
+"""Smallest number of poses in a file: a polynomial of the spline of degree 5 has 6 coefficients."""
 
 MAX_GAP = 5.0
-"""Time between two rows, divided by the median, above which poses are missing."""
+"""Largest time between two rows, divided by the median; poses are missing in a longer gap."""
 
 MAX_NORM_ERROR = 1e-3
-"""Largest deviation of the norm of a quaternion from 1: files round to a few digits."""
+"""Largest deviation of a quaternion's norm from 1, because files round numbers to a few digits."""
 
 MAX_PITCH = np.radians(80.0)
-"""Largest pitch, rad: at a right angle yaw and roll turn about one axis."""
+"""Largest pitch, rad. At 90 degrees, yaw and roll have the same axis and are not unique."""
 
 
 @checked
@@ -232,7 +262,7 @@ def _read(where: str, path: str | os.PathLike[str]) -> TimeTable:
 
 
 def _angles(table: TimeTable) -> dict[str, Array]:
-    """Compute roll, pitch and yaw (n,), rad, from the quaternions."""
+    """Compute roll, pitch and yaw (n,), rad, from the quaternions of a file of n poses."""
     quaternions = np.column_stack([table.columns[name] for name in QUATERNION_COLUMNS])
     norms = np.linalg.norm(quaternions, axis=1)
     table.refuse(

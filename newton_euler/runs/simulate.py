@@ -1,4 +1,8 @@
-"""Runs of scenes: simulate once, compile for many runs, and build trajectories from outputs."""
+"""Run scenes: `simulate` runs a scene once, `compile_scene` compiles it for many runs.
+
+Both use this package's own equations in native code. `run` integrates any other system of equations, such as
+Pinocchio's, in Python. All of them return a `Trajectory`.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +53,10 @@ from newton_euler.runs.intervals import integrate_intervals, intervals, with_hel
 from newton_euler.scalars import Array, unstacked
 
 MAX_ROUND_OFF = 20.0
-"""Error estimate caused by round-off, in units of the tolerance, above which a run warns. Below it, errors of
-chains of 20 and 40 links are as small as the tolerance makes them in other scenes."""
+"""Largest error estimate caused by round-off, divided by the tolerance, for which a run does not warn.
+
+Below this value, errors of chains of 20 and 40 links are as small as the tolerance makes them in other
+scenes."""
 
 
 @checked
@@ -96,7 +102,7 @@ def simulate(
 
 @lru_cache(maxsize=CACHED_SCENES)
 def _compiled(scene: Scene, formulation: str | None, stabilization: str, alpha: float) -> CompiledScene:
-    """Return the compiled scene, the same object each time: scenes are immutable."""
+    """Return the compiled scene; recent ones are kept, because scenes are immutable."""
     return CompiledScene(scene, formulation, stabilization, alpha)
 
 
@@ -133,17 +139,17 @@ class CompiledScene(CompiledEquations):
 
     @cached_property
     def start(self) -> Array:
-        """x (inputs,) at the scene's initial state."""
+        """Input vector x (inputs,) of the compiled functions at the scene's initial state."""
         (state,) = coordinates_of(self.system, [initial_state(self.scene)])
         return self._at(state)
 
     def _at(self, state: Array) -> Array:
-        """Return x (inputs,) at a state (size,)."""
+        """Return the input vector x (inputs,) at a state (q, v) (size,) and the scene's own parameters."""
         return self.packed(state[: self.system.nq], state[self.system.nq :])
 
     def with_scene(self, scene: Scene) -> CompiledScene:
         """Return the same code for a scene that differs only in parameters, controllers and duration."""
-        _ = self._decided  # evaluated before the copy, which shares it
+        _ = self._decided  # make rank decisions before the copy, so that both objects share them
         other = copy.copy(self)
         other.scene = scene
         if scene.initial_state is self.scene.initial_state:
@@ -168,6 +174,7 @@ class CompiledScene(CompiledEquations):
         warn_of(self.scene, self.nearly_redundant)
 
     def _run(self, options: Options) -> Trajectory:
+        """Run the scene without warnings; see `newton_euler.simulate` for errors."""
         options.check_steps(self.scene.duration)
         load(self, options.integrator)
         x = self.start.copy()
@@ -190,13 +197,19 @@ class CompiledScene(CompiledEquations):
 
 
 def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant]) -> None:
-    """Warn of almost redundant constraints, at the line that called this package."""
+    """Warn of almost redundant constraints; the warning points to the line that called this package."""
     for weak in nearly:
         warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=caller_level())
 
 
 def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, Any]]) -> None:
-    """Warn if round-off exceeds the tolerance in runs, at the line that called this package."""
+    """Warn if round-off exceeds the tolerance in one of several runs.
+
+    Args:
+        scene: the scene.
+        options: gives the tolerances.
+        runs: settings of the runs, see `Trajectory.settings`.
+    """
     found = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
     if (excess := found.get("round_off", 0.0)) > MAX_ROUND_OFF:
         warning = RoundOffWarning(scene.name, found["formulation"], options.rtol, options.atol, excess)
@@ -206,16 +219,33 @@ def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, A
 def native_trajectory(
     scene: Scene, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
-    """Return the trajectory of a run in native code from its outputs by name."""
+    """Build the trajectory of a run in native code.
+
+    Args:
+        scene: the scene.
+        settings: settings of the run.
+        wall_time: s.
+        arrays: outputs by name, (n, ...) each; modified.
+    """
     arrays.pop("pivot_ratio", None)
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])
-    arrays.pop("phi", None)  # an output of runs without projection, which check it
+    arrays.pop("phi", None)  # runs without projection have these residuals even if they are not asked for
     return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
 
 
 def _by_joint(scene: Scene, phi: Array) -> Array:
-    """Find the largest residual (n, j) of each joint among all (n, k); a coupling belongs to its follower."""
+    """Find the largest residual of each joint.
+
+    The residual of a coupling belongs to the joint that follows the others.
+
+    Args:
+        scene: the scene with j joints.
+        phi: (n, k) residuals of joints, then couplings, at n states, m or rad.
+
+    Returns:
+        (n, j), m or rad.
+    """
     mechanism = scene.mechanism
     owners = [k for k, equations in enumerate(mechanism.equations) for _ in range(equations.count)]
     owners += [mechanism.joint_index(coupling.joint) for coupling in couplings(scene)]
@@ -227,20 +257,29 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
 
 
 def _residuals(mechanism: Mechanism, states: Sequence[State], coupled: Sequence[Array]) -> Array:
-    """Evaluate the residuals (n, k) of all joints in n states, then append those of couplings; m or rad."""
+    """Compute the residuals of all joints at n states, and append the given residuals of couplings.
+
+    Args:
+        mechanism: the mechanism.
+        states: n states.
+        coupled: (c,) residuals of couplings at each state, m or rad.
+
+    Returns:
+        (n, k), m or rad.
+    """
     frames = stacked(states).frames()
     phis = [e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations]
     return np.hstack([unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupled)])
 
 
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
-    """Integrate any system of equations over its scene, in floats.
+    """Integrate a system of equations that Python evaluates, over the duration of its scene.
 
     Args:
-        system: equations of an engine.
+        system: equations of motion of an engine.
         engine: name of the engine.
         options: integrator and step control.
-        settings: describes the system; the integrator's options and counts are added.
+        settings: settings of the engine; those of the integrator and its counts are added.
 
     Raises:
         IntegrationError: for a run that stops early, with the trajectory so far.
@@ -281,7 +320,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     for now, t, q, v in rows:
         now = at_time(now, t)
         try:
-            with np.errstate(all="ignore"):  # numbers are checked
+            with np.errstate(all="ignore"):  # `trajectory_from` checks that numbers are finite
                 evaluations.append(now.evaluate(q, v) if scene.needs_accelerations else now.observe(q, v))
                 coupled.append(now.coupling_phi(q))
         except NewtonEulerError as error:
@@ -303,7 +342,9 @@ def trajectory_from(
     """Build the trajectory of a scene from an engine's evaluations at the output times.
 
     Args:
-        scene, engine, settings: of the run.
+        scene: the scene.
+        engine: name of the engine.
+        settings: settings of the run.
         wall_time: s.
         evaluations: states, and accelerations if the scene needs them, at the output times reached.
         coupled: residuals (c,) of the couplings at each output time, m or rad.
@@ -350,6 +391,7 @@ def trajectory_from(
 def _trajectory(
     scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
+    """Build a trajectory from arrays by name; make the signs of quaternions continuous in time."""
     labels, carried = scene.mechanism.coordinate_labels, "joint_angle" in arrays
     arrays["quaternion"] = continuous(arrays["quaternion"], initial_state(scene).quaternion)
     return Trajectory(

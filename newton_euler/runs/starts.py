@@ -1,18 +1,18 @@
-"""Starts of many runs whose geometry, prescribed motions or initial coordinates vary, in native code.
+"""Initial states of many runs whose geometry, prescribed motions or initial joint coordinates vary.
 
-Each run begins at the initial state of the scene, closed with the scene's own parameters. A homotopy in small
-steps changes the parameters to those of the run (`newton_euler.runs.homotopy`). The velocities at the end are
-the nearest to the scene's that the constraints allow. Runs are independent of each other: results do not
-depend on how runs are grouped.
+Loops must be closed at the start of each run. The initial state of the scene is closed with the scene's own
+parameters. From there, a homotopy changes the parameters in small steps to those of the run and keeps the
+loops closed (`newton_euler.runs.homotopy`). The velocities at the end are the nearest to the scene's
+velocities that the constraints allow. The result of a run does not depend on the other runs.
 
-Initial coordinates (`newton_euler.runs.initial_coordinates`) are driven on this path
+Initial joint coordinates (`newton_euler.runs.initial_coordinates`) are driving constraints on this path
 (`newton_euler.equations.driven`). If only the coordinate or only the rate of a joint is given, the other one
 has the value of the scene's initial state. If loops do not allow all rates together, given rates have
 priority.
 
-Angles have revolutions (`newton_euler.model.state.State.angles`). A given angle is reached with its
-revolutions; a coordinate that no coupling ties to other joints takes the shorter way. Other angles that
-forces or couplings depend on continue from the initial state.
+Angles are counted with full revolutions (`newton_euler.model.state.State.angles`). A given angle is reached
+with its revolutions. The path to an angle without couplings to other joints leaves out full revolutions.
+Other angles that forces or couplings depend on continue from the initial state.
 """
 
 from __future__ import annotations
@@ -62,35 +62,35 @@ from newton_euler.runs.initial_coordinates import START_PREFIX, initial_numbers
 from newton_euler.scalars import Array, Scalar
 
 MAX_STEP = 0.1
-"""Longest step of a joint on the path to a start, rad or sizes of the mechanism."""
+"""Longest step of a parameter on the path, rad, or a length divided by the mechanism's size."""
 
 MAX_STEPS = 1000
-"""Number of steps on the path. Longer paths have longer steps."""
+"""Largest number of steps on the path. Longer paths have longer steps."""
 
 RETRY_FACTOR = 16
-"""Factor of the number of steps with which runs that stayed open are tried again."""
+"""Factor by which the number of steps is increased when a run whose loops stayed open is tried again."""
 
 SHOWN_VALUES = 3
-"""Number of a run's values that messages show."""
+"""Largest number of a run's parameter values in an error message."""
 
 
 @lru_cache(maxsize=CACHED_SCENES)
 def assembly_of(scene: Scene, names: tuple[str, ...]) -> Assembly:
-    """Return the assembly for parameters of a scene, the same object each time: LLVM frees no code."""
+    """Return the assembly for parameters of a scene; recent ones are kept, because LLVM frees no code."""
     return Assembly(scene, names)
 
 
 class Assembly:
-    """Closed starts of a scene for other values of some of its parameters.
+    """Computes closed initial states of a scene for other values of some of its parameters.
 
     Attributes:
-        scene: gives the start of all paths.
-        initial: initial coordinates among the parameters, by name.
-        kinematic: names of the parameters of geometry and of prescribed motions.
+        scene: the scene, whose initial state is the beginning of all paths.
+        initial: initial joint coordinates and rates among the parameters, by name.
+        kinematic: names of the parameters of geometry and prescribed motions.
     """
 
     def __init__(self, scene: Scene, names: Sequence[str]) -> None:
-        """Select from names of parameters those that move the start."""
+        """Select, from names of parameters, those that change the initial state."""
         self.scene, self.initial = scene, initial_numbers(scene, names)
         self._begin: dict[str, NativeFunction] = {}
         others = [name for name in names if name not in self.initial]
@@ -103,17 +103,20 @@ class Assembly:
 
     @cached_property
     def _driven(self) -> DrivenMechanism:
-        """The mechanism driven at the initial coordinates, which also carries the angles of the scene."""
+        """The mechanism with driving constraints for the initial coordinates.
+
+        Springs without stiffness make sure that full revolutions of the scene's angles are counted.
+        """
         start = initial_state(self.scene)
         functions = {key: self._held(start, key) for key in self._keys}
         coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
         others = [key for key in counted_angles(self.scene) if key not in coupled.union(self._keys)]
-        carrying = [JointSpring(joint, coordinate=k) for joint, k in others]  # without stiffness
+        carrying = [JointSpring(joint, coordinate=k) for joint, k in others]
         return driven(self.scene, functions, forces=carrying, initial_state=self._completed(start))
 
     @cached_property
     def code(self) -> CompiledEquations:
-        """Equations of the constraints of the driven mechanism."""
+        """Compiled constraints of the driven mechanism, with the parameters as inputs."""
         held = self._driven.scene
         parameters = (*self._names.values(), *self._driven.functions.values())
         code = CompiledEquations(held, "relative", parameters=parameters)
@@ -123,6 +126,7 @@ class Assembly:
         at = max(mobility(held).configurations, key=lambda at: at.rank)
 
         def selected(numbers: Collection[int]) -> list[int]:
+            """Return independent rows among those with the given numbers."""
             rows = [row if k in numbers else {} for k, row in enumerate(at.rows)]
             return independent(rows, held.redundancy_tolerance).rows
 
@@ -133,33 +137,36 @@ class Assembly:
         return CompiledEquations(held, "relative", parameters=parameters, independent=used)
 
     def _free_rows(self, code: CompiledEquations) -> range:
-        """Return the driving rows without a given rate, which have the lowest priority."""
+        """Return the rows of driving constraints without a given rate, which have the lowest priority."""
         return self._driven.rows(code.system)[len(self._rates) :]
 
     def _is_overdetermined(self, code: CompiledEquations) -> bool:
-        """True if some initial coordinates follow from the others: rates may contradict each other."""
+        """Return True if some initial coordinates follow from others, so that rates may be contradictory."""
         left = code.system.nv - code.rank
         return bool(self._keys) and left > mobility(self.scene).degrees_of_freedom - len(self._keys)
 
     @property
     def is_needed(self) -> bool:
-        """True if one of the parameters moves the start."""
+        """True if one of the parameters changes the initial state."""
         return bool(self.initial or self.kinematic)
 
     def _held(self, state: State, key: Key) -> Polynomial:
+        """Return the linear function of time with the value and rate of a joint coordinate at a state."""
         return Polynomial(measured_coordinate(self.scene, state, key))
 
     def __call__(
         self, values: Mapping[str, Array], states: Sequence[State] | None = None
     ) -> tuple[Array, dict[int, MechanismError]]:
-        """Assemble the starts of n runs.
+        """Assemble the initial states of n runs.
 
         Args:
-            values: (n, ...) by name; parameters that move no start are ignored.
-            states: states of the runs, closed with the scene's parameters; the initial state if None.
+            values: (n, ...) values by parameter name; parameters that do not change the initial state are
+                ignored.
+            states: initial states of the runs, closed with the scene's own parameters; the scene's initial
+                state for all runs if None.
 
         Returns:
-            x (n, inputs) of `code`, and errors by number of the run.
+            Vectors x (n, inputs) of `code` (state, time, flags, parameters); errors by number of the run.
         """
         # follow the homotopy from the scene's parameters; retry runs that stay open in smaller steps
         count = len(next(iter(values.values())))
@@ -191,11 +198,11 @@ class Assembly:
 
     @cached_property
     def _own_start(self) -> Array:
-        """x (inputs,) of `code` at the initial state of the scene."""
+        """Vector x (inputs,) of `code` at the initial state of the scene, with the scene's parameters."""
         return self._begun([initial_state(self.scene)])[0]
 
     def _begun(self, states: Sequence[State]) -> Array:
-        """Return x (n, inputs) at n states, with the scene's parameters."""
+        """Return vectors x (n, inputs) of `code` at n states, with the scene's parameters."""
         code = self.code
         own = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (len(states), 1))
         states = [self._completed(state) for state in states]
@@ -206,14 +213,20 @@ class Assembly:
         return own
 
     def _completed(self, state: State) -> State:
-        """Return a state with the angles that the scene depends on and those of initial coordinates."""
+        """Return a state with all angles whose revolutions matter, those of initial coordinates included."""
         state = with_angles(self.scene, state)
         angles = [key for key in self._keys if not self.scene.mechanism.is_slide(*key)]
         moved = {key: measured_coordinate(self.scene, state, key)[0] for key in angles}
         return replace(state, angles={**state.angles, **moved})
 
     def _targets(self, own: Array, values: Mapping[str, Array]) -> Array:
-        """Return the states (n, inputs) with the parameters of the runs."""
+        """Return vectors x (n, inputs) with the parameters of the runs at the end of their paths.
+
+        Args:
+            own: (n, inputs) vectors at the beginning of the paths.
+            values: (n, ...) values by parameter name.
+        """
+        # geometry and prescribed motions, then initial coordinates (order 0) and rates (order 1)
         targets = own.copy()
         for name, place in self._names.items():
             flat = values[name].reshape(len(own), -1)
@@ -228,13 +241,13 @@ class Assembly:
 
     @cached_property
     def _free_angles(self) -> set[Key]:
-        """Initial coordinates that are angles and in no coupling of the scene."""
+        """Keys of the initial coordinates that are angles and belong to no coupling of the scene."""
         coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
         angles = {key for key in self._keys if not self.scene.mechanism.is_slide(*key)}
         return angles - coupled
 
     def _set_revolutions(self, x: Array, values: Mapping[str, Array]) -> None:
-        """Give angles in x (n, inputs) the revolutions of the given values (n,)."""
+        """Add the full revolutions of the given values to the angles in x (n, inputs), in place."""
         for name, (key, order) in self.initial.items():
             if order == 0 and key in self._free_angles:
                 place, column = self.code.system.angles[key], self.code.place(self._driven.functions[key])
@@ -243,7 +256,7 @@ class Assembly:
                 x[:, column] += turned
 
     def _set_pieces(self, targets: Array) -> None:
-        """Set the pieces of motions' functions before the first knot from their samples."""
+        """Set polynomial pieces at time 0 in x (n, inputs) from samples of motions that are parameters."""
         code = self.code
         sampled = [
             name
@@ -256,7 +269,11 @@ class Assembly:
                 row[code.place(name) :][: len(numbers)] = numbers
 
     def _steps(self, own: Array, targets: Array) -> Array:
-        """Compute the number of homotopy steps (n,) of each run."""
+        """Compute the number of homotopy steps of each run, (n,), from the distance of the parameters.
+
+        Args:
+            own, targets: (n, inputs) vectors at the beginning and at the end of the paths.
+        """
         code, size = self.code, self.scene.mechanism.size
         units = np.ones(code.inputs)
         for name, place in places(code.scene, self._names.values()).items():
@@ -264,12 +281,20 @@ class Assembly:
             units[code.place(name) :][:count] = size if place.field.unit == "m" else 1.0
         for key, name in self._driven.functions.items():
             units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
-            units[code.place(name) + 1] = np.inf  # rates move nothing
+            units[code.place(name) + 1] = np.inf  # a change of a rate does not move the configuration
         longest = np.max(np.abs(targets - own) / units, axis=1)
         return np.clip(np.ceil(longest / MAX_STEP), 1, MAX_STEPS)
 
     def _assembled(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
-        """Follow the homotopy; return the states (n, inputs) reached, and statuses (n,)."""
+        """Follow the paths of n runs.
+
+        Args:
+            own, targets: (n, inputs) vectors at the beginning and at the end of the paths.
+            steps: (n,) numbers of steps.
+
+        Returns:
+            Vectors x (n, inputs) at the end; statuses (n,), `Status.DONE` for closed loops.
+        """
         code, python = self.code, Fallback(self.code, np.zeros(COUNTS))
         # the assembly never evaluates derivatives: their Python form saves the time of compilation
         system = equations(code, python, python.derivative, np.zeros(code.size))
@@ -282,7 +307,14 @@ class Assembly:
         return found, statuses
 
     def _error(self, run: int, x: Array, values: Mapping[str, Array], begun: str) -> MechanismError:
-        """Return the error of a run that stays open, naming the joint and the values of the run."""
+        """Return the error of a run whose loops stay open, naming the joint and the values of the run.
+
+        Args:
+            run: number of the run.
+            x: (inputs,) where the path of the run ended.
+            values: (n, ...) values by parameter name.
+            begun: name of the beginning of the path in the message.
+        """
         system = self.code.float_system(x)
         q, v = x[: system.nq], x[system.nq : self.code.size]
         with np.errstate(all="ignore"):
@@ -296,18 +328,19 @@ class Assembly:
         return MechanismError(f"run {run}", problem, "values that joints can reach with closed loops")
 
     def _shown(self, run: int, values: Mapping[str, Array]) -> str:
-        """Format the values of a run that move its start, for messages."""
+        """Format the values that change the initial state of a run, for messages."""
         moving = [name for name in values if name in self._names or name in self.initial]
         shown = ", ".join(f"{name} = {values[name][run].tolist()!r:.60}" for name in moving[:SHOWN_VALUES])
         return shown + (", ..." if len(moving) > SHOWN_VALUES else "")
 
     def _contradictory(self, x: Array) -> list[int]:
-        """Return the runs whose given rates in x (n, inputs) violate constraints."""
+        """Return the numbers of the runs whose given rates violate constraints at their x (n, inputs)."""
         code, free = self.code, self._free_rows(self.code)
         if not self._rates or not self._is_overdetermined(code):
             return []
 
         def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
+            """Compute dimensionless rates of the residuals, velocities and prescribed rates."""
             rates = np.delete(system.phi_rate(q, v) / code.system.phi_units, free)
             return [*rates, *(v / code.system.velocity_units), *(system.phi_t() / code.system.phi_units)]
 
@@ -316,14 +349,14 @@ class Assembly:
         allowed = loose_tolerance(code.noise) * speeds.max(axis=1, initial=0.0)
         return np.flatnonzero(rates.max(axis=1, initial=0.0) > allowed).tolist()
 
-    @np.errstate(all="ignore")  # what overflows is refused by a run
+    @np.errstate(all="ignore")  # a run rejects numbers that overflow
     def state(self, x: Array) -> State:
-        """Return the state of the bodies at x (inputs,)."""
+        """Return the state of the bodies at a vector x (inputs,) of `code`."""
         system = self.code.float_system(x)
         return system.state(x[: system.nq], x[system.nq : self.code.size])
 
     def starts(self, compiled: CompiledEquations, x: Array) -> Array:
-        """Return the states (n, size) of a formulation of the scene at x (n, inputs)."""
+        """Convert vectors x (n, inputs) of `code` to states (n, size) of other equations of the scene."""
         if compiled.formulation not in self._begin:
             self._begin[compiled.formulation] = self._native(compiled)
         found, system = at_rows(self._begin[compiled.formulation], x), compiled.system
@@ -333,9 +366,10 @@ class Assembly:
         return found
 
     def _native(self, compiled: CompiledEquations) -> NativeFunction:
-        """Return the function from x (inputs,) of the assembly to (q, v) of a formulation."""
+        """Return the native function from x (inputs,) of `code` to (q, v) of other compiled equations."""
 
         def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
+            """Compute own coordinates, counted angles, zero work and velocities of the other equations."""
             inputs = {name: values[place] for name, place in self._names.items()}
             other = formulate(with_values(self.scene, inputs), compiled.formulation)
             if isinstance(other, TreeKinematics):
@@ -356,10 +390,11 @@ class Assembly:
         compute: Callable[[Formulation, Mapping[str, Any], Array, Array], list[Scalar]],
         *chosen: object,
     ) -> NativeFunction:
-        """Return a native function of x (inputs,).
+        """Compile a function of x (inputs,) of `code`.
 
         Args:
-            compute: function of the equations, the values of their parameters, q and v.
+            name: distinguishes the functions of a scene in the cache.
+            compute: computes the results from the equations, the values of their parameters by name, q and v.
             chosen: everything that `compute` depends on in addition to the scene and its parameters.
         """
         code = self.code
@@ -367,6 +402,7 @@ class Assembly:
         neutral = NOT_COMPILED_FIELDS | {"outputs"}
 
         def trace(x: Array) -> tuple[list[Scalar], None]:
+            """Evaluate the results over symbolic scalars x (inputs,); they need no layout."""
             values = code.values(x)
             system = formulate(with_values(code.scene, values), code.formulation)
             return compute(system, values, x[: system.nq], x[system.nq : code.size]), None

@@ -1,8 +1,9 @@
-"""Parameter values that vary from run to run: checks of many runs at once, and the scene of one run.
+"""Change parameters of a scene: the scene with other values, and checks of the values of many runs.
 
-The constructor of an element decides which values the element may have. A constructor accepts an interval of
-values for a number, so that bisection with a few constructions checks all runs. Inertias and directions of
-all runs are first tested by array operations; only suspicious values go to the constructor.
+The constructor of an element, such as a body, decides which values the element may have. For a single number,
+a constructor accepts an interval of values. Bisection with a few constructions therefore checks the values of
+all runs. Inertias and directions of all runs are first tested by array operations, and only suspicious values
+are passed to the constructor.
 """
 
 from __future__ import annotations
@@ -38,20 +39,25 @@ from newton_euler.runs.initial_coordinates import RATE_SUFFIX, START_PREFIX, ini
 from newton_euler.runs.starts import Assembly, assembly_of
 from newton_euler.scalars import Array, Floats
 
-MIN_DIRECTION_LENGTH = 1e-100  # a shorter direction goes to the constructor
-MAX_DIRECTION_LENGTH = 1e100  # and so does a longer direction
-INERTIA_MARGIN = 1e-9  # relative distance from a singular inertia below which an inertia is suspicious
+MIN_DIRECTION_LENGTH = 1e-100
+"""Length of a direction vector below which the constructor checks it."""
+
+MAX_DIRECTION_LENGTH = 1e100
+"""Length of a direction vector above which the constructor checks it."""
+
+INERTIA_MARGIN = 1e-9
+"""Ratio of the smallest principal inertia to the largest element below which the constructor checks it."""
 
 Start: TypeAlias = Sequence[float] | Sequence[Sequence[float] | None] | Floats
-"""Coordinate and rate of a joint, or of each of its coordinates."""
+"""Coordinate and rate of a joint with one coordinate; a list of such pairs for a joint with several."""
 
 
 class RunValues(NamedTuple):
     """Values of parameters in n runs.
 
     Attributes:
-        arrays: (n, ...) values by name; the scene's own value in a run with an error.
-        errors: the first value that the scene cannot have, by the number of the run.
+        arrays: (n, ...) values by name; a run with an error has the scene's own values.
+        errors: error for the first invalid value of a run, by number of the run.
     """
 
     arrays: dict[str, Array]
@@ -62,10 +68,10 @@ class RunValues(NamedTuple):
 def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """Return the scene with other values of some parameters, checked, with closed loops.
 
-    `simulate_batch` with these values runs the same scene. Only `simulate` changes to other constraint rows
-    if the rows in use become dependent during the run. If `point_on_first`, `point_on_second` or `length` of
-    a joint changes, the scene is described at another initial pose, at which the joints are closed. Joint
-    coordinates are then zero at the new pose, while a batch counts from the pose before. Poses are the same.
+    `simulate_batch` with these values gives the same motion. If `point_on_first`, `point_on_second` or
+    `length` of a joint changes, the result has another initial pose, at which the joints are closed. Joint
+    coordinates are zero at this new pose, whereas a batch measures them from the pose of the given scene.
+    Only `simulate` changes to other constraint rows if the rows in use become dependent during the run.
 
     Args:
         scene: the scene to change.
@@ -99,7 +105,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
-    """Return values of parameters as arrays.
+    """Check values of parameters, by name, and return them as arrays.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
@@ -112,7 +118,7 @@ def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
 
 
 def of_single_run(scene: Scene, error: MechanismError) -> MechanismError:
-    """Return the error of run 0 without the run's number, for a caller with a single run."""
+    """Return an error of run 0 without the text "run 0", for a caller with a single run."""
     element = error.element.removeprefix("run 0").removeprefix(": ") or f"scene {scene.name!r}"
     return MechanismError(element, error.problem, error.needed)
 
@@ -162,7 +168,15 @@ def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
 
 
 def _pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:
-    """Assemble the initial pose with other numbers; None if the mechanism has no such pose."""
+    """Assemble the initial pose of a scene, at rest, with other parameter values.
+
+    Args:
+        scene: the scene.
+        numbers: values by parameter name; those of prescribed motions are ignored.
+
+    Returns:
+        The pose; None if the loops cannot be closed.
+    """
     still = replace(scene, motions=(), initial_state=None)
     named = places(scene, numbers)
     values = {name: value[None] for name, value in numbers.items() if named[name].owner[0] != "motions"}
@@ -175,7 +189,7 @@ def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
     """Return the scene's own values of parameters and initial coordinates, by name.
 
     Raises:
-        UnknownNameError: for a name that is none of these.
+        UnknownNameError: for any other name.
         MechanismError: for a name that stands for two, and for two that stand for one number.
     """
     names = list(names)
@@ -186,10 +200,10 @@ def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
 
 
 def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
-    """Return SI units of parameters and initial coordinates; empty for pure numbers and mixed units.
+    """Return the SI units of parameters and initial coordinates; empty for pure numbers and mixed units.
 
     Raises:
-        UnknownNameError: for a name that is none of these.
+        UnknownNameError: for any other name.
         MechanismError: for a name that stands for two, and for two that stand for one number.
     """
     names = list(names)
@@ -203,28 +217,35 @@ def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
 
 
 def _unit(scene: Scene, place: Place) -> str:
+    """Return the SI unit of a parameter; of an element at a joint it depends on the joint coordinate."""
     element, field = element_of(scene, place.owner), place.field
     if functions_of(getattr(element, place.owner[2], None)):
         return ""
-    about = isinstance(element, OnBall) or (
+    is_rotation = isinstance(element, OnBall) or (
         isinstance(element, OnCoordinate) and not scene.mechanism.is_slide(*element.key)
     )
-    return field.unit_about if about and field.unit_about else field.unit
+    return field.unit_about if is_rotation and field.unit_about else field.unit
 
 
 def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunValues:
-    """Check values of parameters, one per run, by name.
+    """Check values of parameters for many runs.
+
+    Args:
+        scene: the scene.
+        given: values by name, one per run.
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two, and for values of another shape in all runs.
+        MechanismError: for a name that stands for two, and for values of a wrong shape in all runs.
     """
+    # finite numbers of the right shape
     initial, own, found = initial_numbers(scene, given), own_values(scene, given), RunValues({}, {})
     for name, values in given.items():
         array, unusable = _numbers(name, values, own[name])
         found.arrays[name] = array
         for k, value in unusable.items():
             _refuse(found, k, name, f"is {quoted(value)}", f"finite numbers of shape {own[name].shape}")
+    # values that the element can have; parameters of one element are checked together
     by_element: dict[tuple[str, int], dict[str, Place]] = {}
     for name, place in places(scene, [name for name in given if name not in initial]).items():
         by_element.setdefault(place.owner[:2], {})[name] = place
@@ -237,8 +258,17 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
 
 
 def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, dict[int, Any]]:
-    """Return values (n, ...) as floats, and by runs those that are unusable, which have the own one."""
-    rows = list(values) if isinstance(values, Sequence) else np.asanyarray(values)  # by number, not by index
+    """Convert the values of a parameter in n runs to an array.
+
+    Args:
+        name: name of the parameter.
+        values: one value per run.
+        own: the scene's own value.
+
+    Returns:
+        (n, ...) floats, with the own value in place of unusable ones; the unusable values by run number.
+    """
+    rows = list(values) if isinstance(values, Sequence) else np.asanyarray(values)
     try:
         array = real_array(rows)
     except (TypeError, ValueError, OverflowError):
@@ -255,7 +285,7 @@ def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Arra
 
 
 def _row(value: Any, own: Array) -> Array | None:
-    """Return the value of a run as floats, None if it has another shape or is not finite."""
+    """Convert the value of one run to floats; None for another shape than `own` or infinite numbers."""
     try:
         row = real_array(value)
     except (TypeError, ValueError, OverflowError):
@@ -264,11 +294,19 @@ def _row(value: Any, own: Array) -> Array | None:
 
 
 def _refuse(found: RunValues, run: int, name: str, problem: str, needed: str) -> None:
+    """Store an error for a value of a run, unless the run already has an error."""
     found.errors.setdefault(run, MechanismError(f"run {run}: parameter {name!r}", problem, needed))
 
 
 def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValues) -> None:
-    """Check the values of parameters of one element, by name, in all runs; errors are added to `found`."""
+    """Check the values of the parameters of one element in all runs.
+
+    Args:
+        scene: the scene with the element.
+        places_of: parameters of the element, by name.
+        found: values of all runs; receives the errors.
+    """
+    # values of whole attributes in all runs, (n, ...)
     stacks: dict[Owner, Array] = {}
     fields: dict[Owner, NumberField] = {}
     for name, (owner, component, field) in places_of.items():
@@ -281,12 +319,13 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
             stacks[owner] = np.repeat(own_value(scene, owner)[None], len(array), axis=0)
         columns = np.moveaxis(stacks[owner], 0, -1)  # a view
         columns[component] = array
-        if stacks[owner].shape[1:] == (3, 3):  # which are symmetric
+        if stacks[owner].shape[1:] == (3, 3):  # symmetric matrices
             columns[component[::-1]] = array
-    bad = np.zeros(0, dtype=int)
+    # runs whose values the constructor may refuse; attribute an error to a single parameter if possible
+    suspicious = np.zeros(0, dtype=int)
     for owner, stack in stacks.items():
-        bad = np.union1d(bad, _suspicious(scene, owner, fields[owner], stack))
-    for k in bad.tolist():
+        suspicious = np.union1d(suspicious, _suspicious(scene, owner, fields[owner], stack))
+    for k in suspicious.tolist():
         error = refusal(scene, {owner: stack[k] for owner, stack in stacks.items()})
         if error is None:
             continue
@@ -300,7 +339,17 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
 
 
 def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) -> Array:
-    """Find the runs, of n, whose values (n, ...) of an attribute the constructor may refuse."""
+    """Find the runs whose value of an attribute the constructor of the element may refuse.
+
+    Args:
+        scene: the scene.
+        owner: the attribute.
+        field: declaration of the attribute, which says what values are allowed.
+        stack: (n, ...) values in n runs.
+
+    Returns:
+        Numbers of the runs.
+    """
     own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
     match field.allowed:
         case "inertia":
@@ -310,7 +359,8 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
         case "direction" | "axis":
             lengths = np.max(np.abs(stack), axis=1)
             outside |= (lengths < MIN_DIRECTION_LENGTH) | (lengths > MAX_DIRECTION_LENGTH)
-            if field.allowed == "axis":  # the smallest component of an axis decides on the vectors across it
+            # vectors perpendicular to an axis are chosen by its smallest component, which must not change
+            if field.allowed == "axis":
                 units = np.abs(stack) / np.maximum(
                     np.linalg.norm(stack, axis=1, keepdims=True), MIN_DIRECTION_LENGTH
                 )
@@ -332,12 +382,21 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
 def _interval(
     scene: Scene, owner: Owner, own: Array, component: tuple[int, ...], values: Array
 ) -> tuple[float, float]:
-    """Find the lowest and the highest of ascending values that the constructor accepts for a component.
+    """Find the lowest and the highest value that the constructor accepts for a component, by bisection.
 
-    The element's own value bounds a side on which no value is accepted.
+    Args:
+        scene: the scene.
+        owner: the attribute.
+        own: the scene's own value of the attribute.
+        component: index of the component.
+        values: ascending values to choose from.
+
+    Returns:
+        Lowest and highest accepted value; the own value on a side without an accepted value.
     """
 
     def refused(value: float) -> bool:
+        """Return True if the constructor refuses a value of the component."""
         changed = own.copy()
         changed[component] = value
         return refusal(scene, {owner: changed}) is not None
@@ -354,7 +413,10 @@ def _interval(
 
 
 def _realisable(inertia: Array, unrealisable: bool) -> Array:
-    """Return for inertias (n, 3, 3) whether a rigid body can surely have them, (n,)."""
+    """Return (n,) True for inertias (n, 3, 3), kg m^2, that a rigid body certainly can have.
+
+    `unrealisable` is True if the triangle inequality of the principal inertias may be violated.
+    """
     scale = np.max(np.abs(inertia), axis=(1, 2))
     asymmetry = np.max(np.abs(inertia - np.swapaxes(inertia, 1, 2)), axis=(1, 2))
     usable = (scale > MIN_INERTIA) & (scale < 1.0 / MIN_INERTIA)
