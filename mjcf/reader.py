@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import collected_warnings
+from mjcf.file_run import Inputs, MujocoFile
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.forces import Forces, armatures
@@ -56,10 +57,6 @@ from newton_euler.scalars import Array
 
 MAX_LISTED_NAMES = 5
 """Largest number of names of actuators in one line of a report."""
-
-DEFAULT_SOLIMP = (0.9, 0.95, 0.001)
-"""MuJoCo's default for the first three numbers of `solimp`: dmin, dmax and width."""
-
 
 MujocoModel: TypeAlias = mujoco.MjSpec | mujoco.MjModel
 """MuJoCo model in memory: an editable specification, or a compiled model."""
@@ -125,13 +122,17 @@ def read(
         reading = _import(source_name, copy.copy(compiled_model), key, request)
         try:
             # reference models for verification, with the controls of the file and with random controls
-            references = [_reference_model(copy.copy(compiled_model), key, reading)]
+            reference = _reference_model(copy.copy(compiled_model), key, reading)
+            references: list[tuple[ReferenceModel, Scene]] = [reference]
             if compiled_model.nu:
                 references.append(_reference_with_random_controls(source_name, compiled_model, key, request))
-            if request.excitation:  # the last use of the compiled model, so no copy is needed
-                reading = _excite(source_name, compiled_model, key, request, reading)
-            # likely mistakes, and verification
+            start = reading.start.data
+            inputs = Inputs(compiled_model, np.array(start.ctrl), np.array(start.act), {})
+            if request.excitation:
+                reading, inputs = _excite(source_name, copy.copy(compiled_model), key, request, reading)
+            # the file in MuJoCo as it stands, likely mistakes, and verification
             report = reading.report
+            report.simulation = MujocoFile(compiled_model, reference[0], reading.scene, report, inputs)
             report.references.extend(references)
             report.findings.extend(plausibility.findings(reading.scene.mechanism))
             report.findings.extend(plausibility.grouped(file_findings))
@@ -148,7 +149,7 @@ def read(
 @np.errstate(all="ignore")  # numbers that overflow are refused later
 def _reference_model(
     model: Any, key: str | None, reading: Reading, controls: tuple[Array, Array] | None = None
-) -> tuple[ReferenceModel, Scene]:
+) -> tuple[MjcfReference, Scene]:
     """Build the reference model of an imported scene, and return the model with the scene.
 
     Args:
@@ -185,7 +186,9 @@ def _random_control(model: Any) -> Array:
 
 
 @np.errstate(all="ignore")  # numbers that overflow are refused later
-def _excite(source_name: str, model: Any, key: str | None, request: Request, reading: Reading) -> Reading:
+def _excite(
+    source_name: str, model: Any, key: str | None, request: Request, reading: Reading
+) -> tuple[Reading, Inputs]:
     """Import the model again with sines of the controls, and with start velocities if the file has none.
 
     Args:
@@ -225,7 +228,7 @@ def _excite(source_name: str, model: Any, key: str | None, request: Request, rea
         phrases.append(speeds)
     description = ", ".join(phrases) or "the velocities of the start are enough"
     excited.report.start.append(f"excited: {description}")
-    return excited
+    return excited, Inputs(model, excitation.control, np.array(start.data.act), excitation.sines)
 
 
 def _join_first(texts: Sequence[str]) -> str:
@@ -257,7 +260,6 @@ def _import(
         sines: sines that are added to controls, by number of the actuator.
     """
     report = ImportReport()
-    report.settings = _describe_settings(model)
     start = ModelAtStart(source_name, model, key, report, request.redundancy_tolerance, control)
     try:
         bodies = Bodies(start, report)
@@ -267,24 +269,6 @@ def _import(
     except NewtonEulerError as error:
         raise SourceError(source_name, str(error)) from error
     return Reading(scene, report, start, drives)
-
-
-def _describe_settings(model: Any) -> str:
-    """Describe the simulation settings of the file: integrator, time step, `solref` of equalities.
-
-    The solver and `solimp` are included if they are not MuJoCo's defaults.
-    """
-    integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower()
-    words = [f"{integrator} {1e3 * model.opt.timestep:g} ms"]
-    if model.opt.solver != mujoco.mjtSolver.mjSOL_NEWTON:
-        words.append(f"solver {mujoco.mjtSolver(model.opt.solver).name.removeprefix('mjSOL_')}")
-    if model.neq:
-        constants = np.unique(model.eq_solref[:, 0])
-        words.append(f"solref {' and '.join(f'{value:g}' for value in constants)}")
-        softness = np.unique(model.eq_solimp[:, :3], axis=0)
-        if np.any(softness != DEFAULT_SOLIMP):
-            words.append(f"solimp {' and '.join(' '.join(f'{x:g}' for x in row) for row in softness)}")
-    return ", ".join(words)
 
 
 def _build_scene(

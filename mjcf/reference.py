@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
-from mjcf.report_audit import Equalities, elements_left_out, switch_off, unaccounted
+from mjcf.report_audit import Equalities, elements_left_out, switch_off_left_out, unaccounted
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
-from newton_euler.reading.import_report import ImportReport, left_out, unique_name
+from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.reading.quantities import FORCE_KINDS, Constraints, ForceLimit, Forces, Kinematics
 from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, names_of_wholes
 from newton_euler.scalars import Array, cross
@@ -124,6 +124,11 @@ class MjcfReference(ReferenceModel):
         if key in names:
             mujoco.mj_resetDataKeyframe(model, self._data, names.index(key))
 
+    @property
+    def groups(self) -> list[tuple[int, Array]]:
+        """Root and members, numbers of MuJoCo's bodies, of each rigid group, in the order of `names`."""
+        return list(zip(self._roots, self._members, strict=True))
+
     def _group_bodies(self, scene: Scene) -> None:
         """Group bodies that are fixed to each other, and find the name of each group in the scene."""
         model = self._model
@@ -192,21 +197,7 @@ class MjcfReference(ReferenceModel):
 
     def _leave_out(self, report: ImportReport) -> None:
         """Switch off the elements and topics that the report leaves out."""
-        model, topics_by_element = self._model, left_out(report)
-        counts = {
-            "joint": model.njnt,
-            "equality": model.neq,
-            "tendon": model.ntendon,
-            "actuator": model.nactuator,
-        }
-        numbers = {element_name(model, kind, k): (kind, k) for kind, n in counts.items() for k in range(n)}
-        for element, topics in topics_by_element.items():
-            kind, k = numbers.get(element, (element, -1))  # other elements, such as options, have no number
-            for topic in topics:
-                if kind == "equality":
-                    self._equalities.active[k] = 0
-                else:
-                    switch_off(model, kind, k, topic)
+        self._equalities.active[switch_off_left_out(self._model, report)] = 0
 
     # Quantities by MuJoCo
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
-from newton_euler.reading.import_report import ImportReport
+from newton_euler.reading.import_report import ImportReport, left_out
 from newton_euler.reading.quantities import Constraints
 from newton_euler.scalars import Array
 
@@ -103,6 +103,26 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
         case _ if kind.endswith("flexes"):
             for field in ("stiffness", "bending", "edgestiffness", "damping", "edgedamping"):
                 getattr(model, f"flex_{field}")[:] = 0.0
+
+
+def switch_off_left_out(model: Any, report: ImportReport) -> list[int]:
+    """Switch off the elements and topics that the report leaves out; return the equalities among them."""
+    counts = {
+        "joint": model.njnt,
+        "equality": model.neq,
+        "tendon": model.ntendon,
+        "actuator": model.nactuator,
+    }
+    numbers = {element_name(model, kind, k): (kind, k) for kind, n in counts.items() for k in range(n)}
+    equalities = []
+    for element, topics in left_out(report).items():
+        kind, k = numbers.get(element, (element, -1))
+        for topic in topics:
+            if kind == "equality":
+                equalities.append(k)
+            else:
+                switch_off(model, kind, k, topic)
+    return equalities
 
 
 class Equalities:

@@ -41,8 +41,9 @@ CORE: dict[str, set[str]] = {
     "library": {"support", "loading"},
     "loading": {"support", "library"},
     "engines": {"support", "library", "compare"},
-    "compare": {"support", "library", "loading", "engines", "report"},
-    "report": {"support", "loading", "engines", "compare", "recording"},
+    "own_run": {"engines"},
+    "compare": {"support", "library", "loading", "engines", "own_run", "report"},
+    "report": {"support", "loading", "engines", "own_run", "compare", "recording"},
     "recording": {"support", "compare", "report"},
     "regress": {"support", "library", "loading", "engines", "compare", "report", "recording"},
 }

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
-from crosscheck.compare.activity import reduction, watched
+from crosscheck.compare.activity import reduction, watched, what_acted
 from crosscheck.compare.advice import Advice, advise
 from crosscheck.compare.check import READING, Check, finite, not_judged
 from crosscheck.compare.coverage import Coverage, coverage
@@ -21,6 +21,7 @@ from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
+from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.report.outcome import Outcome
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
@@ -30,6 +31,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import ImportedElement, ImportReport
 
 MIN_SAMPLED_VELOCITIES = 200
@@ -69,6 +71,8 @@ class Crosscheck:
         notes: what else there is to say, a line each: what beside the comparison did not come to its end.
         run_errors: by engine its run's distance from the finest, see `measure_run_errors`.
         singular: singular configurations of the first engine's run; None if there are none.
+        own_run: judgement of the run that the file's own engine makes with the settings of the file; None for
+            scenes of this package and for files without an engine of their own.
     """
 
     source: str
@@ -87,6 +91,7 @@ class Crosscheck:
     notes: tuple[str, ...] = ()
     run_errors: Mapping[str, float] = field(default_factory=dict)
     singular: SingularConfigurations | None = None
+    own_run: Judgement | None = None
 
     @property
     def title(self) -> str:
@@ -279,13 +284,13 @@ class Crosscheck:
             "changed_velocities": asdict(changed)
             if self.mapping and (changed := self.mapping.changed_velocities)
             else None,
-            "settings_of_the_file": self.mapping.settings if self.mapping else None,
             "checks": [asdict(row) | {"agrees": row.agrees} for row in self.checks],
             "known_values": [measured.summary() for measured in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
             "notes": list(self.notes),
             "singular": asdict(self.singular) if self.singular else None,
+            "own_run": self.own_run.summary() if self.own_run else None,
         }
 
     def _ran(self, name: str) -> dict[str, Any]:
@@ -341,6 +346,12 @@ def crosscheck(
         unseen, mapping = mapping, mapping.unwatched()  # which counts if watching stops
         with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
             mapping = watched(scene, unseen, next(iter(runs.values())))
+    own_run: Judgement | None = None
+    if mapping and mapping.simulation and runs:
+        what = "judging the file's own run"
+        acting = [Event(entry.since or 0.0, what_acted(entry)) for entry in mapping.acting]
+        with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
+            own_run = judge(mapping.simulation, acting)
     until = mapping.acting[0].since if mapping and mapping.acting else None
     # runs of a motion that the scene does not determine say nothing about each other
     comparable = {} if any(stop.undetermined for stop in stops) else runs
@@ -395,6 +406,7 @@ def crosscheck(
         tuple(map(str, beside)),
         run_errors,
         singular,
+        own_run,
     )
 
 

@@ -16,6 +16,7 @@ from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.compare.two_models.compare import TwoModelComparison
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.loading.model_files import fates_line, report_lines
+from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.summary import summary
 from crosscheck.report.table import (
     Cell,
@@ -62,7 +63,8 @@ def report(result: Crosscheck) -> Report:
     """All that a crosscheck found."""
     limits, others = list(limiting(result)), list(notes(result))
     said = [*limits, *others]
-    parts: list[Part] = list(tables(result))
+    parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
+    parts.extend(tables(result))
     parts.append(Lines("", [*said, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(entries("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
@@ -210,8 +212,6 @@ def limiting(result: Crosscheck) -> Iterator[str]:
         )
     if unknown := [entry for entry in mapping.entries if not entry.examined]:
         yield "not examined whether they act: " + "; ".join(f"{e.element}: {e.how}" for e in unknown)
-    if mapping.settings and result.trajectories:
-        yield f"the file's own settings ({mapping.settings}) were not simulated"
 
 
 def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:

@@ -16,6 +16,7 @@ from crosscheck.compare.check import (
     Check,
 )
 from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
 
 MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
@@ -24,7 +25,8 @@ MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
 
 def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
     """Make the tables of levels and engines, all that limits the verdict, the first notes, and all advice."""
-    parts: list[Part] = [levels_table(result)]
+    parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
+    parts.append(levels_table(result))
     if result.trajectories:
         parts.append(engines_table(result))
     most = MAX_NOTES_IF_FAILING if result.unfinished or result.differs else MAX_NOTES

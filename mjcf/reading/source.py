@@ -42,7 +42,7 @@ FULL_MEMORY_SHARE = 0.5
 
 Models that need more memory have used 85 % at the crash; models that crash MuJoCo have used a few MB."""
 
-READING_COPIES, ACTUATED_READING_COPIES = 2, 4
+READING_COPIES, ACTUATED_READING_COPIES = 3, 5
 """Largest number of copies of a compiled model that exist at a time during reading.
 
 A model with actuators is read a second time, with random controls."""
@@ -127,10 +127,11 @@ def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
 
 def check_memory(where: str, model: Any) -> None:
     """Raise `SourceError` if the copies of a compiled model need more than the free memory."""
-    size, free = model.nbuffer / MB, free_memory() / MB
-    needed = (ACTUATED_READING_COPIES if model.nu else READING_COPIES) * size
+    needed = (ACTUATED_READING_COPIES if model.nu else READING_COPIES) * model.nbuffer
+    free = free_memory()
     if needed > free:
-        lacks = f"reading needs {needed:.0f} MB more, {free:.0f} MB are free; use smaller meshes"
+        lacks = f"reading needs {needed / MB:.0f} MB more, {free / MB:.0f} MB are free; use smaller meshes"
+        size = model.nbuffer / MB
         raise SourceError(where, f"the compiled model has {size:.0f} MB, mostly meshes; {lacks}")
 
 

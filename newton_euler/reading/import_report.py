@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from newton_euler.equations.loop_closure import MovedStart
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds, SampledMotion, Watch, judge_all
+from newton_euler.reading.file_run import FileSimulation
 from newton_euler.reading.reference import ReferenceModel
 
 Fate = Literal["exactly", "inactive", "left out"]
@@ -131,7 +132,7 @@ class ImportReport:
             are read only for verification.
         watches: by the number of an entry, tests that find out whether the element acts in a run.
         unsettled: numbers of entries that only closer outputs can judge.
-        settings: integrator, time step and softness of the file, in words; "" if the file has none.
+        simulation: the file as its own engine simulates it; None for files without an engine of their own.
         moved: change of the start by loop closure; None if the file has no loops.
         changed_velocities: change of the start velocities; None if the file has no velocities.
     """
@@ -143,7 +144,7 @@ class ImportReport:
         self.references: list[tuple[ReferenceModel, Scene]] = []
         self.watches: dict[int, Sequence[Watch]] = {}
         self.unsettled: frozenset[int] = frozenset()
-        self.settings = ""
+        self.simulation: FileSimulation[Any] | None = None
         self.moved: MovedStart | None = None
         self.changed_velocities: ChangedVelocities | None = None
 
@@ -244,9 +245,10 @@ class ImportReport:
         return found
 
     def unverified(self) -> ImportReport:
-        """Return the report without reference models, for a scene with other parameter values."""
+        """Return the report of a scene with other parameter values: without reference models and file run."""
         found = copy(self)
         found.references = []
+        found.simulation = None
         return found
 
     @property

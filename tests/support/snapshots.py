@@ -41,7 +41,7 @@ def masked(text: str) -> str:
     text = re.sub(r"(\d+ ok|\d+/\d+ FAIL)\b.*(\n {12,}.*)*", r"\1 #", text)  # worst values and their places
     text = re.sub(r"[-+]?\b\d+(\.\d+)?e[-+]?\d+", "#", text)
     text = re.sub(r"(?<![\w.])[-+]?\d+(\.\w+)+(\+\w+)?", "#", text)  # fractions and versions
-    text = re.sub(r"[-+<]*(\b\d+|#)(?= ([mµ]?s|%|x)\b)", "#", text)
+    text = re.sub(r"[-+<]*(\b\d+|#)(?= ([mµ]?s|[mu]?m|deg|%|x)\b)", "#", text)
     text = re.sub(r"# [mµ]s\b", "# s", text)
     text = re.sub(r"\b(\w+_time|steps|rejected|evaluations) [\d#]+", r"\1 #", text)
     text = re.sub(r"─+", "─", text)

@@ -1,0 +1,168 @@
+"""Error of a run against a reference solution, in absolute numbers and relative to the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import assert_never
+
+import numpy as np
+
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
+
+ACCURATE_BELOW, USABLE_BELOW = 1e-3, 1e-2
+"""Relative errors that separate the bands. Parameters of real robots are known to about 1 %. A simulation
+with
+an error below 0.1 % adds nothing to that; with an error above 1 % the simulation is the largest error."""
+
+MIN_SCALE = 1e-3
+"""Smallest motion, sizes or rad, that errors are divided by: the motion of a mechanism that nearly rests."""
+
+MAX_ANGLE_SCALE = 1.0
+"""Largest rotation, rad, that errors of rotations are divided by: many revolutions excuse no larger error."""
+
+
+MIN_DESCRIPTIVE = 0.1
+"""Smallest relative error of positions that describes a run, as a fraction of the relative error. People
+judge
+lengths more easily than angles."""
+
+
+class Band(StrEnum):
+    """Accuracy of a run in words."""
+
+    ACCURATE = "ACCURATE"
+    """The relative error is below 0.1 %."""
+    USABLE = "USABLE"
+    """The relative error is below 1 %."""
+    WRONG = "WRONG"
+    """The relative error is 1 % or more, or the run diverged."""
+
+    @property
+    def verdict(self) -> str:
+        """Judgement of tables and colors, see `crosscheck.report.table`."""
+        match self:
+            case Band.ACCURATE:
+                return "holds"
+            case Band.USABLE:
+                return "doubtful"
+            case Band.WRONG:
+                return "fails"
+            case _:
+                assert_never(self)
+
+
+@dataclass(frozen=True)
+class RunError:
+    """Largest errors of a run.
+
+    Attributes:
+        position: largest error of a body's center of mass, m.
+        position_at: body and time, s, of that error.
+        rotation: largest error of a body's orientation, rad.
+        rotation_at: body and time, s, of that error.
+        energy: largest error of the total energy, divided by the energy that the reference exchanges.
+        relative_position: largest error of a center of mass, divided by the motion.
+        relative_rotation: largest error of an orientation, divided by the motion.
+    """
+
+    position: float
+    position_at: tuple[str, float]
+    rotation: float
+    rotation_at: tuple[str, float]
+    energy: float
+    relative_position: float
+    relative_rotation: float
+
+    @property
+    def relative(self) -> float:
+        """Larger one of the relative errors."""
+        return max(self.relative_position, self.relative_rotation)
+
+    @property
+    def is_of_position(self) -> bool:
+        """True if the error of positions describes the run: it is no small part of the relative error."""
+        return self.relative_position >= MIN_DESCRIPTIVE * self.relative
+
+    @property
+    def band(self) -> Band:
+        """The band of the relative error."""
+        if self.relative < ACCURATE_BELOW:
+            return Band.ACCURATE
+        return Band.USABLE if self.relative < USABLE_BELOW else Band.WRONG
+
+
+@dataclass(frozen=True)
+class MotionScale:
+    """Extent of a motion, by which errors are divided.
+
+    Attributes:
+        length: largest displacement of a center of mass, m.
+        angle: largest rotation, at most 1 rad.
+        energy: largest kinetic energy plus the range of the potential energy, J.
+    """
+
+    length: float
+    angle: float
+    energy: float
+
+    @classmethod
+    def of(cls, reference: Trajectory, size: float) -> MotionScale:
+        """Measure a reference solution.
+
+        Args:
+            reference: run with energies.
+            size: size of the mechanism, m.
+        """
+        moved = float(np.max(np.linalg.norm(reference.position - reference.position[0], axis=2)))
+        start = np.broadcast_to(reference.quaternion[0], reference.quaternion.shape)
+        turned = float(np.max(angle_between(reference.quaternion, start)))
+        kinetic, potential = _energies(reference)
+        return cls(
+            max(moved, MIN_SCALE * size),
+            float(np.clip(turned, MIN_SCALE, MAX_ANGLE_SCALE)),
+            float(np.max(kinetic) + np.ptp(potential)),
+        )
+
+
+def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> RunError:
+    """Compare a run with a reference solution at the output times that both have.
+
+    Args:
+        run: run with the same bodies and output times; it may end early.
+        reference: reference solution.
+        scale: extent of the reference's motion.
+    """
+    count = min(len(run.time), len(reference.time))
+    position = np.linalg.norm(run.position[:count] - reference.position[:count], axis=2)
+    rotation = angle_between(run.quaternion[:count], reference.quaternion[:count])
+    exchanged = []
+    for each in (run, reference):
+        kinetic, potential = _energies(each.first(count))
+        exchanged.append(kinetic + potential - kinetic[0] - potential[0])
+    drift = float(np.max(np.abs(exchanged[0] - exchanged[1])))
+    worst_position, worst_rotation = (_worst(gaps, run) for gaps in (position, rotation))
+    return RunError(
+        *worst_position,
+        *worst_rotation,
+        drift / scale.energy if scale.energy else 0.0,
+        worst_position[0] / scale.length,
+        worst_rotation[0] / scale.angle,
+    )
+
+
+def _worst(gaps: Array, run: Trajectory) -> tuple[float, tuple[str, float]]:
+    """Return the largest of gaps (n, b), and its body and time, s."""
+    output, body = np.unravel_index(int(np.argmax(gaps)), gaps.shape)
+    return float(gaps[output, body]), (run.body_names[body], float(run.time[output]))
+
+
+def _energies(run: Trajectory) -> tuple[Array, Array]:
+    """Return kinetic and potential energy (n,), J; zeros for a run without energies."""
+    zeros = np.zeros(len(run.time))
+    return (
+        zeros if run.kinetic_energy is None else run.kinetic_energy,
+        zeros if run.potential_energy is None else run.potential_energy,
+    )

@@ -1,0 +1,271 @@
+"""Judge the run of a model file: its error, the setting that causes it, and settings that reduce it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from crosscheck.engines.engine import native_method
+from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, run_error
+from crosscheck.own_run.horizon import comparable_until
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_run import Event, FileRun, FileSimulation
+from newton_euler.runs.simulate import simulate
+
+MAX_STEPS = 200_000
+"""Largest number of time steps of the judged run; a longer run is judged as far as that."""
+
+TARGET = ACCURATE_BELOW
+"""Relative error that remedies aim at."""
+
+MIN_GAIN = 0.5
+"""Largest error of a remedy, as a fraction of the error of the file's settings."""
+
+KINDS_REFINED = 2
+"""Number of kinds of settings that are tried at smaller steps."""
+
+MAX_EVALUATIONS = 40.0
+"""Largest number of evaluations of a remedy, as a multiple of those of the judged run."""
+
+
+@dataclass(frozen=True)
+class MeasuredCause:
+    """One property of the settings and the error that it causes alone.
+
+    Attributes:
+        name: the property, such as "time step".
+        error: difference of a run from a run without the error of the property.
+    """
+
+    name: str
+    error: RunError
+
+
+@dataclass(frozen=True)
+class MeasuredRemedy:
+    """Settings that were tried.
+
+    Attributes:
+        changes: settings that differ from those of the file, by name.
+        fragment: text that gives the file these settings.
+        error: error of the run.
+        evaluations: evaluations of the equations of motion, as a multiple of those of the file's settings.
+        run_time: measured run time, as a multiple of the run time of the file's settings.
+    """
+
+    changes: Mapping[str, str]
+    fragment: str
+    error: RunError
+    evaluations: float
+    run_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Judgement of a file's run.
+
+    Attributes:
+        engine: name and version of the file's engine.
+        settings: settings of the file in words.
+        error: error of the judged run; None if it diverged before its first output.
+        opening: largest error of the loop constraints, m or rad.
+        stopped: reason why the run ended early; "" for a complete run.
+        events: elements of the file that act and that the reference does not have, in the order of time. If
+            there are any, the judged run is without them.
+        until: time, s, at which the comparison ends because the motion is chaotic or unstable; None if the
+            comparison ends with the run.
+        causes: error by property of the settings, largest first; empty for an accurate run.
+        remedies: settings with a smaller error, cheapest first; empty for an accurate run.
+        run: the judged run.
+        reference: the reference solution at the same times.
+    """
+
+    engine: str
+    settings: str
+    error: RunError
+    opening: float
+    stopped: str
+    events: tuple[Event, ...]
+    until: float | None
+    causes: tuple[MeasuredCause, ...]
+    remedies: tuple[MeasuredRemedy, ...]
+    run: Trajectory
+    reference: Trajectory
+
+    @property
+    def band(self) -> Band:
+        """Accuracy of the run; a run that diverged is wrong."""
+        return Band.WRONG if self.stopped else self.error.band
+
+    def summary(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        left_out = ("run", "reference")
+        fields = {name: value for name, value in vars(self).items() if name not in left_out}
+        found: dict[str, Any] = {"band": self.band.value, "relative": self.error.relative}
+        return found | {
+            name: [asdict(each) for each in value]
+            if isinstance(value, tuple)
+            else asdict(value)
+            if isinstance(value, RunError)
+            else value
+            for name, value in fields.items()
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """A file's simulation beside its reference solution."""
+
+    simulation: FileSimulation[Any]
+    scene: Scene
+    reference: Trajectory
+    scale: MotionScale
+    every: int
+    steps: int
+    until: float | None
+
+    @classmethod
+    def of(cls, simulation: FileSimulation[Any]) -> _Comparison:
+        """Choose output times that are multiples of the file's time step, and simulate the reference."""
+        step = simulation.timestep(simulation.settings)
+        scene = simulation.scene
+        # a multiple of four, so that RK4 at four times the step has the same outputs
+        every = 4 * round(scene.output_period / step / 4.0) or max(1, round(scene.output_period / step))
+        steps = min(MAX_STEPS, int(scene.duration / step * (1.0 + 1e-9))) // every * every
+        steps = max(steps, every)
+        sampled = replace(
+            scene,
+            output_period=every * step,
+            duration=steps * step,
+            outputs=frozenset({"velocities", "energy"}),
+        )
+        reference = simulate(sampled, **native_method(sampled, refined=False))
+        until = comparable_until(sampled, reference)
+        scale = MotionScale.of(reference, scene.mechanism.size)
+        return cls(simulation, sampled, reference, scale, every, steps, until)
+
+    def run(self, settings: Any, reduced: bool = True) -> FileRun:
+        """Simulate the file with these settings and outputs at the times of the reference."""
+        ratio = self.simulation.timestep(self.simulation.settings) / self.simulation.timestep(settings)
+        every = max(1, round(self.every * ratio))
+        return self.simulation.run(settings, self.steps // self.every * every, every, reduced)
+
+    def error(self, run: FileRun) -> RunError:
+        """Compare a run with the reference, as far as a comparison means something."""
+        return run_error(self._until(run.trajectory), self.reference, self.scale)
+
+    def apart(self, one: FileRun, two: FileRun) -> RunError:
+        """Compare two runs, as far as a comparison means something."""
+        return run_error(self._until(one.trajectory), two.trajectory, self.scale)
+
+    def _until(self, run: Trajectory) -> Trajectory:
+        """Return a run up to the time at which the comparison ends."""
+        return run if self.until is None else run.first(int(np.searchsorted(run.time, self.until)))
+
+
+def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judgement:
+    """Judge the run of a file with its own settings.
+
+    Args:
+        simulation: the file in its own engine.
+        acting: elements of the file that act in the reference's motion and are not simulated there.
+
+    Raises:
+        NewtonEulerError: if the scene has no reference solution.
+    """
+    compared = _Comparison.of(simulation)
+    # the run as it stands, and without what the reference does not have
+    run = compared.run(simulation.settings, reduced=False)
+    first: dict[str, Event] = {}
+    for event in sorted([*run.events, *acting], key=lambda event: event.time):
+        first.setdefault(event.element, event)
+    events = tuple(first.values())
+    if events:
+        run = compared.run(simulation.settings, reduced=True)
+    error = compared.error(run)
+    causes: tuple[MeasuredCause, ...] = ()
+    remedies: tuple[MeasuredRemedy, ...] = ()
+    if run.stopped or error.band is not Band.ACCURATE:
+        causes = tuple(sorted(_causes(compared, run), key=lambda cause: -cause.error.relative))
+        remedies = tuple(_remedies(compared, run, error))
+    return Judgement(
+        simulation.engine,
+        simulation.words(),
+        error,
+        float(np.max(run.opening, initial=0.0)),
+        run.stopped,
+        events,
+        compared.until,
+        causes,
+        remedies,
+        run.trajectory,
+        compared.reference,
+    )
+
+
+def _causes(compared: _Comparison, run: FileRun) -> Iterator[MeasuredCause]:
+    """Measure the error of each property of the settings: how far a run without that error is from the run.
+
+    Several changes of one property, such as other integrators, count by the one that is closest to the
+    reference. A change that brings the run no closer to the reference shows no error of the property.
+    """
+    best: dict[str, tuple[float, RunError]] = {}
+    for cause in compared.simulation.causes():
+        removed = compared.run(cause.without)
+        kept = run if cause.against is None else compared.run(cause.against)
+        if removed.stopped:
+            continue
+        remaining = compared.error(removed).relative
+        if remaining >= compared.error(kept).relative and not kept.stopped:
+            continue
+        if cause.name not in best or remaining < best[cause.name][0]:
+            best[cause.name] = remaining, compared.apart(kept, removed)
+    yield from (MeasuredCause(name, apart) for name, (_, apart) in best.items())
+
+
+def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[MeasuredRemedy]:
+    """Try other settings: yield the best of similar cost, and the cheapest with an error below `TARGET`.
+
+    All kinds of settings are tried at the file's time step. The two best kinds are tried at smaller steps.
+    """
+    simulation = compared.simulation
+
+    def tried(settings: Any) -> MeasuredRemedy | None:
+        found = compared.run(settings)
+        if found.stopped:
+            return None
+        changes, fragment = simulation.changes(settings), simulation.fragment(settings)
+        evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
+        run_time = found.trajectory.wall_time / run.trajectory.wall_time
+        return MeasuredRemedy(changes, fragment, compared.error(found), evaluations, run_time)
+
+    measured = [
+        (settings, remedy)
+        for settings in simulation.alternatives(1)
+        if (remedy := tried(settings)) is not None
+    ]
+    measured.sort(key=lambda pair: pair[1].error.relative)
+    found = [remedy for _, remedy in measured]
+    for settings, remedy in measured[:KINDS_REFINED]:
+        last, divisor = remedy, 2
+        while last.error.relative > TARGET and divisor * remedy.evaluations <= MAX_EVALUATIONS:
+            finer = tried(simulation.at_divisor(settings, divisor))
+            divisor *= 2
+            if finer is not None:
+                found.append(finer)
+                last = finer
+    better = [each for each in found if each.error.relative < MIN_GAIN * error.relative or run.stopped]
+    similar = [each for each in better if each.evaluations <= 1.0]
+    cheap = min(similar, key=lambda each: each.error.relative, default=None)
+    good = [each for each in better if each.error.relative <= TARGET]
+    best = min(good, key=lambda each: (each.evaluations, each.error.relative), default=None)
+    if best is None:
+        best = min(better, key=lambda each: each.error.relative, default=None)
+    if cheap is not None:
+        yield cheap
+    if best is not None and best is not cheap:
+        yield best

@@ -1,0 +1,119 @@
+"""Errors that the judgement of a file's run reports, against the known errors of each integrator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crosscheck.loading.load import load_scene
+from crosscheck.own_run.judge import judge
+
+STEP, DURATION = 0.004, 1.0
+FREQUENCY = 5.0  # rad/s, of the oscillator
+DAMPING = 1.5  # N s/m
+SPEED = 0.7  # m/s or rad/s, at the start
+PERCENT = 0.01
+"""Largest difference between the reported and the known error, relative."""
+
+OSCILLATOR = """<mujoco><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/><worldbody>
+  <body name="mass"><joint name="slide" type="slide" axis="1 0 0" stiffness="{stiffness}"
+  damping="{damping}"/>
+    <inertial pos="0 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+  <keyframe><key name="go" qvel="{speed}"/></keyframe></mujoco>"""
+
+FALLING = """<mujoco><option timestep="{step}" integrator="{integrator}"/><worldbody>
+  <body name="stone"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+  <keyframe><key name="go" qvel="0.1 0 0 0 0 0"/></keyframe></mujoco>"""
+
+TOP = """<mujoco><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/><worldbody>
+  <body name="top"><joint name="ball" type="ball"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="0.03 0.03 0.05"/></body></worldbody>
+  <keyframe><key name="go" qvel="1 0 6"/></keyframe></mujoco>"""
+
+
+def judged(tmp_path, text, **values):
+    path = tmp_path / "model.xml"
+    path.write_text(text.format(step=STEP, **values))
+    _, report = load_scene(str(path), {"duration": str(DURATION)})
+    assert report is not None
+    assert report.simulation is not None
+    return judge(report.simulation)
+
+
+def semi_implicit(x, v, stiffness, damping, mass):
+    """MuJoCo's Euler, implicit and implicitfast on one slide: implicit dampers, explicit springs."""
+    while True:
+        yield x
+        v = (mass * v - STEP * stiffness * x) / (mass + STEP * damping)
+        x += STEP * v
+
+
+def runge_kutta(x, v, stiffness, damping, mass):
+    matrix = np.array([[0.0, 1.0], [-stiffness / mass, -damping / mass]])
+    powers = [np.linalg.matrix_power(STEP * matrix, k) for k in range(5)]
+    step = sum(power / [1.0, 1.0, 2.0, 6.0, 24.0][k] for k, power in enumerate(powers))
+    state = np.array([x, v])
+    while True:
+        yield state[0]
+        state = step @ state
+
+
+@pytest.mark.parametrize("damping", [0.0, DAMPING])
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "RK4"])
+def test_error_of_an_oscillator(tmp_path, integrator, damping):
+    method = runge_kutta if integrator == "RK4" else semi_implicit
+    mass = 2.0
+    stiffness = mass * FREQUENCY**2
+    found = judged(
+        tmp_path, OSCILLATOR, integrator=integrator, stiffness=stiffness, damping=damping, speed=SPEED
+    )
+    times = found.reference.time
+    every = round(times[1] / STEP)
+    decay = 0.5 * damping / mass
+    frequency = np.sqrt(FREQUENCY**2 - decay**2)
+    exact = SPEED / frequency * np.exp(-decay * times) * np.sin(frequency * times)
+    numeric = method(0.0, SPEED, stiffness, damping, mass)
+    states = np.array([next(numeric) for _ in range(every * (len(times) - 1) + 1)])[::every]
+    expected = np.max(np.abs(states - exact))
+    assert found.error.position == pytest.approx(expected, rel=PERCENT)
+    assert found.error.relative == pytest.approx(expected / np.max(np.abs(exact)), rel=PERCENT)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_error_of_a_fall(tmp_path, integrator):
+    # after n steps the stone has fallen by g h^2 n (n + 1) / 2 instead of g (n h)^2 / 2
+    found = judged(tmp_path, FALLING, integrator=integrator)
+    assert found.error.position == pytest.approx(0.5 * 9.81 * STEP * found.reference.time[-1], rel=PERCENT)
+    assert found.error.position_at[0] == "stone"
+
+
+def test_error_of_a_free_top(tmp_path):
+    """Euler's equations by explicit steps, and orientations by exact rotations of each step."""
+    inertia = np.array([0.03, 0.03, 0.05])
+    found = judged(tmp_path, TOP, integrator="Euler")
+    times = found.reference.time
+    spin, turn = np.array([1.0, 0.0, 6.0]), np.eye(3)
+    # the exact motion: a turn about the axis of angular momentum, and one about the axis of symmetry
+    momentum = inertia * spin
+    about_momentum = momentum / inertia[0]
+    about_axis = np.array([0.0, 0.0, spin[2] * (1.0 - inertia[2] / inertia[0])])
+    every, worst = round(times[1] / STEP), 0.0
+    for k in range(every * (len(times) - 1) + 1):
+        if k % every == 0:
+            now = k * STEP
+            exact = rotation(about_momentum * now) @ rotation(about_axis * now)
+            cosine = 0.5 * (np.trace(exact.T @ turn) - 1.0)
+            worst = max(worst, float(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        spin = spin - STEP * np.cross(spin, inertia * spin) / inertia
+        turn = turn @ rotation(STEP * spin)
+    assert found.error.rotation == pytest.approx(worst, rel=PERCENT)
+    assert not found.error.is_of_position
+
+
+def rotation(vector):
+    angle = np.linalg.norm(vector)
+    if not angle:
+        return np.eye(3)
+    x, y, z = vector / angle
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew
