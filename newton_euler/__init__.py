@@ -1,12 +1,13 @@
 """Newton-Euler dynamics of mechanisms with closed loops.
 
-A `Scene` is a `Mechanism` of bodies and joints with forces, control laws, a start and a duration. `simulate`
-runs a scene and returns a `Trajectory`. Other functions compute poses, linear models, loads, sensitivities
-and fitted parameters. To read the source, start with `newton_euler.runs.simulate`.
+A `Scene` is a `Mechanism` of bodies and joints with forces, control laws, an initial state and a duration.
+`simulate` runs a scene and returns a `Trajectory`. Other functions compute poses, linear models, loads,
+sensitivities and identified parameters. This file exports the public names of the package. To read the
+source, start with `newton_euler.runs.simulate`.
 
-Examples in docstrings, here and in the other packages, follow `from newton_euler import *`,
-`from crosscheck.library import load`, `from crosscheck import *`, `from dataclasses import replace`,
-`import numpy as np` and `import mjcf, urdf`.
+Examples in docstrings, here and in the packages crosscheck, mjcf and urdf, assume these imports:
+`from newton_euler import *`, `from crosscheck.library import load`, `from crosscheck import *`,
+`from dataclasses import replace`, `import numpy as np` and `import mjcf, urdf`.
 """
 
 from newton_euler.analysis.identification.identify import Identification, identify

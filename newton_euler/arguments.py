@@ -1,8 +1,11 @@
-"""Arguments of public functions: checked by their type hints, before any work begins.
+"""Check the arguments of public functions by their type hints, before any work begins.
 
-A function with the decorator `checked` raises `ArgumentError` for an argument that its hint excludes. Options
-of an unpacked `TypedDict` are checked, too. Missing, unknown and surplus arguments are a `TypeError`, as for
-any function of Python.
+A function with the decorator `checked` raises `ArgumentError` for an argument that its type hint excludes.
+Keyword options that are declared by an unpacked `TypedDict` are checked as well. Missing, unknown and surplus
+arguments raise `TypeError`, as for any Python function.
+
+`_rule` converts a type hint to a `Rule`: a description of valid values for messages, and a function that
+finds what is wrong with a value. The rules of a function are computed once, at its first call.
 """
 
 from __future__ import annotations
@@ -21,7 +24,6 @@ from typing import (
     Literal,
     NamedTuple,
     ParamSpec,
-    TypeAlias,
     TypeVar,
     Union,
     Unpack,
@@ -40,24 +42,26 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 PACKAGES = frozenset({"newton_euler", "mjcf", "urdf", "crosscheck"})
+"""Names of the packages of this project."""
 
-MADE_BY = {
+CREATED_BY = {
     "Poses": "solve_poses(scene, ...)",
     "State": "initial_state(scene)",
     "Trajectory": "simulate(scene)",
 }
-"""Calls that make objects of classes that users rarely construct themselves, for messages."""
+"""Calls that create objects of classes whose constructor users rarely call, by class name, for messages."""
 
 UNCHECKED = "unchecked"
-"""Marks hints of arguments that a function checks itself: `Annotated[Sequence[float], UNCHECKED]`."""
+"""Mark in the hint of an argument that the function checks itself: `Annotated[Sequence[float],
+UNCHECKED]`."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Declared range of a number: `Annotated[int, Range(1, 4096)]`.
+    """Range of a number, for use in a type hint: `Annotated[int, Range(1, 4096)]`.
 
     Attributes:
-        least, most: the smallest and the largest value.
+        least, most: smallest and largest allowed value.
     """
 
     least: float = -np.inf
@@ -70,12 +74,13 @@ class Range:
 
 
 class Fault(NamedTuple):
-    """The part of an argument that a rule excludes.
+    """The part of an argument that violates a rule.
 
     Attributes:
-        value: the part.
-        needed: what the rule needs.
-        place: index or key of the part, such as `[2]`; empty if it is the whole argument, or a key.
+        value: the invalid part, or the whole argument.
+        needed: description of valid values.
+        place: index or key of the part in the argument, such as `[2]`; empty if the part is the whole
+            argument or a key of a dictionary.
     """
 
     value: object
@@ -87,9 +92,11 @@ class Rule(NamedTuple):
     """The values that a type hint allows.
 
     Attributes:
-        needed, several: description of a valid value, and of several of them.
-        fault: returns None for a valid value.
-        array_fault: the same for all numbers of an array (n,) at once; None for a rule of other things.
+        needed: description of a valid value, such as "a finite number".
+        several: description of several valid values, such as "finite numbers".
+        fault: function that returns the fault of a value, or None for a valid value.
+        array_fault: function that does the same for an array (n,) of numbers at once; None unless the rule is
+            for numbers.
     """
 
     needed: str
@@ -98,14 +105,22 @@ class Rule(NamedTuple):
     array_fault: Callable[[Array], Fault | None] | None = None
 
 
-Rules: TypeAlias = tuple[tuple[tuple[str, Rule | None], ...], Mapping[str, Rule], Rule | None]
+class ArgumentRules(NamedTuple):
+    """The rules of all arguments of a function."""
+
+    positional: tuple[tuple[str, Rule | None], ...]
+    """Name and rule of each argument that may be passed by position; None for an argument without a rule."""
+    named: Mapping[str, Rule]
+    """Rules of the arguments that may be passed by keyword, by name."""
+    others: Rule | None
+    """Rule of all other keyword arguments (`**kwargs`), if they have one."""
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
-    """Return a function that raises `ArgumentError` for arguments that its type hints exclude.
+    """Decorate a function so that it raises `ArgumentError` for arguments that its type hints exclude.
 
-    Names that a module imports for type checkers only are not known when a program runs; arguments with such
-    hints are left to the function.
+    Hints with names that a module imports only for type checkers are unknown when a program runs; such
+    arguments are not checked.
 
     Examples:
         >>> @checked
@@ -117,17 +132,17 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
     """
 
     @cache
-    def rules() -> Rules:
+    def argument_rules() -> ArgumentRules:
         return _rules(function)
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        positional, named, others = rules()
-        for (name, rule), value in zip(positional, args, strict=False):
+        rules = argument_rules()
+        for (name, rule), value in zip(rules.positional, args, strict=False):
             if rule is not None and (fault := rule.fault(value)) is not None:
                 raise _error(function, name, value, fault)
         for name, value in kwargs.items():
-            rule = named.get(name, others)
+            rule = rules.named.get(name, rules.others)
             if rule is not None and (fault := rule.fault(value)) is not None:
                 raise _error(function, name, value, fault)
         return function(*args, **kwargs)
@@ -136,7 +151,8 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def caller_level() -> int:
-    """Return the `stacklevel` of a warning that points to the line which called into these packages."""
+    """Return the `stacklevel` with which `warnings.warn` names the user's line that called into these
+    packages."""
     frame, level = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
         frame, level = frame.f_back, level + 1
@@ -144,7 +160,8 @@ def caller_level() -> int:
 
 
 def _error(function: Callable[..., Any], name: str, value: object, fault: Fault) -> ArgumentError:
-    """Return the error of an argument; if a part of it is at fault, with this part."""
+    """Return the error for an argument of a function; the message shows the part of the argument that is
+    invalid."""
     verb = "is" if fault.place or fault.value is value else "holds"
     package = function.__module__.partition(".")[0]
     where = f"{package}.{function.__qualname__}"
@@ -152,14 +169,17 @@ def _error(function: Callable[..., Any], name: str, value: object, fault: Fault)
 
 
 class _Names(dict[str, Any]):
-    """Names of a module, `Any` for those that are imported for type checkers only."""
+    """Names of a module for the evaluation of type hints; unknown names become `Any`.
+
+    Unknown names are those that the module imports for type checkers only.
+    """
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, Any)
 
 
-def _rules(function: Callable[..., Any]) -> Rules:
-    """Read the rules of the arguments: by position, by keyword, and of all other keywords."""
+def _rules(function: Callable[..., Any]) -> ArgumentRules:
+    """Compute the rules of all arguments of a function from its signature and type hints."""
     plain = inspect.unwrap(function)
     hints = _hints(plain)
     positional: list[tuple[str, Rule | None]] = []
@@ -167,7 +187,7 @@ def _rules(function: Callable[..., Any]) -> Rules:
     others: Rule | None = None
     for name, parameter in inspect.signature(plain).parameters.items():
         hint = hints.get(name, Any)
-        if get_origin(hint) is Unpack:
+        if get_origin(hint) is Unpack:  # **options: Unpack[SomeTypedDict]
             named |= {each: _rule(kind) for each, kind in _hints(get_args(hint)[0]).items()}
             continue
         rule = None if hint is Any else _rule(hint)
@@ -178,7 +198,7 @@ def _rules(function: Callable[..., Any]) -> Rules:
             positional.append((name, rule))
         if rule is not None and parameter.kind is not parameter.POSITIONAL_ONLY:
             named[name] = rule
-    return tuple(positional), named, others
+    return ArgumentRules(tuple(positional), named, others)
 
 
 def _hints(thing: Any) -> dict[str, Any]:
@@ -217,12 +237,19 @@ def _rule(hint: Any) -> Rule:
     if isinstance(hint, type):
         name = hint.__name__
         article = "an" if name[0] in "AEIOU" else "a"
-        made = f" ({MADE_BY[name]})" if name in MADE_BY else ""
-        return _simple(f"{article} {name}{made}", f"{name} objects", lambda value: isinstance(value, hint))
+        created_by = f" ({CREATED_BY[name]})" if name in CREATED_BY else ""
+        needed = f"{article} {name}{created_by}"
+        return _simple(needed, f"{name} objects", lambda value: isinstance(value, hint))
     raise TypeError(f"no rule for the type hint {hint!r}")
 
 
 def _simple(needed: str, several: str, accepts: Callable[[Any], bool]) -> Rule:
+    """Return a rule for values that are valid or invalid as a whole.
+
+    Args:
+        needed, several: descriptions, see `Rule`; an empty `several` is replaced by `needed`.
+        accepts: function that returns True for a valid value.
+    """
     return Rule(needed, several or needed, lambda value: None if accepts(value) else Fault(value, needed))
 
 
@@ -233,12 +260,17 @@ SIMPLE: dict[Any, Rule] = {
     str: _simple("text", "", lambda value: isinstance(value, str)),
     bool: _simple("True or False", "", lambda value: isinstance(value, bool | np.bool_)),
 }
-"""Rules of hints without a range or parts. Functions convert what is like an array themselves."""
+"""Rules of hints that have neither a range nor parts, by hint.
 
-ANYTHING = (SIMPLE[Any], SIMPLE[ArrayLike])
+`ArrayLike` allows everything here, because functions convert and check such arguments themselves.
+"""
+
+ALLOWS_ANYTHING = (SIMPLE[Any], SIMPLE[ArrayLike])
+"""Rules that allow every value."""
 
 
 def _number(kind: type, span: Range) -> Rule:
+    """Return the rule of an integer or a finite float within a range; `kind` is int or float."""
     if kind is int:
         rule = _simple(
             f"a whole number{span}",
@@ -266,7 +298,11 @@ def _number(kind: type, span: Range) -> Rule:
 
 
 def _any_of(rules: Sequence[Rule]) -> Rule:
-    """Return the rule of a union; a part of a container is at fault if the container itself is valid."""
+    """Return the rule of a union: a value is valid if it satisfies one of several rules.
+
+    If no rule is satisfied, the fault is an invalid part of a container if one rule found such a part, else
+    the value.
+    """
     needed, several = (
         " or ".join(dict.fromkeys(words)) for words in zip(*(rule[:2] for rule in rules), strict=True)
     )
@@ -285,7 +321,7 @@ def _any_of(rules: Sequence[Rule]) -> Rule:
 
 
 def _tuple(rules: Sequence[Rule]) -> Rule:
-    """Return the rule of a tuple with one rule for each place."""
+    """Return the rule of a tuple of fixed length, with one rule for each item."""
     needed = f"({', '.join(rule.needed for rule in rules)})"
 
     def accepts(value: Any) -> bool:
@@ -297,18 +333,20 @@ def _tuple(rules: Sequence[Rule]) -> Rule:
 
 
 def _list(item: Rule) -> Rule:
-    """Return the rule of a list, a tuple or an array of some things; text is none."""
+    """Return the rule of a list, a tuple or an array whose items satisfy a rule; text does not count as a
+    list."""
     of = "" if item is SIMPLE[Any] else f" of {item.several}"
     needed = f"a list{of}"
 
     def fault(value: Any) -> Fault | None:
         if not is_series(value):
             return Fault(value, needed)
-        if item in ANYTHING:
+        if item in ALLOWS_ANYTHING:
             return None
         if item.array_fault and type(value) is np.ndarray and value.ndim == 1 and value.dtype.kind in "iuf":
             return item.array_fault(value)
-        items = value[:1] if isinstance(value, range) else value  # of any length; all are whole numbers
+        # a range may be very long; its items are all of one kind
+        items = value[:1] if isinstance(value, range) else value
         found = ((k, item.fault(each)) for k, each in enumerate(items))
         return next((part._replace(place=f"[{k}]{part.place}") for k, part in found if part), None)
 
@@ -316,7 +354,10 @@ def _list(item: Rule) -> Rule:
 
 
 def _iterable(item: Rule) -> Rule:
-    """Return the rule of some things in any container, or from a generator, which is read only once."""
+    """Return the rule of any iterable whose items satisfy a rule.
+
+    Items of a generator are not checked, because a generator can be read only once.
+    """
     several = _list(item)
 
     def fault(value: Any) -> Fault | None:
@@ -328,6 +369,7 @@ def _iterable(item: Rule) -> Rule:
 
 
 def _dictionary(key: Rule, item: Rule) -> Rule:
+    """Return the rule of a mapping whose keys and values satisfy one rule each."""
     values = "" if item is SIMPLE[Any] else f", values {item.several}"
     needed = f"a dictionary with keys {key.several}{values}"
 
@@ -345,8 +387,11 @@ def _dictionary(key: Rule, item: Rule) -> Rule:
 
 
 def is_series(value: object) -> bool:
-    """Return True for a list, a tuple, and an array of one dimension or more, of NumPy, pandas or another
-    package; text is none."""
+    """Return True for a list, a tuple, and an array of one dimension or more from NumPy, pandas or another
+    package.
+
+    Text is not a series.
+    """
     if isinstance(value, Sequence):
         return not isinstance(value, str | bytes)
     dimensions = getattr(value, "ndim", 0)
@@ -354,4 +399,5 @@ def is_series(value: object) -> bool:
 
 
 def _is_array(value: Any) -> bool:
+    """Return True for a NumPy array of numbers or generic scalars with one dimension or more."""
     return isinstance(value, np.ndarray) and value.ndim > 0 and value.dtype.kind in "iufO"

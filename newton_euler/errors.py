@@ -1,6 +1,7 @@
-"""Errors, one class per kind, all under `NewtonEulerError`.
+"""Error and warning classes, and functions that check values and raise these errors.
 
-Every error keeps the raw values it was raised with as attributes and reads as one line.
+All errors are subclasses of `NewtonEulerError`. The message of an error is one line: the element, what is
+wrong, and what is needed. The values of the message are also attributes of the error.
 """
 
 from __future__ import annotations
@@ -19,25 +20,30 @@ from numpy.typing import NDArray
 T = TypeVar("T")
 
 DISTRIBUTION = "crosscheck-dynamics"
-"""The name under which pip knows this project; another project has the name `crosscheck` on PyPI."""
+"""Name of this project's distribution for pip; another project has the name `crosscheck` on PyPI."""
 
-NEAR = 0.8
-"""Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
+MIN_NAME_SIMILARITY = 0.8
+"""Similarity (`difflib`, 0 to 1) from which a valid name is proposed for an unknown name: one wrong letter of
+six."""
 
 LONGEST_MESSAGE = 600
-"""Characters of a message. Names and values that others give have any length."""
+"""Largest number of characters of a message, because names and values from users may have any length."""
 
 LONGEST_LIST = 250
-"""Characters of the names that a message lists."""
+"""Largest number of characters of a list of names in a message."""
 
-PROPOSED = 3  # names that are proposed instead of an unknown one, as difflib has it
-DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # a number as people write it
+MAX_PROPOSED_NAMES = 3
+"""Number of similar names that a message proposes instead of an unknown name."""
+
+DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+"""Pattern of a decimal number as people write it, such as -1.5e3."""
 
 
 def one_line(text: str) -> str:
-    """Return a text as one line of printable characters, others as their codes.
+    """Convert text to one line of printable characters; other characters are replaced by their escape codes.
 
-    A text of more than `LONGEST_MESSAGE` characters keeps its beginning and its end, which states the reason.
+    If the text is longer than `LONGEST_MESSAGE`, its middle is omitted, because the end states the reason of
+    an error.
     """
     line = " ".join(text.split())
     if not line.isprintable():
@@ -47,7 +53,7 @@ def one_line(text: str) -> str:
 
 
 class NewtonEulerError(Exception):
-    """Base of every error that `newton_euler` raises on purpose; reads as one line.
+    """Base class of every error that `newton_euler` raises on purpose; the message is one line.
 
     Examples:
         >>> try:
@@ -65,8 +71,8 @@ class MissingPackageError(NewtonEulerError):
     """An optional package is not installed.
 
     Attributes:
-        package: its import name.
-        extra: the extra of this distribution that installs it.
+        package: import name of the package.
+        extra: name of the extra of this distribution (group of optional packages) that installs it.
     """
 
     def __init__(self, package: str, extra: str) -> None:
@@ -76,11 +82,18 @@ class MissingPackageError(NewtonEulerError):
         )
 
     def __reduce__(self) -> tuple[type[MissingPackageError], tuple[str, str]]:
+        """Return how to construct the error again when it is unpickled in another process."""
         return type(self), (self.package, self.extra)
 
 
 class MechanismError(NewtonEulerError):
-    """A mechanism or scene that cannot be: names the element, its value and what would be right."""
+    """An invalid value in a mechanism or scene.
+
+    Attributes:
+        element: name of the element, such as "joint 'hinge'".
+        problem: what is wrong, with the value.
+        needed: description of valid values.
+    """
 
     def __init__(self, element: str, problem: str, needed: str) -> None:
         self.element = element
@@ -90,7 +103,7 @@ class MechanismError(NewtonEulerError):
 
 
 def is_finite_number(value: object) -> bool:
-    """True if a value is a real number of Python or NumPy that a float can hold; truth values are none."""
+    """Return True for a finite real number of Python or NumPy in the range of floats; False for booleans."""
     try:
         return _is_real(value) and bool(np.isfinite(float(value)))
     except OverflowError:
@@ -98,7 +111,8 @@ def is_finite_number(value: object) -> bool:
 
 
 def _is_real(value: object) -> TypeGuard[Real]:
-    """True if a value is a real number; time spans of NumPy are integers by their class, and none."""
+    """Return True for a real number; False for booleans and NumPy time spans, which are subclasses of
+    integers."""
     return isinstance(value, Real) and not isinstance(value, bool | np.timedelta64)
 
 
@@ -106,8 +120,8 @@ def real_array(value: object) -> NDArray[Any]:
     """Convert real numbers of Python or NumPy to a new array of floats.
 
     Raises:
-        TypeError, ValueError, OverflowError: for all else that NumPy converts, text, truth values and times
-            among it, for numbers that are masked, rows of different lengths, and numbers beyond floats.
+        TypeError, ValueError, OverflowError: for other values, such as text, booleans and times, for masked
+            numbers, rows of different lengths, and numbers beyond the range of floats.
     """
     try:
         if _masks(value):
@@ -115,33 +129,35 @@ def real_array(value: object) -> NDArray[Any]:
         array = np.asarray(value)
     except (MemoryError, RecursionError) as error:
         raise ValueError("has lists that are too deep, or too many numbers") from error
-    of_objects = array.dtype.kind == "O" and all(map(_is_real, array.flat))
-    if array.dtype.kind not in "iuf" and not of_objects:
+    holds_numbers = array.dtype.kind == "O" and all(map(_is_real, array.flat))
+    if array.dtype.kind not in "iuf" and not holds_numbers:
         raise ValueError("has something else than real numbers")
     return array.astype(float)
 
 
 def _masks(value: object) -> bool:
-    """True if a value, or one of those in it, is a masked array with something that is masked."""
+    """Return True if a value is, or as a list contains, a NumPy masked array with a masked number."""
     if isinstance(value, np.ma.MaskedArray):
         return bool(np.ma.is_masked(value))
     return isinstance(value, list | tuple) and any(map(_masks, value))
 
 
 def quoted(value: object, length: int = 100) -> str:
-    """Return a value as Python shows it, or its beginning, for messages."""
+    """Return the `repr` of a value for a message, cut to a number of characters; never raises an error."""
     try:
         return f"{value!r:.{length}}"
-    except ValueError:  # Python shows no whole numbers of thousands of digits
+    except ValueError:  # Python refuses to format integers of thousands of digits
         return f"{type(value).__name__} with too many digits"
-    except Exception:  # lists that are too deep, and whatever the classes of others raise
+    except Exception:  # lists that are nested too deeply, and any error of a user's class
         return f"{type(value).__name__} that cannot be shown"
 
 
 def plain_number(text: str) -> float:
-    """Return a finite number from its decimal digits; raises `ValueError` for all else that `float` reads.
+    """Convert a decimal number in text to a finite float.
 
-    Such as 1_0, digits of other alphabets and nan.
+    Raises:
+        ValueError: for other text, also if `float` accepts it, such as "1_0", "nan" and digits of other
+            scripts.
     """
     if not DECIMAL.fullmatch(text):
         raise ValueError(f"{text!r:.100} is no number")
@@ -151,17 +167,23 @@ def plain_number(text: str) -> float:
 
 
 def is_count(value: object) -> bool:
-    """True if a value is a whole number of Python or NumPy, 1 or more; truth values are none."""
+    """Return True for an integer of Python or NumPy that is 1 or more; False for booleans."""
     return is_whole(value) and int(value) >= 1
 
 
 def is_whole(value: object) -> TypeGuard[Integral]:
-    """True if a value is a whole number of Python or NumPy; truth values are none."""
+    """Return True for an integer of Python or NumPy; False for booleans."""
     return isinstance(value, Integral) and _is_real(value)
 
 
 def check_key(where: str, joint: object, coordinate: object) -> None:
-    """Raise `MechanismError` for what is no name of a joint, and no whole number."""
+    """Raise `MechanismError` unless a joint coordinate consists of text (name of a joint) and an integer
+    (index).
+
+    Args:
+        where: name of the element that refers to the coordinate, for the message.
+        joint, coordinate: the two values.
+    """
     if not isinstance(joint, str):
         raise MechanismError(where, f"joint is {quoted(joint)}", "a name")
     if not is_whole(coordinate):
@@ -169,7 +191,13 @@ def check_key(where: str, joint: object, coordinate: object) -> None:
 
 
 def check_texts(where: str, thing: object, *fields: str) -> None:
-    """Raise `MechanismError` unless these attributes, names of elements, are text."""
+    """Raise `MechanismError` unless the given attributes of an object, which are names of elements, are text.
+
+    Args:
+        where: name of the object, for the message.
+        thing: the object.
+        fields: names of the attributes.
+    """
     for field in fields:
         value = getattr(thing, field)
         if not isinstance(value, str):
@@ -177,13 +205,23 @@ def check_texts(where: str, thing: object, *fields: str) -> None:
 
 
 def check_flag(where: str, thing: object, field: str) -> None:
-    """Raise `MechanismError` unless this attribute is a truth value."""
+    """Raise `MechanismError`, naming `where`, unless an attribute of an object is a boolean."""
     if not isinstance(value := getattr(thing, field), bool):
         raise MechanismError(where, f"{field} is {quoted(value)}", "True or False")
 
 
 def finite_array(element: str, name: str, value: object, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Convert a value to a read-only array of finite numbers; raises `MechanismError`."""
+    """Convert a value to a read-only array of finite floats.
+
+    Args:
+        element: name of the element, for the message.
+        name: name of the attribute, for the message.
+        value: the value.
+        shape: required shape of the array; () for a number.
+
+    Raises:
+        MechanismError: for numbers that are not finite, another shape, and anything but numbers.
+    """
     try:
         array = real_array(value)
     except (TypeError, ValueError, OverflowError):
@@ -197,14 +235,33 @@ def finite_array(element: str, name: str, value: object, shape: tuple[int, ...])
 
 
 def set_arrays(thing: object, element: str, **shapes: tuple[int, ...]) -> None:
-    """Replace attributes by read-only arrays of these shapes, or floats for (); raises `MechanismError`."""
+    """Convert attributes of a frozen object to read-only arrays, or to floats for the shape ().
+
+    Args:
+        thing: the object.
+        element: name of the object, for the message.
+        shapes: required shape by the name of the attribute.
+
+    Raises:
+        MechanismError: as `finite_array`.
+    """
     for name, shape in shapes.items():
         value = finite_array(element, name, getattr(thing, name), shape)
         object.__setattr__(thing, name, value if shape else float(value))
 
 
 def set_numbers(thing: object, element: str, names: Iterable[str], least: float = -np.inf) -> None:
-    """Replace attributes by floats of at least `least`; raises `MechanismError`."""
+    """Convert attributes of a frozen object to floats.
+
+    Args:
+        thing: the object.
+        element: name of the object, for the message.
+        names: names of the attributes.
+        least: smallest allowed value.
+
+    Raises:
+        MechanismError: for a value that is not a finite number, or is too small.
+    """
     for name in names:
         value: Any = getattr(thing, name)
         if not is_finite_number(value) or value < least:
@@ -214,7 +271,8 @@ def set_numbers(thing: object, element: str, names: Iterable[str], least: float 
 
 
 def items_of(given: object) -> tuple[Any, ...] | None:
-    """Return the items of a container; None for what is none, and for more items than memory holds."""
+    """Return the items of a container as a tuple; None for text, for values that are no container, and
+    without memory."""
     if not isinstance(given, Iterable) or isinstance(given, str | bytes):
         return None
     if isinstance(given, np.ndarray) and given.ndim == 0:
@@ -226,7 +284,17 @@ def items_of(given: object) -> tuple[Any, ...] | None:
 
 
 def elements_of(where: str, field: str, given: Iterable[T], *kinds: type[T]) -> tuple[T, ...]:
-    """Return elements of some kinds as a tuple; raises `MechanismError` for anything else."""
+    """Return the items of a container as a tuple, after a check of their classes.
+
+    Args:
+        where: name of the owner of the elements, for the message.
+        field: name of the attribute that holds the elements, for the message.
+        given: the container.
+        kinds: allowed classes of the elements.
+
+    Raises:
+        MechanismError: for a value that is not a container, and an element of another class.
+    """
     needed = f"a tuple of {' or '.join(kind.__name__ for kind in kinds)}"
     elements = items_of(given)
     if elements is None:
@@ -238,14 +306,15 @@ def elements_of(where: str, field: str, given: Iterable[T], *kinds: type[T]) -> 
 
 
 def choices(name: object, valid: Iterable[str]) -> str:
-    """Word the valid names for somebody who gave another one, beginning with the nearest if one is near."""
+    """Return text for a message about an unknown name: the most similar valid name, if any, and all valid
+    names."""
     names = list(valid)
-    near = get_close_matches(quoted(name).strip("'"), names, 1, NEAR)
-    return "".join(f"did you mean {each!r}? " for each in near) + f"choose from: {listed(names)}"
+    similar = get_close_matches(quoted(name).strip("'"), names, 1, MIN_NAME_SIMILARITY)
+    return "".join(f"did you mean {each!r}? " for each in similar) + f"choose from: {listed(names)}"
 
 
 def listed(names: Iterable[object]) -> str:
-    """Return names with commas between them, of a long list the first ones and the number of the others.
+    """Join names by commas; of a long list the first names and the number of the other names.
 
     Examples:
         >>> listed(["crank", "coupler"])
@@ -256,46 +325,54 @@ def listed(names: Iterable[object]) -> str:
     texts = list(map(str, names))
     lengths = accumulate(len(text) + 2 for text in texts)
     count = max(1, sum(length <= LONGEST_LIST for length in lengths))
-    more = len(texts) - count
-    return ", ".join(texts[:count]) + (f" and {more} other{'s' * (more > 1)}" if more > 0 else "")
+    others = len(texts) - count
+    return ", ".join(texts[:count]) + (f" and {others} other{'s' * (others > 1)}" if others > 0 else "")
 
 
 def nearest(name: object, valid: Iterable[str]) -> tuple[str, ...]:
-    """Return the valid names that are nearest to another one, where all of them are too many to list."""
-    return tuple(get_close_matches(quoted(name).strip("'"), list(valid), PROPOSED, 0.0))
+    """Return the valid names that are most similar to an unknown name, if there are too many valid names to
+    list."""
+    return tuple(get_close_matches(quoted(name).strip("'"), list(valid), MAX_PROPOSED_NAMES, 0.0))
 
 
 class UnknownNameError(NewtonEulerError):
-    """A name that is not among the valid ones.
+    """A name that is not among the valid names.
 
     Attributes:
-        what: kind of what is named.
-        name: that is unknown.
-        valid: all names that are known, or, if `proposed`, some of them that may be meant.
+        what: kind of thing that the name should name, such as "joint".
+        name: the unknown name.
+        valid: all valid names, or, if the argument `proposed` is True, a few similar ones.
     """
 
     def __init__(self, what: str, name: object, valid: tuple[str, ...], proposed: bool = False) -> None:
         self.what = what
         self.name = name
         self.valid = valid
-        said = f"did you mean {', '.join(map(repr, valid))}?" if proposed else choices(name, valid)
-        super().__init__(f"unknown {what} {quoted(name)}; {said}")
+        advice = f"did you mean {', '.join(map(repr, valid))}?" if proposed else choices(name, valid)
+        super().__init__(f"unknown {what} {quoted(name)}; {advice}")
 
 
 def check_choice(what: str, name: object, valid: Collection[str]) -> None:
-    """Raise `UnknownNameError` for anything that is not among the valid names."""
+    """Raise `UnknownNameError` for a value that is not among the valid names; `what` is the kind of named
+    thing."""
     if not isinstance(name, str) or name not in valid:
         raise UnknownNameError(what, name, tuple(valid))
 
 
 def check_choices(what: str, names: Iterable[str], valid: Collection[str]) -> None:
-    """Raise `UnknownNameError` for the first name that is not among the valid ones."""
+    """Raise `UnknownNameError` for the first of several names that is not valid, see `check_choice`."""
     for name in names:
         check_choice(what, name, valid)
 
 
 class OptionError(NewtonEulerError):
-    """An option of a solver with a value that it cannot take."""
+    """An option of a solver or command with an invalid value.
+
+    Attributes:
+        option: name of the option.
+        value: the invalid value.
+        needed: description of valid values.
+    """
 
     def __init__(self, option: str, value: object, needed: str) -> None:
         self.option = option
@@ -305,13 +382,13 @@ class OptionError(NewtonEulerError):
 
 
 class ArgumentError(OptionError):
-    """An argument of a public function that is of another type than its hint, or out of its range.
+    """An argument of a public function with a value that its type hint excludes.
 
     Attributes:
         function: name of the function.
         option: name of the argument.
-        value: the argument, or the part of it that is at fault.
-        needed: description of the valid values.
+        value: the argument, or the invalid part of it.
+        needed: description of valid values.
 
     Examples:
         >>> try:
@@ -330,7 +407,13 @@ class ArgumentError(OptionError):
 
 
 class AssemblyError(NewtonEulerError):
-    """Positions or velocities that cannot be made to meet the constraints."""
+    """Positions or velocities that cannot be corrected to satisfy the joint constraints.
+
+    Attributes:
+        joint: name of the joint with the largest constraint violation.
+        violation: its violation after the assembly, m or rad.
+        tolerance: largest allowed violation.
+    """
 
     def __init__(self, joint: str, violation: float, tolerance: float) -> None:
         self.joint = joint
@@ -343,7 +426,8 @@ class AssemblyError(NewtonEulerError):
 
 
 class NearlyRedundantWarning(UserWarning):
-    """Constraints that noise in the numbers of a mechanism keeps from being redundant.
+    """Constraints that would be redundant without noise in the numbers of the mechanism, such as rounded
+    points.
 
     Examples:
         >>> import warnings
@@ -352,11 +436,11 @@ class NearlyRedundantWarning(UserWarning):
 
 
 class RoundOffWarning(UserWarning):
-    """A tolerance that is smaller than the round-off of the equations of motion.
+    """An integration tolerance that is below the round-off of the equations of motion.
 
     Attributes:
-        excess: the largest error estimate of a step that round-off explains, in units of the tolerance.
-        rtol: a tolerance that the equations can meet.
+        excess: largest error estimate of a step that is due to round-off, in units of the tolerance.
+        rtol: proposed relative tolerance, which round-off allows.
 
     Examples:
         >>> import warnings
@@ -375,7 +459,8 @@ class RoundOffWarning(UserWarning):
 
 
 class IdentificationWarning(UserWarning):
-    """Scenes that cannot move as measured, parameters that are not determined, and fits that ended early.
+    """Problems of an identification: motion that the scene cannot follow, parameters not identifiable, fits
+    cut short.
 
     Examples:
         >>> import warnings
@@ -384,7 +469,12 @@ class IdentificationWarning(UserWarning):
 
 
 class SingularityError(NewtonEulerError):
-    """Equations of motion without a unique solution, and the joint they fail at."""
+    """Equations of motion without a unique solution.
+
+    Attributes:
+        joint: name of the joint whose equations are dependent.
+        reason: why the solution is not unique.
+    """
 
     def __init__(self, joint: str, reason: str) -> None:
         self.joint = joint
@@ -393,7 +483,11 @@ class SingularityError(NewtonEulerError):
 
 
 class SensitivityError(NewtonEulerError):
-    """A run that has no derivatives, or whose derivatives are not known."""
+    """A run whose derivatives with respect to parameters do not exist or are not implemented.
+
+    Attributes:
+        reason: why there are no derivatives.
+    """
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -401,7 +495,14 @@ class SensitivityError(NewtonEulerError):
 
 
 class VerificationError(NewtonEulerError):
-    """A scene that is not what the file says: the first figure that differs, and where."""
+    """An imported scene that does not match its model file.
+
+    Attributes:
+        quantity: name of the first check that fails.
+        value: value of the check.
+        tolerance: largest allowed value.
+        where: element of the file where the check fails.
+    """
 
     def __init__(self, quantity: str, value: float, tolerance: float, where: str) -> None:
         self.quantity = quantity

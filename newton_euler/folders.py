@@ -1,4 +1,4 @@
-"""Folders that are made for files."""
+"""Create folders for output files, with a limit on their depth."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import errno
 from pathlib import Path
 
 MAX_DEPTH = 200
-"""Parts of the path of a new folder. `Path.mkdir` calls itself for each, and Python allows 1000 calls."""
+"""Largest number of parts in the path of a new folder. `Path.mkdir` calls itself once for each missing
+parent, and Python allows about 1000 nested calls."""
 
 
 def make_folder(folder: Path, mode: int = 0o777) -> None:
-    """Make a folder and those around it, if there is none.
+    """Create a folder and its missing parents; an existing folder stays unchanged.
 
     Args:
-        mode: permissions of the folder, not of those around it.
+        folder: path of the folder.
+        mode: permissions of the new folder, not of its parents.
 
     Raises:
-        OSError: for a folder that cannot be made, or that is new and more than `MAX_DEPTH` deep.
+        OSError: for a folder that cannot be created, and for a new folder whose path has more than
+            `MAX_DEPTH` parts.
     """
     if len(folder.parts) > MAX_DEPTH and not folder.is_dir():
         problem = f"{len(folder.parts)} folders inside of each other, at most {MAX_DEPTH}"

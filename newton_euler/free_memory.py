@@ -1,4 +1,8 @@
-"""Memory that a process may still take: what the machine and the control groups of Linux leave."""
+"""Free memory for this process: the minimum of what the machine and the Linux control groups (containers)
+leave.
+
+`newton_euler.limits` derives the memory limit of processes that read untrusted files from it.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +10,29 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-UNKNOWN = 2_000_000_000
-"""Bytes where the system does not tell, as on systems other than Linux: what most machines have."""
+DEFAULT_FREE_BYTES = 2_000_000_000
+"""Free memory, bytes, that is assumed on systems other than Linux; most machines have more."""
 
 
 def free_memory(root: Path = Path("/")) -> int:
-    """Compute the bytes of memory that this process may still take.
+    """Compute the bytes of memory that this process can still allocate.
 
-    The least of what the machine has available and of what each control group around the process leaves.
+    The result is the minimum of the available memory of the machine and of the memory left in each control
+    group of the process.
 
     Args:
-        root: folder with `proc` and `sys`, another one in tests.
+        root: folder that contains `proc` and `sys`; tests pass another folder.
     """
-    found = [*_of_machine(root / "proc" / "meminfo"), *_of_groups(root)]
-    return max(0, min(found, default=UNKNOWN))
+    found = [*_machine_bytes(root / "proc" / "meminfo"), *_control_group_bytes(root)]
+    return max(0, min(found, default=DEFAULT_FREE_BYTES))
 
 
-def _of_machine(file: Path) -> Iterator[int]:
-    """Yield the machine's available bytes, from a line such as `MemAvailable:  123 kB`."""
+def _machine_bytes(file: Path) -> Iterator[int]:
+    """Yield the available memory of the machine, bytes, from a line such as `MemAvailable:  123 kB` in
+    `meminfo`.
+
+    Nothing is yielded if the file does not exist.
+    """
     with suppress(OSError, ValueError):
         for line in file.read_text().splitlines():
             name, _, amount = line.partition(":")
@@ -31,11 +40,13 @@ def _of_machine(file: Path) -> Iterator[int]:
                 yield 1024 * int(amount.split()[0])
 
 
-def _of_groups(root: Path) -> Iterator[int]:
-    """Yield what each control group leaves: its limit less its use.
+def _control_group_bytes(root: Path) -> Iterator[int]:
+    """Yield the memory left in each control group of this process, bytes: the limit of the group minus its
+    usage.
 
-    Groups of version 2 have an empty list of controllers in `/proc/self/cgroup`, those of version 1 the
-    controller `memory`. In a container the path may be that of the host, whose group is then the root's.
+    Lines of `/proc/self/cgroup` are ID:CONTROLLERS:PATH. The list of controllers is empty for version 2 of
+    control groups, and contains `memory` for version 1. In a container, PATH may not exist below
+    `/sys/fs/cgroup`; the group at the root of that folder is then the group of the container.
     """
     lines: list[str] = []
     with suppress(OSError):
@@ -43,14 +54,18 @@ def _of_groups(root: Path) -> Iterator[int]:
     mount = root / "sys" / "fs" / "cgroup"
     for line in lines:
         _, controllers, path = line.split(":", 2)
-        if controllers == "":
-            files = mount, "memory.max", "memory.current"
-        elif "memory" in controllers.split(","):
-            files = mount / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
+        if controllers == "":  # version 2
+            folder, limit_file, usage_file = mount, "memory.max", "memory.current"
+        elif "memory" in controllers.split(","):  # version 1
+            folder, limit_file, usage_file = (
+                mount / "memory",
+                "memory.limit_in_bytes",
+                "memory.usage_in_bytes",
+            )
         else:
             continue
-        folder, most, used = files
-        own = PurePosixPath(path.lstrip("/"))
-        for group in (own, *own.parents):
-            with suppress(OSError, ValueError):  # `max` is no limit
-                yield int((folder / group / most).read_text()) - int((folder / group / used).read_text())
+        process_group = PurePosixPath(path.lstrip("/"))
+        for group in (process_group, *process_group.parents):
+            with suppress(OSError, ValueError):  # no such group, or the word "max" for no limit
+                limit = int((folder / group / limit_file).read_text())
+                yield limit - int((folder / group / usage_file).read_text())

@@ -1,8 +1,9 @@
 """Limits on the size of models, runs and files, in one table.
 
-Limits keep a broken or hostile file from taking all memory or hours of time. Each limit is checked where its
-quantity is first known, before work begins. `crosscheck list -v` shows all limits, and `--set NAME=VALUE`
-changes one limit.
+Limits prevent that a broken or hostile file takes all memory or hours of time. Each limit is checked where
+its quantity is first known, before work begins. The command `crosscheck list -v` shows all limits, and the
+option `--set NAME=VALUE` changes one limit. Changes are stored in an environment variable, so that child
+processes inherit them.
 """
 
 from __future__ import annotations
@@ -16,16 +17,18 @@ from dataclasses import dataclass
 from newton_euler.errors import OptionError, UnknownNameError, plain_number
 from newton_euler.free_memory import free_memory
 
-VARIABLE = "NEWTON_EULER_LIMITS"  # of the environment, `NAME=VALUE NAME=VALUE`; started processes inherit it
+VARIABLE = "NEWTON_EULER_LIMITS"
+"""Name of the environment variable that holds changed limits, as `NAME=VALUE NAME=VALUE`."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """One limit.
+    """One limit of the table `LIMITS`.
 
     Attributes:
-        default: value without a change; None for a share of the free memory, see `memory_limit`.
-        unit: unit of the number, or the things that are counted.
+        default: value of the limit unless it is changed; None for `memory_limit()`, which depends on the free
+            memory.
+        unit: unit of the value, or the kind of things that are counted.
         meaning: explanation for `crosscheck list -v`.
     """
 
@@ -63,16 +66,17 @@ LIMITS = {
     "coverage_time": Limit(60, "s", "of processor time to work out what the motion covers"),
     "time": Limit(600, "s", "of processor time for the run of one engine, and for one comparison"),
 }
-"""Limits by their names."""
+"""All limits by name."""
 
-MB = 1_000_000  # bytes
+MB = 1_000_000
+"""Bytes per megabyte."""
 
 MAX_BYTES = 2**62
 """Largest byte count that operating systems accept as a limit and that Python reads at once."""
 
 MAX_MEMORY_MB = 4000
-"""Default memory limit, MB, of a process that reads a file from an untrusted source. The largest public
-models known compile in 1400 MB."""
+"""Upper bound, MB, of the default memory limit of a process that reads an untrusted file. The largest known
+public models compile in 1400 MB."""
 
 
 def limit(name: str) -> float:
@@ -93,23 +97,31 @@ def memory_limit() -> float:
 
 
 def exceeded(name: str, value: float) -> str:
-    """Describe a value above a limit with the setting that allows the value; empty for an allowed value."""
-    most = limit(name)
-    if value <= most:
+    """Return an error message for a value above a limit, or an empty string for an allowed value.
+
+    The message contains the option `--set` with which the value would be allowed.
+
+    Args:
+        name: name of the limit.
+        value: value of the limited quantity, in the unit of the limit.
+    """
+    maximum = limit(name)
+    if value <= maximum:
         return ""
     unit = LIMITS[name].unit
     if not math.isfinite(value):
-        return f"more {unit} than a number can hold, at most {most:.7g}"
-    return f"{value:.9g} {unit}, at most {most:.7g}; to allow it: --set {name}={math.ceil(value):d}"
+        return f"more {unit} than a number can hold, at most {maximum:.7g}"
+    return f"{value:.9g} {unit}, at most {maximum:.7g}; to allow it: --set {name}={math.ceil(value):d}"
 
 
 def too_small(name: str) -> str:
-    """Name a setting that raises a limit, for an object of unknown size that exceeds the limit."""
+    """Return advice to set a limit to four times its value, for a quantity that exceeds it by an unknown
+    amount."""
     return f"to allow more: --set {name}={number_text(4 * limit(name))}"
 
 
 def number_text(number: float) -> str:
-    """Format a number with six digits, or as Python does if shorter: 1e-320, not 9.99989e-321."""
+    """Format a number with six digits, or as `repr` does if that is shorter: 1e-320, not 9.99989e-321."""
     return min(f"{number:g}", repr(number), key=len)
 
 
@@ -121,6 +133,9 @@ def size_in_bytes(name: str) -> int:
 @contextmanager
 def changed(changes: Mapping[str, str | float]) -> Iterator[None]:
     """Change limits within a `with` block, also for processes that are started in the block.
+
+    Args:
+        changes: new values by the name of the limit, as numbers or text.
 
     Raises:
         UnknownNameError: for an unknown limit.
@@ -141,12 +156,19 @@ def changed(changes: Mapping[str, str | float]) -> Iterator[None]:
 
 
 def _changes(text: str) -> dict[str, float]:
-    """Parse the changed limits in a text; raises the errors of `changed`."""
+    """Parse text of the form `NAME=VALUE NAME=VALUE` to values by limit name; raises the errors of
+    `changed`."""
     pairs = (pair.partition("=") for pair in text.split())
     return {name: _checked(name, value) for name, _, value in pairs}
 
 
 def _checked(name: str, value: str | float) -> float:
+    """Convert the value of a limit to a float.
+
+    Raises:
+        UnknownNameError: for an unknown limit.
+        OptionError: for a value that is not a positive finite number.
+    """
     if name not in LIMITS:
         raise UnknownNameError("limit", name, tuple(LIMITS))
     try:

@@ -17,10 +17,13 @@ def optional_package(module: str, extra: str) -> Any:
 
     Args:
         module: dotted name, such as "SALib.analyze.sobol".
-        extra: the group of optional packages that the package belongs to.
+        extra: name of the group of optional packages to which the package belongs, such as "sweep".
+
+    Returns:
+        The imported module.
 
     Raises:
-        MissingPackageError: if the package, or one that it imports, is not installed.
+        MissingPackageError: if the package, or another package that it imports, is not installed.
     """
     try:
         return import_module(module)

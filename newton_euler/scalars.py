@@ -1,9 +1,11 @@
-"""Arrays of generic scalars: the few functions that floats and other scalars do not share.
+"""Arithmetic on arrays of generic scalars, so that the same equations work for floats and for other kinds of
+numbers.
 
-The equations of this package are written over arrays whose elements are floats or any scalar
-with the four operations. NumPy gives `+ - * @` for both (an array of anything but numbers has
-dtype object); what differs is here. A scalar other than a number supplies methods `sin`, `cos`,
-`sqrt` and `arctan2`, the names NumPy itself looks up on objects.
+The equations of this package accept arrays whose elements are floats, or objects with the operations + - * /.
+Such generic scalars are the symbols of the code generator (`newton_euler.codegen`) and `Stack`s (many numbers
+that are computed at once). NumPy provides + - * @ for all of them: an array of objects has the dtype object.
+This module provides the functions that NumPy does not provide for both kinds (`sin`, `sqrt`, `cross`, ...). A
+generic scalar has methods `sin`, `cos`, `sqrt` and `arctan2`, as NumPy expects of objects.
 """
 
 from __future__ import annotations
@@ -14,17 +16,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[Any]  # an array of floats (dtype float64) or of generic scalars (dtype object)
-Floats = NDArray[np.float64]  # an array of floats
-Scalar = Any  # A float or a generic scalar
+Array = NDArray[Any]
+"""An array of floats (dtype float64) or of generic scalars (dtype object)."""
 
-NUMBERS = (float, int)  # plain ones; `isinstance` takes a tuple in a third of the time of a union
-LOWER = np.tri(3, dtype=bool)  # the lower triangle of a (3, 3) matrix, with its diagonal
-TERMS, SQUARES = 14, 6  # of the exponential function: (20 / 2^6)^15 / 15! is 1e-20
+Floats = NDArray[np.float64]
+"""An array of floats."""
+
+Scalar = Any
+"""A float or a generic scalar."""
+
+NUMBERS = (float, int)
+"""Types of plain numbers, for `isinstance`; a tuple is three times as fast there as a union of types."""
+
+_LOWER_TRIANGLE = np.tri(3, dtype=bool)
+"""(3, 3) mask of the lower triangle of a matrix, with the diagonal."""
 
 
 class Stack:
-    """Numbers (n,) of one quantity at n times, as one generic scalar; NumPy takes arrays of such apart."""
+    """Numbers (n,) of one quantity, such as its values at n times, as one generic scalar.
+
+    Operations act on all n numbers at once. For an operation with an array, the operators return
+    NotImplemented, so that NumPy applies the operation to each element of the array.
+
+    Attributes:
+        numbers: (n,) floats.
+    """
 
     __slots__ = ("numbers",)
 
@@ -68,19 +84,29 @@ class Stack:
 
 
 def _numbers(scalar: Any) -> Any:
+    """Return the array of a `Stack`, or a plain number unchanged."""
     return scalar.numbers if isinstance(scalar, Stack) else scalar
 
 
 def unstacked(scalars: Sequence[Any] | Array, count: int) -> Array:
-    """Collect k scalars, stacks or numbers, as an array (count, k)."""
-    found = np.empty((count, len(scalars)))
-    for column, scalar in zip(found.T, scalars, strict=True):
+    """Convert k scalars (`Stack`s of `count` numbers, or plain numbers) to an array of floats (count, k)."""
+    floats = np.empty((count, len(scalars)))
+    for column, scalar in zip(floats.T, scalars, strict=True):
         column[:] = _numbers(scalar)
-    return found
+    return floats
 
 
 def mapped(function: Callable[[Array], Array], array: Array) -> Array:
-    """Apply a function of an array of numbers; to an array of stacks for each of their numbers in turn."""
+    """Apply a function for float arrays to an array of floats, or of `Stack`s.
+
+    Args:
+        function: converts an array of floats with the shape of `array` to an array of floats (m,).
+        array: floats or `Stack`s of n numbers.
+
+    Returns:
+        The result (m,). For `Stack`s the function is called n times, and the result has `Stack`s of n
+        numbers.
+    """
     if array.dtype != object:
         return function(array)
     count = max(len(scalar.numbers) for scalar in array.flat if isinstance(scalar, Stack))
@@ -89,47 +115,53 @@ def mapped(function: Callable[[Array], Array], array: Array) -> Array:
 
 
 def objects(scalars: Sequence[Any]) -> Array:
-    """Make an object array of scalars, which NumPy must not look into."""
+    """Return an object array (k,) of k scalars; `numpy.array` would convert some kinds of scalars to
+    numbers."""
     array = np.empty(len(scalars), dtype=object)
     array[:] = scalars
     return array
 
 
 def zeros(shape: int | tuple[int, ...], *like: Array) -> Array:
-    """Make zeros of the given shape that can hold the scalars of all arrays in `like`."""
+    """Return zeros of a shape, with a dtype that can hold the scalars of all arrays in `like`."""
     generic = any(np.asarray(a).dtype == object for a in like)
     return np.zeros(shape, dtype=object if generic else float)
 
 
 def sin(x: Scalar) -> Scalar:
-    """Sine of an angle in radians."""
+    """Return the sine of an angle in radians."""
     return np.sin(x) if isinstance(x, float) else x.sin()
 
 
 def cos(x: Scalar) -> Scalar:
-    """Cosine of an angle in radians."""
+    """Return the cosine of an angle in radians."""
     return np.cos(x) if isinstance(x, float) else x.cos()
 
 
 def sqrt(x: Scalar) -> Scalar:
-    """Square root."""
+    """Return the square root."""
     return np.sqrt(x) if isinstance(x, float) else x.sqrt()
 
 
 def exp(x: Scalar) -> Scalar:
-    """Exponential function, for |x| up to 20; of generic scalars by Taylor's series, and squares."""
+    """Return the exponential function of x, for |x| up to 20.
+
+    For generic scalars, exp(x) = exp(x / 2^6)^(2^6), and exp(x / 2^6) is computed by its Taylor series.
+    """
     if isinstance(x, float):
         return np.exp(x)
-    x, found = x / 2.0**SQUARES, 1.0
-    for k in range(TERMS, 0, -1):
-        found = 1.0 + found * x / float(k)
-    for _ in range(SQUARES):
-        found = found * found
-    return found
+    squarings, terms = 6, 14  # the first omitted term of the series is (20 / 2^6)^15 / 15! = 2e-20
+    x, power = x / 2.0**squarings, 1.0
+    for k in range(terms, 0, -1):
+        power = 1.0 + power * x / float(k)
+    for _ in range(squarings):
+        power = power * power
+    return power
 
 
 def arctan2(y: Scalar, x: Scalar) -> Scalar:
-    """Angle of the point (x, y) in radians, in (-pi, pi]; a number y is not zero where x is none."""
+    """Return the angle of the point (x, y), rad, in (-pi, pi]. If y is a float and x is not, y must not be
+    zero."""
     if not isinstance(y, float):
         return y.arctan2(x)
     if isinstance(x, float):
@@ -139,29 +171,32 @@ def arctan2(y: Scalar, x: Scalar) -> Scalar:
 
 
 def minimum(x: Scalar, y: Scalar) -> Scalar:
-    """The lesser of two scalars."""
+    """Return the smaller of two scalars; generic scalars need a method `minimum`."""
     if isinstance(x, float) and isinstance(y, float):
         return min(x, y)
     return y.minimum(x) if isinstance(x, float) else x.minimum(y)
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product of two (3,) vectors; much quicker than `numpy.cross` on one pair."""
+    """Return the cross product of two vectors (3,); much faster than `numpy.cross` for one pair."""
     return np.array(cross_of(a.tolist(), b.tolist()))
 
 
 def cross_of(a: Sequence[Scalar], b: Sequence[Scalar]) -> list[Scalar]:
-    """Cross product of three scalars each; Python's floats are quicker than elements of arrays."""
+    """Return the cross product of two sequences of three scalars; faster with lists of floats than with
+    arrays."""
     (x, y, z), (u, v, w) = a, b
     return [y * w - z * v, z * u - x * w, x * v - y * u]
 
 
 def tilde(a: Array) -> Array:
-    """The (3, 3) skew-symmetric matrix with `tilde(a) @ b == cross(a, b)` for a (3,) vector."""
+    """Return the skew-symmetric matrix (3, 3) of a vector a (3,): `tilde(a) @ b == cross(a, b)` for any b
+    (3,)."""
     x, y, z = a.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def symmetric(matrix: Array) -> Array:
-    """Copy the lower triangle of a (3, 3) matrix that is symmetric but for round-off to the upper one."""
-    return np.where(LOWER, matrix, matrix.T)
+    """Return a matrix (3, 3) with its upper triangle replaced by the lower one, to remove round-off
+    asymmetry."""
+    return np.where(_LOWER_TRIANGLE, matrix, matrix.T)

@@ -74,7 +74,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
-from newton_euler.errors import PROPOSED, MechanismError, UnknownNameError, nearest
+from newton_euler.errors import MAX_PROPOSED_NAMES, MechanismError, UnknownNameError, nearest
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Law
 from newton_euler.model.fields import NumberField
@@ -323,7 +323,7 @@ def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name:
                 count = np.size(getattr(term, field))
                 found += [f"{base}.{place + i}" for i in range(count) if field == wanted]
                 place += count
-    return tuple(found[:PROPOSED])
+    return tuple(found[:MAX_PROPOSED_NAMES])
 
 
 def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:

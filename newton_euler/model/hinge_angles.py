@@ -1,13 +1,12 @@
-"""Angles and constraints of two or three hinges in a row between two bodies i and j, with massless links
-between.
+"""Angles and constraints of two or three hinges in a row between two bodies i and j.
 
 `newton_euler.model.compound_joint.Compound` builds its coordinates and constraints from these classes.
 
 Angles. The first axis is fixed in body i and the last axis in body j. If there are three axes, the middle
-axis keeps its angles to the other two axes, and stays on the same side of their plane. The middle axis is
-therefore known from the orientations of the bodies, unless all three axes are in one plane (gimbal lock). Let
-a_k be the unit axes, x_k the angles, x_k' their rates, omega and alpha the angular velocity and acceleration
-of a body. Then
+axis, fixed in the massless links, keeps its angles to the others and its side of their plane. The middle axis
+is therefore known from the orientations of the bodies, unless all three axes are in one plane (gimbal lock).
+Let a_k be the unit axes, x_k the angles, x_k' their rates, omega and alpha the angular velocity and
+acceleration of a body. Then
 
     omega_j - omega_i = sum_k x_k' a_k
     x_k' = d_k . (omega_j - omega_i),    d_k . a_m = 1 for m = k, else 0
@@ -121,19 +120,19 @@ class HingeRow:
         a, c = first.rotation @ self.first_axis, second.rotation @ self.last_axis
         if self.cosines is None:
             return [a, c]
-        # The middle axis is b = alpha a + beta c + gamma a x c.
+        # The middle axis is b = on_a a + on_c c + across a x c.
         # The coefficients follow from a . b = p, b . c = r, a . c = s and |b| = 1
         p, r = (0.0 if _is_right_angle(cosine) else cosine for cosine in self.cosines)
         s = a @ c
         sine2 = 1.0 - s * s
-        alpha, beta = (p - r * s) / sine2, (r - p * s) / sine2
-        gamma2 = (1.0 - alpha * alpha - beta * beta - 2.0 * alpha * beta * s) / sine2
-        gamma = self.side * sqrt(gamma2)
-        return [a, alpha * a + beta * c + gamma * cross(a, c), c]
+        on_a, on_c = (p - r * s) / sine2, (r - p * s) / sine2
+        across2 = (1.0 - on_a * on_a - on_c * on_c - 2.0 * on_a * on_c * s) / sine2
+        across = self.side * sqrt(across2)
+        return [a, on_a * a + on_c * c + across * cross(a, c), c]
 
     def motion(self, first: Frame, second: Frame) -> RowMotion:
-        """Compute the axes with their derivatives, their duals, and the velocity term of the
-        accelerations."""
+        """Compute the axes with their derivatives, their dual axes, and the rate of omega_j - omega_i from
+        axes."""
         values = self.axes(first, second)
         duals = _duals(values)
         wi, wj = first.angular_velocity, second.angular_velocity
@@ -218,8 +217,8 @@ class SeparationVector(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Separation:
-    """The separation D of two bodies joined by a row of hinges whose axes do not meet, as a function of their
-    frames.
+    """The separation D of two bodies as a function of their frames, for a row of hinges whose axes do not
+    meet.
 
     Attributes:
         row: the hinges.

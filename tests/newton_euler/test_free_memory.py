@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from newton_euler.free_memory import UNKNOWN, free_memory
+from newton_euler.free_memory import DEFAULT_FREE_BYTES, free_memory
 from newton_euler.limits import MAX_MEMORY_MB, changed, limit
 
 MACHINE = "MemTotal:  9000 kB\nMemAvailable:    8000 kB\nBuffers: 1 kB\n"
@@ -23,7 +23,7 @@ def write(root: Path, files: dict[str, str]) -> Path:
 @pytest.mark.parametrize(
     ("files", "wanted"),
     [
-        ({}, UNKNOWN),
+        ({}, DEFAULT_FREE_BYTES),
         ({"proc/meminfo": MACHINE}, 8_192_000),
         (  # the group around the process's own has the limit
             {
