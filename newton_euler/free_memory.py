@@ -57,11 +57,8 @@ def _control_group_bytes(root: Path) -> Iterator[int]:
         if controllers == "":  # version 2
             folder, limit_file, usage_file = mount, "memory.max", "memory.current"
         elif "memory" in controllers.split(","):  # version 1
-            folder, limit_file, usage_file = (
-                mount / "memory",
-                "memory.limit_in_bytes",
-                "memory.usage_in_bytes",
-            )
+            folder = mount / "memory"
+            limit_file, usage_file = "memory.limit_in_bytes", "memory.usage_in_bytes"
         else:
             continue
         process_group = PurePosixPath(path.lstrip("/"))

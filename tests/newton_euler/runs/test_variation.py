@@ -19,7 +19,7 @@ from newton_euler.equations.parameters import (
     refusal,
     unambiguous,
 )
-from newton_euler.errors import PROPOSED, MechanismError, OptionError, UnknownNameError
+from newton_euler.errors import MAX_PROPOSED_NAMES, MechanismError, OptionError, UnknownNameError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Digital
@@ -98,7 +98,7 @@ def test_names_are_checked(scene, names, error, message):
 def test_of_an_unknown_name_few_near_ones_are_proposed(scene, name):
     with pytest.raises(UnknownNameError) as caught:
         parameter_values(scene, [name])
-    assert 1 <= len(caught.value.valid) <= PROPOSED < len(parameter_values(scene))
+    assert 1 <= len(caught.value.valid) <= MAX_PROPOSED_NAMES < len(parameter_values(scene))
 
 
 def test_a_component_stays_its_own_behind_further_elements(scene):
