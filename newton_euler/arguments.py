@@ -310,11 +310,11 @@ def _any_of(rules: Sequence[Rule]) -> Rule:
     def fault(value: Any) -> Fault | None:
         part: Fault | None = None
         for rule in rules:
-            found = rule.fault(value)
-            if found is None:
+            invalid = rule.fault(value)
+            if invalid is None:
                 return None
-            if found.value is not value:
-                part = found
+            if invalid.value is not value:
+                part = invalid
         return part or Fault(value, needed)
 
     return Rule(needed, several, fault)
@@ -347,8 +347,8 @@ def _list(item: Rule) -> Rule:
             return item.array_fault(value)
         # a range may be very long; its items are all of one kind
         items = value[:1] if isinstance(value, range) else value
-        found = ((k, item.fault(each)) for k, each in enumerate(items))
-        return next((part._replace(place=f"[{k}]{part.place}") for k, part in found if part), None)
+        faults = ((k, item.fault(each)) for k, each in enumerate(items))
+        return next((part._replace(place=f"[{k}]{part.place}") for k, part in faults if part), None)
 
     return Rule(needed, f"lists{of}", fault)
 
@@ -377,10 +377,10 @@ def _dictionary(key: Rule, item: Rule) -> Rule:
         if not isinstance(value, Mapping):
             return Fault(value, needed)
         for name, each in value.items():
-            if found := key.fault(name):
-                return found
-            if found := item.fault(each):
-                return found._replace(place=f"[{quoted(name)}]{found.place}")
+            if invalid := key.fault(name):
+                return invalid
+            if invalid := item.fault(each):
+                return invalid._replace(place=f"[{quoted(name)}]{invalid.place}")
         return None
 
     return Rule(needed, f"dictionaries with keys {key.several}{values}", fault)

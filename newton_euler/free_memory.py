@@ -23,8 +23,8 @@ def free_memory(root: Path = Path("/")) -> int:
     Args:
         root: folder that contains `proc` and `sys`; tests pass another folder.
     """
-    found = [*_machine_bytes(root / "proc" / "meminfo"), *_control_group_bytes(root)]
-    return max(0, min(found, default=DEFAULT_FREE_BYTES))
+    candidates = [*_machine_bytes(root / "proc" / "meminfo"), *_control_group_bytes(root)]
+    return max(0, min(candidates, default=DEFAULT_FREE_BYTES))
 
 
 def _machine_bytes(file: Path) -> Iterator[int]:

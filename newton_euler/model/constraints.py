@@ -1,7 +1,8 @@
 """Elementary constraint equations between two bodies, from which all joints are built.
 
-Each class is one or more scalar equations Phi = 0 (two points coincide, two vectors stay perpendicular, ...)
-and computes the residual Phi, the Jacobian, and the right side gamma of the acceleration equations. Some of
+Each class is one or more scalar equations Phi = 0, such as "two points coincide" or "two vectors stay
+perpendicular". It computes the residual Phi, the Jacobian, and the right side gamma of the acceleration
+equations. Some of
 the classes also serve as joint coordinates, which measure Phi instead of holding it at zero. The arguments of
 all methods are the `Frame` records (pose and velocity) of the first body i and the second body j.
 
@@ -231,12 +232,11 @@ class Displacement:
 
 @dataclass(frozen=True, eq=False)
 class Distance:
-    """One equation (d . d - L^2) / (2 L) = 0: the distance between a point of body i and a point of body j
-    stays L.
+    """One equation (d . d - L^2) / (2 L) = 0: a point of body i and a point of body j keep the distance L.
 
     d is the vector from the point of body i to the point of body j. To first order the residual is the
-    elongation of a rod between the points, m, so that the Lagrange multiplier is the force along the rod
-    (Nikravesh, section 7.2, there without the factor 1 / (2 L)).
+    elongation of a rod between the points, m. The Lagrange multiplier is therefore the force along the rod.
+    Source: Nikravesh, section 7.2, there without the factor 1 / (2 L).
 
     Attributes:
         s_first: (3,) m, point of body i from its center of mass, body frame.

@@ -1,5 +1,4 @@
-"""Control laws that are declared by numbers and evaluated in continuous time: PD, state feedback, computed
-torque.
+"""Control laws in continuous time that are declared by numbers: PD, state feedback and computed torque.
 
 Every engine evaluates these laws at each state and time. A control law acts on one coordinate of an actuated
 joint. Controllers that are Python functions, and laws in discrete time, are in

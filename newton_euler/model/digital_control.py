@@ -154,10 +154,10 @@ class Sampled(HeldLaw):
 class Digital(HeldLaw):
     """A declared law as an embedded computer executes it, with the limits of its encoder and its actuator.
 
-    At each sampling instant the computer reads the coordinates, limits the set-points to the stroke, computes
-    the force of the law, limits the force, and limits its change since the previous instant. The actuator
-    applies the force `delay` samples later. Before the first force arrives, the actuator applies 0. The first
-    change is limited relative to a force of 0.
+    At each sampling instant the computer reads the coordinates and limits the set-points to the stroke. It
+    computes the force of the law, limits the force, and limits the change of the force since the previous
+    instant. The actuator applies the force `delay` samples later. Before the first force arrives, the
+    actuator applies 0. The first change is limited relative to a force of 0.
 
     An encoder with a resolution reads the nearest multiple of it. Rates are then differences of the last two
     readings, divided by the period, and 0 at the first instant. With resolution 0, coordinates and rates are
@@ -242,8 +242,8 @@ class Digital(HeldLaw):
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
         of_law = {name: value for name, value in values.items() if name in self.law.variables}
-        own = {name: value for name, value in values.items() if name not in of_law}
-        fields = super().fields_with(own, change)
+        of_digital = {name: value for name, value in values.items() if name not in of_law}
+        fields = super().fields_with(of_digital, change)
         return fields | {"law": change(self.law, **self.law.fields_with(of_law, change))}
 
     @property

@@ -1,9 +1,9 @@
-"""Base classes of the elements of a scene: control laws, forces, armatures (rotor inertias) and prescribed
-motions.
+"""Base classes of the elements of a scene: control laws, forces, rotor inertias and prescribed motions.
 
-There is one base class for each place where an element can act: a joint coordinate (`OnCoordinate`), the ball
-of a joint (`OnBall`) or points of bodies (`OnBodies`). `AppliedForce` is the base class of forces and control
-laws; its methods compute wrenches, energy and power from the state, which they take as `Surroundings`.
+Rotor inertias on joints are called armatures, as in MuJoCo. There is one base class for each place where an
+element can act: a joint coordinate (`OnCoordinate`), the ball of a joint (`OnBall`) or points of bodies
+(`OnBodies`). `AppliedForce` is the base class of forces and control laws; its methods compute wrenches,
+energy and power from the state, which they take as `Surroundings`.
 """
 
 from __future__ import annotations

@@ -73,8 +73,9 @@ def from_rotation_vector(vector: Array) -> Array:
 def from_rotation(matrix: Array) -> Array:
     """Return the Euler parameters (4,) with e0 >= 0 of a rotation matrix (3, 3), accurate at any angle.
 
-    The component with the largest square is computed first and the others by division by it, so that the
-    divisor is never small (Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, section 6.2.3).
+    The component with the largest square is computed first, and the others are divided by it, so that the
+    divisor is never small. Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, section
+    6.2.3.
     """
     m = np.asarray(matrix, dtype=float).tolist()  # Python's floats are faster than array elements
     trace = m[0][0] + m[1][1] + m[2][2]

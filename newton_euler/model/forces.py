@@ -1,5 +1,4 @@
-"""Force elements: springs and dampers at joints and between points, constant wrenches, and rotor inertias
-(armatures).
+"""Force elements: springs, dampers and constant wrenches; and armatures, which are rotor inertias on joints.
 
 Points are given in the world at the initial pose, like those of joints, and move with their bodies. Each kind
 of force computes its wrenches on bodies, its energy and its power from the state (`Surroundings`). The

@@ -54,8 +54,8 @@ class Inertia(NamedTuple):
             if not 0.0 < value < math.inf:
                 raise MechanismError(shape, f"moment of inertia is {value:.6g} kg m^2", f"{needed} one")
         if not np.all(np.isfinite(self.center_of_mass)):
-            found = f"center of mass is {self.center_of_mass.tolist()}"
-            raise MechanismError(shape, found, "a place that a double holds")
+            problem = f"center of mass is {self.center_of_mass.tolist()}"
+            raise MechanismError(shape, problem, "a place that a double holds")
         return self
 
     def scaled(self, factor: float) -> Inertia:
@@ -297,8 +297,8 @@ class Mesh(Homogeneous):
         if np.any(triangles != np.floor(triangles)):
             raise MechanismError("mesh", "triangles has fractions", "whole numbers, rows of vertices")
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices):
-            found = f"triangles name vertices {triangles.min():.12g} to {triangles.max():.12g}"
-            raise MechanismError("mesh", found, f"0 to {len(vertices) - 1}")
+            problem = f"triangles name vertices {triangles.min():.12g} to {triangles.max():.12g}"
+            raise MechanismError("mesh", problem, f"0 to {len(vertices) - 1}")
         if self.color is not None:
             color = finite_array("mesh", "color", self.color, (4,))
             if np.any((color < 0.0) | (color > 1.0)):
@@ -366,8 +366,8 @@ class Mesh(Homogeneous):
         _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
         balance = np.bincount(edge.reshape(-1), np.where(edges[:, 0] == edges[:, 1], 0, direction))
         if not len(edges) or np.any(balance):
-            found = f"{np.count_nonzero(balance)} edges are not between two triangles of one orientation"
-            raise MechanismError("mesh", found if len(edges) else "no triangles", "a closed surface")
+            problem = f"{np.count_nonzero(balance)} edges are not between two triangles of one orientation"
+            raise MechanismError("mesh", problem if len(edges) else "no triangles", "a closed surface")
 
 
 Solid = Shape | Mesh

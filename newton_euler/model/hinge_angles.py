@@ -15,9 +15,9 @@ acceleration of a body. Then
 The vectors d_k are called dual axes (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 4.4).
 
 Points. The axes need not meet. The link between hinges k and k + 1 carries both axes and the constant offset
-o_k = u a_k + v a_k+1 + w a_k x a_k+1 from the one axis to the other. The middle axis of three rotates with
-the angular velocity omega_i + x_1' a_1. Let r be the center of mass of a body, and s_i and s_j vectors from
-there to points on the first and the last axis. The separation
+o_k from the one axis to the other, o_k = u a_k + v a_k+1 + w a_k x a_k+1. The middle axis of three rotates
+with the angular velocity omega_i + x_1' a_1. Let r be the center of mass of a body, and s_i and s_j vectors
+from there to points on the first and the last axis. The separation
 
     D = r_j + s_j - r_i - s_i - sum_k o_k
 

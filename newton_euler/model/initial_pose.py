@@ -73,7 +73,7 @@ def described_at(scene: Scene, state: State) -> Scene:
             controller's model that depend on the initial pose, and forces along slides of planar or free
             joints whose first body has rotated.
     """
-    # How bodies and joint coordinates differ between the two poses
+    # Compute how bodies and joint coordinates differ between the two poses
     mechanism, frames = scene.mechanism, state.frames()
     moves = [
         Move(frame.rotation @ body.pose.rotation.T, body.center_of_mass, frame.position)
@@ -110,11 +110,11 @@ def described_at(scene: Scene, state: State) -> Scene:
 def coordinates_at(mechanism: Mechanism, state: State) -> dict[Key, float]:
     """Measure all joint coordinates in a state, m or rad; angles include the full revolutions of
     `State.angles`."""
-    found, frames = {}, state.frames()
+    coordinates, frames = {}, state.frames()
     for key in mechanism.coordinate_labels:
         x = float(mechanism.measure(key, frames)[0])
-        found[key] = x + float(state.revolutions(key, x))
-    return found
+        coordinates[key] = x + float(state.revolutions(key, x))
+    return coordinates
 
 
 def _check_slides(scene: Scene, equations: JointEquations, first: Move) -> None:

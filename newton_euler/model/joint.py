@@ -437,8 +437,8 @@ class AxisJoint(Joint):
     def varied(self, values: Mapping[str, Any]) -> Self:
         """Copy the joint with other, unchecked numbers, see `Joint.varied`.
 
-        If the axis varies, the vector between the joint points turns with it, so that the second body's point
-        stays on the axis, or in the plane, of the first body.
+        If the axis varies, the vector between the joint points turns with the axis. The second body's point
+        then stays on the axis, or in the plane, of the first body.
         """
         changed, span = super().varied(values), self.span
         if "axis" in values and np.any(span):

@@ -42,7 +42,7 @@ NOWHERE = np.full(3, np.nan)
 
 def geometry_in_mechanism(mechanism: Mechanism) -> dict[str, JointGeometry]:
     """Return the geometry of all joints of a mechanism by joint name, as the mechanism describes them."""
-    found = {}
+    geometries = {}
     for joint in mechanism.joints:
         motions = joint.motions
         kinds = ("rod",) if joint.only_closes else tuple(motion.kind for motion in motions)
@@ -53,8 +53,8 @@ def geometry_in_mechanism(mechanism: Mechanism) -> dict[str, JointGeometry]:
             if motion.kind == "hinge"
         ]
         points = np.array([joint.point, joint.reaction_point, *hinges])
-        found[joint.name] = JointGeometry(kinds, np.reshape(axes, (-1, 3)), points)
-    return found
+        geometries[joint.name] = JointGeometry(kinds, np.reshape(axes, (-1, 3)), points)
+    return geometries
 
 
 def geometry_in_tree(
@@ -68,14 +68,14 @@ def geometry_in_tree(
             returns the kind, the unit axis (3,) and the point (3,), m, of the motion of the child relative to
             the parent.
     """
-    found = {}
+    geometries = {}
     for kept in welded.tree.joints:
         if kept.joint >= len(welded.mechanism.joints):
             continue  # the free joint that the tree adds for a body that only rods hold
         joint = welded.tree.joint(kept.joint)
         motions = [read(name) for name in motion_names(joint, kept.forward)]
-        found[joint.name] = _from_first(kept, motions)
-    return found
+        geometries[joint.name] = _from_first(kept, motions)
+    return geometries
 
 
 def _from_first(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> JointGeometry:

@@ -105,7 +105,7 @@ class Universal(Joint):
         return (*self._coincident(first, second), perpendicular_axes)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        # About the first axis, the second axis is the pointer; about the second axis, the first axis
+        # The angle about each axis is that of the other axis, which rotates about it with the other body
         a, b = self.axis_on_first, self.axis_on_second
         return self._turn(a, b, first, second), Reversed(self._turn(b, a, second, first))
 

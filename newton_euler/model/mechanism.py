@@ -55,8 +55,8 @@ _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
 def spread(points: Sequence[Array]) -> float:
     """Compute the largest distance, m, of points (3,) from their mean; 1 if all points coincide."""
-    found = float(np.max(np.linalg.norm(np.array(points) - np.mean(points, axis=0), axis=1)))
-    return found if found > 0.0 else 1.0
+    largest = float(np.max(np.linalg.norm(np.array(points) - np.mean(points, axis=0), axis=1)))
+    return largest if largest > 0.0 else 1.0
 
 
 def check_name(what: str, name: object) -> None:
@@ -175,13 +175,13 @@ class Body(Variable):
         if not solids:
             raise MechanismError(where, "has no solids", "one or more")
         try:
-            found = total([solid.inertia(1.0 if density is None else density) for solid in solids])
-            found = found if mass is None else found.scaled(mass / found.mass)
+            properties = total([solid.inertia(1.0 if density is None else density) for solid in solids])
+            properties = properties if mass is None else properties.scaled(mass / properties.mass)
         except MechanismError as error:
             raise MechanismError(f"{where}: {error.element}", error.problem, error.needed) from error
         return cls(
             name,
-            *found,
+            *properties,
             shapes=tuple(solid for solid in solids if not isinstance(solid, Mesh)),
             meshes=tuple(solid for solid in solids if isinstance(solid, Mesh)),
         )
@@ -495,11 +495,11 @@ class Mechanism:
     @cached_property
     def joints_at(self) -> tuple[tuple[int, ...], ...]:
         """Indices of the joints at each body, ascending; one tuple per body."""
-        found: list[list[int]] = [[] for _ in self.bodies]
+        indices: list[list[int]] = [[] for _ in self.bodies]
         for index, joint in enumerate(self.joints):
             for name in (joint.first, joint.second):
-                found[self.body_index(name)].append(index)
-        return tuple(map(tuple, found))
+                indices[self.body_index(name)].append(index)
+        return tuple(map(tuple, indices))
 
     def attach(self, poses: list[Pose]) -> tuple[JointEquations, ...]:
         """Return the equations of all joints for other body frames.

@@ -162,10 +162,10 @@ class ParallelHinges(AxisJoint):
             axis, point, point_on_second: (3,) the joint's unit axis and points (m) at the other pose, world
                 frame.
         """
-        own, link = self._across(self.offset), point_on_second - point
-        across = link - (axis @ link) * axis
-        stretch = np.sqrt((own @ own) / (across @ across))
-        return np.asarray((self.axis @ self.offset) * axis + stretch * across)
+        old_across, link = self._across(self.offset), point_on_second - point
+        new_across = link - (axis @ link) * axis
+        stretch = np.sqrt((old_across @ old_across) / (new_across @ new_across))
+        return np.asarray((self.axis @ self.offset) * axis + stretch * new_across)
 
     def _across(self, vector: Array) -> Array:
         """Return the part of a vector (3,) that is perpendicular to the axis."""

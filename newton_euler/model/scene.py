@@ -322,13 +322,13 @@ class Scene(Variable):
     @property
     def functions(self) -> dict[tuple[str, int, str], tuple[TimeFunction, ...]]:
         """Functions of time of all elements, by (field of the scene, index of the element, attribute)."""
-        found = {}
+        by_place = {}
         for field in ("motions", "control", "forces"):
             for k, element in enumerate(getattr(self, field)):
                 for attribute in element.functions:
                     if functions := functions_of(getattr(element, attribute)):
-                        found[field, k, attribute] = functions
-        return found
+                        by_place[field, k, attribute] = functions
+        return by_place
 
     @property
     def knots(self) -> tuple[float, ...]:

@@ -1,7 +1,7 @@
 """Safe reading of input files from untrusted sources: size limits, and one-line errors that name the file.
 
-The functions read regular files as bytes or UTF-8 text, convert CSV text to columns of finite numbers over
-ascending times (`TimeTable`), and scan XML text (`scan`) before another parser builds a tree from it.
+The functions read regular files as bytes or UTF-8 text. `TimeTable` has the columns of a CSV file: finite
+numbers over ascending times. `scan` checks XML text before another parser builds a tree from it.
 `Request` holds the options of the readers of MJCF and URDF files. All errors are `SourceError`s.
 """
 

@@ -135,7 +135,7 @@ class SpanningTree:
         self.floating: tuple[Free, ...] = ()
         add_candidates(0)
         while len(reached) < len(mechanism.bodies):
-            # Without candidates, the next body is held by rods only: let it float
+            # Without candidates, the next body is held by rods only and gets a free joint
             if not candidates:
                 body = next(k for k in range(len(mechanism.bodies)) if k not in reached)
                 heapq.heappush(candidates, (0, True, 0, self._add_floating_joint(body), 0))
@@ -198,7 +198,7 @@ class SpanningTree:
 
     @cached_property
     def initial_rotations(self) -> tuple[Array, ...]:
-        """For each body, the rotation matrix (3, 3) from its body frame to its tree frame."""
+        """Rotation matrix (3, 3) of each body from its body frame to its tree frame."""
         return tuple(rotation(body.quaternion) for body in self.mechanism.bodies)
 
     @cached_property

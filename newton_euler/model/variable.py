@@ -128,11 +128,11 @@ class Function:
 
     def part(self, name: str) -> list[Scalar]:
         """Return the numbers of one part, see `parts`; an empty list if the function has no such part."""
-        found: list[Scalar] = []
+        numbers: list[Scalar] = []
         for field in self.parts.get(name, ()):
             value = getattr(self, field)
-            found.extend(value if isinstance(value, tuple | np.ndarray) else [value])
-        return found
+            numbers.extend(value if isinstance(value, tuple | np.ndarray) else [value])
+        return numbers
 
     def with_part(self, name: str, numbers: Any, change: Change) -> Self:
         """Copy the function with other numbers for one part, see `parts`.
@@ -228,8 +228,8 @@ class Variable:
         if name in self.points:
             return np.zeros(3)
         attribute, _, part = name.partition(".")
-        found = np.asarray(_numbers(getattr(self, attribute), part), dtype=float)
-        return found.reshape(()) if part and found.size == 1 else found
+        numbers = np.asarray(_numbers(getattr(self, attribute), part), dtype=float)
+        return numbers.reshape(()) if part and numbers.size == 1 else numbers
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         """Copy the element with other, unchecked values of some `variables`.
@@ -260,8 +260,11 @@ class Variable:
         fields: dict[str, Any] = {}
         for name, value in values.items():
             attribute, _, part = name.partition(".")
-            own = fields.get(attribute, getattr(self, attribute))
-            fields[attribute] = own + value if name in self.points else _changed(own, part, value, change)
+            present = fields.get(attribute, getattr(self, attribute))
+            if name in self.points:
+                fields[attribute] = present + value
+            else:
+                fields[attribute] = _changed(present, part, value, change)
         return fields
 
 
@@ -288,29 +291,29 @@ def _numbers(value: Any, part: str) -> Any:
     return [] if part else value
 
 
-def _changed(own: Any, part: str, value: Any, change: Change) -> Any:
+def _changed(present: Any, part: str, value: Any, change: Change) -> Any:
     """Return an attribute with other numbers for one part.
 
     Args:
-        own: present value of the attribute: a number, an array, a function of time, or a mapping to such
+        present: present value of the attribute: a number, an array, a function of time, or a mapping to such
             values.
         part: name of the part, see `Function.parts`.
         value: new numbers, in the order of `_numbers`.
         change: function that copies a function of time, see `Change`.
     """
-    if isinstance(own, Function):
-        return own.with_part(part, (value,) if np.ndim(value) == 0 else tuple(value), change)
-    if isinstance(own, Mapping):
-        return _changed_values(own, part, value, change)
+    if isinstance(present, Function):
+        return present.with_part(part, (value,) if np.ndim(value) == 0 else tuple(value), change)
+    if isinstance(present, Mapping):
+        return _changed_values(present, part, value, change)
     return float(value) if isinstance(value, np.ndarray) and value.ndim == 0 else value
 
 
-def _changed_values(own: Mapping[Any, Any], part: str, value: Any, change: Change) -> dict[Any, Any]:
+def _changed_values(present: Mapping[Any, Any], part: str, value: Any, change: Change) -> dict[Any, Any]:
     """Return a mapping with other numbers for one part of its values; arguments as of `_changed`."""
-    if _is_table(own):
-        return dict(zip(own, value, strict=True))
-    changed, numbers = dict(own), (value,) if np.ndim(value) == 0 else tuple(value)
-    for key, each in own.items():
+    if _is_table(present):
+        return dict(zip(present, value, strict=True))
+    changed, numbers = dict(present), (value,) if np.ndim(value) == 0 else tuple(value)
+    for key, each in present.items():
         count = np.size(_numbers(each, part))
         if count:
             new = numbers[:count] if isinstance(each, Function) else numbers[0]

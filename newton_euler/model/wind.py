@@ -61,8 +61,8 @@ STANDARD_AIR = 1.225
 class WindLoad(OnPoint):
     """The load of wind on a flat rectangular plate that is a part of a body.
 
-    Let w be the velocity of the wind relative to the plate's center, w_n the component of w along the plate's
-    normal n, and a the angle of attack between w and the plate, sin a = |w_n| / |w|. A is the area of the
+    Let w be the velocity of the wind relative to the plate's center, and w_n its component along the plate's
+    normal n. The angle of attack a between w and the plate has sin a = |w_n| / |w|. A is the area of the
     plate, rho the density of air, and R the ratio of the plate's longer side to the shorter side. The force
     is
 
@@ -177,7 +177,7 @@ class WindLoad(OnPoint):
         """Reduction of the force coefficient by the ends of the plate: 0.41 (1 - exp(-17 / R)), R the aspect
         ratio."""
         length, width = self.lengths.tolist()
-        # For symbols, min and max of the sides are written with |length - width|, smooth at equal sides
+        # Symbols have no min and max: use smooth formulas with |length - width|
         if isinstance(length, float) and isinstance(width, float):
             shorter, longer = min(length, width), max(length, width)
         else:
@@ -219,8 +219,8 @@ class WindLoad(OnPoint):
 def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
     """Return the wind speed of an extreme operating gust: a dip, a rise by 0.74 of `gust`, and a second dip.
 
-    For t from 0 to the period T, the speed is mean - 0.37 gust sin(3 pi t / T) (1 - cos(2 pi t / T)), the
-    extreme operating gust of the standard IEC 61400-1 (2005) for wind turbines. The function is a sum of
+    For t from 0 to the period T, the speed is mean - 0.37 gust sin(3 pi t / T) (1 - cos(2 pi t / T)). This is
+    the extreme operating gust of the standard IEC 61400-1 (2005) for wind turbines. The function is a sum of
     sines that repeats after T, so that runs should end at T. The standard was not available; the formula and
     T were checked against programs for wind turbines. The gust of the standard is that at the hub of a
     turbine, less than 3.3 standard deviations of the turbulence. For structures near the ground the formula
@@ -259,13 +259,13 @@ def wind_turbulence(
 ) -> Sum:
     """Return a random wind speed with Kaimal's turbulence spectrum; the seed selects the realization.
 
-    The spectrum of the component along the mean wind is S(f) = 4 s^2 (L / V) / (1 + 6 f L / V)^(5/3), as in
-    an annex of IEC 61400-1. Its integral over all frequencies f is the variance s^2. The realization is a sum
-    of sines with random phases (M. Shinozuka and G. Deodatis, Simulation of stochastic processes by spectral
-    representation, Applied Mechanics Reviews 44(4), 1991, pp. 191-204). The band of frequencies is divided
-    into parts of equal width on a logarithmic scale. Each part has one sine, with the variance of the part
-    and a random frequency in it. This division is a choice of this function: the wind does not repeat, and
-    few sines cover a wide band. Turbulence outside of the band is omitted.
+    The spectrum of the component along the mean wind is S(f) = 4 s^2 (L / V) / (1 + 6 f L / V)^(5/3). The
+    formula is in an annex of IEC 61400-1. Its integral over all frequencies f is the variance s^2. The
+    realization is a sum of sines with random phases (M. Shinozuka and G. Deodatis, Simulation of stochastic
+    processes by spectral representation, Applied Mechanics Reviews 44(4), 1991, pp. 191-204). The band of
+    frequencies is divided into parts of equal width on a logarithmic scale. Each part has one sine, with the
+    variance of the part and a random frequency in it. This division is a choice of this function: the wind
+    does not repeat, and few sines cover a wide band. Turbulence outside of the band is omitted.
 
     The standard was not available; spectrum, L and s were checked against programs for wind turbines. The
     values are for hubs tens of meters above the ground. Near the ground, as at 2 m, L proportional to the
