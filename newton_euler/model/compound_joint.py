@@ -142,8 +142,7 @@ class Compound(Joint):
         offsets = np.asarray(values.get("offsets", self.offsets))
         changed = super().varied({name: value for name, value in values.items() if name in POINTS})
 
-        # Displacement of the second body's point: by the slides at their described displacements, and the
-        # offsets
+        # Shift of the second body's point: due to new slide axes with their displacements, and to new offsets
         shift = np.zeros(3)
         if slides:
             new_slides = np.array(slides)

@@ -41,7 +41,11 @@ from newton_euler.model.variable import Variable, functions_of
 from newton_euler.scalars import Array
 
 OutputName = Literal["velocities", "reactions", "actuation", "violation", "energy"]
-"""Optional outputs of a run, in addition to the poses."""
+"""Optional outputs of a run, in addition to body poses.
+
+They are body velocities, joint reactions, forces of control laws, constraint violations of the joints, and
+energies with the work of forces. `newton_euler.model.trajectory.QUANTITIES` lists the arrays of each output.
+"""
 
 OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)
 """Names of all optional outputs."""
@@ -58,8 +62,7 @@ MAXIMUM_OUTPUTS = 1_000_000
 """Largest number of output times of a scene."""
 
 MAXIMUM_DURATION = 1e7
-"""Longest duration of a scene, s: four months; steps of a millisecond would already take a day to
-simulate."""
+"""Longest duration of a scene, s: four months. With steps of a millisecond such a run already takes a day."""
 
 MAXIMUM_ANGLE = 1e9
 """Largest hinge angle in a state, rad; larger floats resolve less than the digits of a pose."""

@@ -387,8 +387,7 @@ def coordinate_key(label: str, joints: Collection[str]) -> Key:
 
 
 def coordinate_names(joint: Joint) -> tuple[str, ...]:
-    """Name the coordinates of a joint "angle" or "position", numbered from 1 if there are several of a
-    kind."""
+    """Name the coordinates of a joint "angle" or "position"; several of a kind are numbered from 1."""
     kinds = ["position" if kind == "slide" else "angle" for kind in joint.coordinate_kinds]
     return tuple(
         kind if kinds.count(kind) == 1 else f"{kind}_{kinds[:k].count(kind) + 1}"
