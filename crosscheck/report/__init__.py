@@ -1,1 +1,1 @@
-"""Tables of results in the terminal, as files and as pages."""
+"""Reports of results for the terminal, for files (JSON, Markdown, JUnit XML) and as HTML pages."""

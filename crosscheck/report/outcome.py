@@ -1,4 +1,7 @@
-"""Outcomes of a crosscheck: word, color and exit status of each, for the terminal, files and Python alike."""
+"""Outcomes of commands, such as AGREE or DISAGREE, with the word, the color and the exit status of each.
+
+A crosscheck compares engines, or two models. A regression test compares results with stored baselines.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,15 @@ class ExitStatus(IntEnum):
     """Exit statuses of all commands."""
 
     AGREE = 0
+    """All checks passed, or the command without checks succeeded."""
     DISAGREE = 1
+    """A check failed."""
     BAD_INPUT = 2
+    """The input or the options are invalid."""
     UNFINISHED = 3
+    """Not all that was asked for was compared."""
     REDUCED = 4
+    """All checks passed, but elements of the file acted that were not simulated."""
 
 
 class Outcome(StrEnum):
@@ -31,19 +39,19 @@ class Outcome(StrEnum):
     AGREE = "AGREE"
     """All checks passed, and everything in the file that acted was simulated."""
     AGREE_ON_A_REDUCED_MODEL = "AGREE ON A REDUCED MODEL"
-    """All checks passed, but elements of the file acted that were not simulated as the file has them."""
+    """All checks passed, but elements of the file acted that were not simulated as in the file."""
     AGREE_AT_RANDOM_STATES_ONLY = "AGREE AT RANDOM STATES ONLY"
-    """All checks passed, but the motion tests none of the elements."""
+    """All checks passed, but a change of any element by 10 % would not show in the motion."""
     AGREE_OF_SOME_ENGINES = "AGREE OF SOME ENGINES"
-    """All checks passed, but an engine that was asked for cannot express the model."""
+    """All checks passed, but a requested engine cannot represent the model."""
     DISAGREE = "DISAGREE"
     """A check failed."""
     UNFINISHED = "UNFINISHED"
-    """An engine stopped, or a part of the comparison did."""
+    """An engine or a part of the comparison stopped before its end."""
     ONE_ENGINE_ALONE = "ONE ENGINE ALONE"
-    """Only one engine was asked for, and its own checks passed."""
+    """Only one engine was requested, and its own checks passed."""
     NOT_COMPARED = "NOT COMPARED"
-    """Several engines were asked for, but only one can express the model."""
+    """Several engines were requested, but only one can represent the model."""
     SAME = "SAME"
     """Two models do not differ."""
     DIFFERENT = "DIFFERENT"
@@ -51,13 +59,13 @@ class Outcome(StrEnum):
     QUIET = "QUIET"
     """All checks against the baselines pass."""
     QUIET_ON_A_REDUCED_MODEL = "QUIET ON A REDUCED MODEL"
-    """The same, but elements of a file acted that were not simulated as the file has them."""
+    """All results match the baselines, but elements of the file acted that were not simulated."""
     MOVED = "MOVED"
     """A check against a baseline fails."""
 
     @property
     def judged(self) -> Verdict:
-        """Color of the outcome in the terminal, in tables and on pages."""
+        """Verdict of the outcome, which selects its color in the terminal, in tables and on pages."""
         match self:
             case Outcome.AGREE | Outcome.SAME | Outcome.QUIET:
                 return "holds"
@@ -100,5 +108,9 @@ class Outcome(StrEnum):
                 assert_never(self)
 
     def passes(self, allow_reduced: bool = False) -> bool:
-        """Return whether tests and CI pass: the exit status is 0."""
+        """Return True if the exit status is 0, so that tests and CI pass.
+
+        Args:
+            allow_reduced: whether agreement on a reduced model counts as agreement.
+        """
         return self.exit_status(allow_reduced) is ExitStatus.AGREE

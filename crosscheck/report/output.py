@@ -1,4 +1,8 @@
-"""The folder of a crosscheck: the runs, a summary and a recording, all of them or none."""
+"""Result folders: write the files of a crosscheck, and protect the results of another model.
+
+The folder of a crosscheck has the run of each engine (ENGINE.npz), a summary with all checks (summary.json)
+and a 3-D recording (NAME.rrd).
+"""
 
 from __future__ import annotations
 
@@ -19,11 +23,11 @@ from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
 from newton_euler.model.source_file import SourceError, read_content
 
-PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)
-"""Addresses of entities whose names need no escapes."""
+LINKABLE = re.compile(r"[\w:/.-]+", re.ASCII)
+"""Pattern of addresses of entities in a recording that need no escapes."""
 
-MOMENT = re.compile(r"(?:(.*) at )?(\S+) s")
-"""Pattern of the place of a check of runs: a body or joint, and a time."""
+PLACE_AND_TIME = re.compile(r"(?:(.*) at )?(\S+) s")
+"""Pattern of `Check.where` in checks of runs: an optional body or joint, and a time ("rocker at 0.5 s")."""
 
 RECORDS = {
     "crosscheck": ("summary.json",),
@@ -34,73 +38,84 @@ RECORDS = {
     "fault search": ("faults.json",),
     "fit": ("identify.json",),
 }
-"""Files that record of which model the results in a folder are, by the kind of the results."""
+"""Files in a result folder that have the name of the model, by the kind of the results."""
 
 
 def write(result: Crosscheck, report: Report, folder: Path, recording: Path, name: str) -> list[Path]:
-    """Write the runs, the summary and the Rerun recording, all of them or none.
+    """Write the runs, the summary and the Rerun recording of a crosscheck, all of them or none.
 
-    The summary is removed first and comes back last, so that a folder that has one is complete wherever
-    a process that wrote to it was killed. What an earlier crosscheck left in the folder of other engines is
-    removed, and a recording if this one goes elsewhere.
+    An earlier summary is removed first, and the new one is written last. A folder with a summary is therefore
+    complete, even if a process that wrote to the folder was killed. Runs of other engines, which an earlier
+    crosscheck left in the folder, are removed, and its recording if the new one has another path.
 
     Args:
-        report: on the result.
-        recording: file that the recording goes to.
-        name: of the recording where nothing else is asked for.
+        result: result of the crosscheck.
+        report: report on the result.
+        folder: folder for the files.
+        recording: path of the recording.
+        name: name of the results; the default path of the recording is `folder`/NAME.rrd.
+
+    Returns:
+        The paths of the runs, the summary and the recording.
 
     Raises:
-        CrosscheckError: naming the path that cannot be written.
+        CrosscheckError: if a file cannot be written; the message names the path.
     """
     from crosscheck.recording.log import log_run, recorded
 
-    made = {folder / f"{name}.npz": run.archive() for name, run in result.trajectories.items()}
-    made[recording] = recorded(log_run, *to_record(result, report))
-    beside = {path: content for path, content in made.items() if path.parent == folder}
+    contents = {folder / f"{name}.npz": run.archive() for name, run in result.trajectories.items()}
+    contents[recording] = recorded(log_run, *to_record(result, report))
+    in_folder = {path: content for path, content in contents.items() if path.parent == folder}
     summary = folder / "summary.json"
     others = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
     stale = [summary, *(folder / f"{name}.npz" for name in others)]
-    if recording != (usual := folder / f"{name}.rrd"):
-        stale.append(usual)
-    write_files({summary: as_json(result.summary(), report, beside), **made}, stale)
-    runs = [path for path in made if path != recording]
+    if recording != (default := folder / f"{name}.rrd"):
+        stale.append(default)
+    write_files({summary: as_json(result.summary(), report, in_folder), **contents}, stale)
+    runs = [path for path in contents if path != recording]
     return [*runs, summary, recording]
 
 
 def to_record(result: Crosscheck, report: Report) -> tuple[Any, ...]:
     """Return the arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it.
 
-    Bodies and joints that tables name are links to what is drawn of the first engine.
+    In the text, names of bodies and joints are links to the first engine's body or joint in the 3-D view.
     """
     mechanism, first = result.scene.mechanism, next(iter(result.trajectories), "")
     links = {name: f"recording://joints/{first}/{name}" for name in mechanism.joint_names}
     links |= {name: f"recording://mechanism/{first}/{name}" for name in mechanism.body_names[1:]}
-    links = {name: address for name, address in links.items() if PLAIN.fullmatch(address)}
+    links = {name: address for name, address in links.items() if LINKABLE.fullmatch(address)}
     word, found = report.headline
     text = f"# {word}\n\n" if word else ""
     text += markdown(replace(report, title="", verdict=found, parts=report.summary), links=links)
     tolerances = {(row.quantity, *row.between): row.tolerance for row in result.checks}
-    return result.scene, result.trajectories, text, result.title, tolerances, list(_moments(result.checks))
+    moments = list(_worst_moments(result.checks))
+    return result.scene, result.trajectories, text, result.title, tolerances, moments
 
 
-def _moments(rows: Sequence[Check]) -> Iterator[tuple[float, str]]:
-    """Times, s, at which levels of the runs are worst, and what is worst there."""
+def _worst_moments(rows: Sequence[Check]) -> Iterator[tuple[float, str]]:
+    """Yield the time, s, and a text of the check closest to failing, for each level of checks of runs."""
     for level in OF_RUNS:
         at_level = [row for row in rows if row.level == level and row.judged]
         worst = max(at_level, key=lambda row: row.tolerance_ratio, default=None)
-        if worst and (found := MOMENT.fullmatch(worst.where)):
+        if worst and (found := PLACE_AND_TIME.fullmatch(worst.where)):
             place = ", ".join(filter(None, [found[1], worst.quantity]))
             text = f"{level}: {place}: {worst.value:.1e}, allowed {worst.tolerance:.0e}"
             yield float(found[2]), text
 
 
 def own_name(source: str) -> str:
-    """Name of the folder and of the recording of a scene: its own, or its file's without suffix."""
+    """Return the name of a model's results: the name of the scene, or of its file without the suffix."""
     return Path(source).stem.strip(".") or "scene"
 
 
 def usual_folder(parent: Path, source: str, results: str) -> Path:
-    """Return the folder in `parent` for results of a model, by its name or its file's without suffix.
+    """Return the default folder for the results of a model.
+
+    Args:
+        parent: parent of the folder.
+        source: name or file of the model; the folder gets this name, without the suffix of the file.
+        results: kind of the results, a key of `RECORDS`.
 
     Raises:
         CrosscheckError: if the folder has results of another model.
@@ -111,23 +126,22 @@ def usual_folder(parent: Path, source: str, results: str) -> Path:
 
 
 def record(source: str, options: Mapping[str, str]) -> bytes:
-    """JSON that records of which model the results in a folder are."""
+    """Make the content of a JSON file that records the model, and its options, of the results in a folder."""
     return (json.dumps({"source": source, "options": dict(options)}, indent=1) + "\n").encode()
 
 
 def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck") -> None:
-    """Raise `CrosscheckError` if a folder has results of others than these models, in this order.
-
-    Paths of earlier results are taken as seen from here. Trajectories beside nothing that says whose they
-    are may be anybody's.
+    """Raise `CrosscheckError` if a folder has results of other models, or runs without a record of the model.
 
     Args:
-        results: a key of `RECORDS`.
+        folder: the folder.
+        sources: names or files of the models, in their order; paths are relative to the current folder.
+        results: kind of the results, a key of `RECORDS`.
     """
     option = "--save" if results == "modal analysis" else "--output"
     elsewhere = f"name another folder ({option}), or this one to overwrite it"
     earlier = [found for name in RECORDS[results] if (found := _sources(folder / name))]
-    # what begins with a dot was never ended
+    # names with a leading dot are unfinished files
     runs = [path for path in folder.glob("*.npz") if not path.name.startswith(".")]
     if results == "crosscheck" and runs and not earlier:
         raise CrosscheckError(f"{folder} holds trajectories of an unknown model; {elsewhere}")
@@ -140,7 +154,7 @@ def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck")
 
 
 def _sources(path: Path) -> list[str]:
-    """The models that results are of; none if the file is none of results, or is too large to be."""
+    """Read the names or files of the models that a result file is about; empty if it is no result file."""
     try:
         found = json.loads(read_content(path, "result_size"))
     except (SourceError, ValueError, RecursionError):

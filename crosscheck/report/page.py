@@ -1,4 +1,7 @@
-"""Result folders as one self-contained HTML page; jinja2 escapes all text."""
+"""`crosscheck report`: write the results of commands as one HTML page, with all pictures in the page.
+
+The page is rendered from the templates next to this module by jinja2, which escapes all texts.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,7 @@ from newton_euler.model.trajectory import load_arrays
 from newton_euler.scalars import Array
 
 PAGE = "report.html"
+"""Name of the page."""
 
 RESULTS = (
     "summary.json",
@@ -39,27 +43,39 @@ RESULTS = (
     "loads.json",
     "identify.json",
 )
-"""Files of results, each with a report."""
+"""Names of result files that contain a report."""
 
 BELOW = ("*", "*/*")
-"""Patterns of folders that are searched for results below a folder without results, for example the folders
-of `crosscheck run --all` and the default output folder."""
+"""Patterns of subfolders that are searched if a folder has no results itself, such as the folder of
+`crosscheck run --all`."""
 
-MOST_IN_FULL = 30
-"""Folders on one page, a few seconds each; of more there is an index alone. All scenes of the library fit."""
+MAX_FOLDERS_IN_FULL = 30
+"""Largest number of folders that a page shows in full; for more, the page only lists the verdicts. Each
+folder takes a few seconds. The library has fewer scenes."""
 
 Progress = Callable[[str], None]
 
 
 class Cost(BaseModel):
-    """Run time, s, and error, m and rad, of an engine; None where it did not run."""
+    """Cost of an engine's run.
+
+    Attributes:
+        wall_time: run time, s; None if the engine did not run.
+        error: error of the run, the larger number of m and rad; None if unknown.
+    """
 
     wall_time: float | None = None
     error: float | None = None
 
 
 class Bound(BaseModel):
-    """Tolerance of a compared quantity of one or two engines."""
+    """Tolerance of a check.
+
+    Attributes:
+        quantity: compared quantity, with its unit.
+        between: one or two names of engines.
+        tolerance: in the unit of the quantity.
+    """
 
     quantity: str
     between: list[str]
@@ -67,12 +83,12 @@ class Bound(BaseModel):
 
 
 class Results(BaseModel):
-    """The parts of a file of results that a page shows.
+    """The fields of a result file that a page needs.
 
     Attributes:
         report: tables and sentences.
-        files: SHA-256 by name of the runs (.npz), recordings (.rrd) and pictures (.png) beside it.
-        sha256: of all other fields.
+        files: SHA-256, by name, of the runs (.npz), recordings (.rrd) and pictures (.png) in the same folder.
+        sha256: SHA-256 of all other fields.
     """
 
     report: Report
@@ -81,14 +97,16 @@ class Results(BaseModel):
 
     @field_validator("report")
     @classmethod
-    def _took_a_time(cls, report: Report) -> Report:
+    def _check_wall_time(cls, report: Report) -> Report:
+        """Raise `ValueError` for a wall time that is negative or not finite."""
         if report.wall_time is not None and not 0.0 <= report.wall_time < math.inf:
             raise ValueError("wall_time is no time in seconds")
         return report
 
     @field_validator("files")
     @classmethod
-    def _are_names(cls, files: dict[str, str]) -> dict[str, str]:
+    def _check_names(cls, files: dict[str, str]) -> dict[str, str]:
+        """Raise `ValueError` for a name that is a path to another folder."""
         for name in files:
             if name != Path(name).name or "\0" in name:
                 raise ValueError(f"{name!r:.100} is no name of a file")
@@ -96,11 +114,11 @@ class Results(BaseModel):
 
 
 class Compared(Results):
-    """The parts of a crosscheck's file that a page shows.
+    """The fields of a crosscheck's result file that a page needs.
 
     Attributes:
-        engines: run time and error of each.
-        checks: checks whose tolerances are drawn.
+        engines: run time and error by engine.
+        checks: checks whose tolerances are drawn in the plots.
     """
 
     engines: dict[str, Cost] = {}
@@ -109,19 +127,29 @@ class Compared(Results):
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG."""
+    """A picture (PNG) with its caption."""
 
     content: bytes
     caption: str
 
     @property
     def base64(self) -> str:
+        """Content of the picture as text, which the page contains."""
         return base64.b64encode(self.content).decode()
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One file of results as the template shows it."""
+    """One result file, as the template `page.html` shows it.
+
+    Attributes:
+        report: tables and sentences.
+        anchor: name by which the list of verdicts links to the entry; empty for no link.
+        views: pictures of the 3-D recordings.
+        speed: bar charts of run times.
+        pictures: plots over time, and pictures that the command wrote.
+        remarks: sentences on pictures that could not be made.
+    """
 
     report: Report
     anchor: str = ""
@@ -132,24 +160,32 @@ class Entry:
 
     @property
     def open(self) -> list[Part]:
-        """The summary, or where a report has none the parts that are not folded."""
+        """Parts that are always shown: the summary, or the parts that are not folded if there is none."""
         return self.report.summary or [part for part in self.report.parts if not part.folded]
 
     @property
     def folded(self) -> list[Part]:
-        """All other parts."""
+        """Parts that are shown on demand: all other parts."""
         return self.report.parts if self.report.summary else [p for p in self.report.parts if p.folded]
 
     @property
     def took(self) -> str:
+        """Wall time in parentheses, empty if it was not measured."""
         return "" if self.report.wall_time is None else f" ({self.report.wall_time:.3g} s)"
 
 
 def write_report(folder: Path, progress: Progress) -> Path:
-    """Write `PAGE` into a folder that a command wrote results to, or one that holds such folders.
+    """Write the page of a result folder, or of a folder that contains result folders.
 
-    The page is one file, without anything to fetch; it appears whole or not at all. Of more than
-    `MOST_IN_FULL` folders it holds the verdicts and names the commands for the pages of each.
+    The page is a single file that loads nothing from the network. If there are more than
+    `MAX_FOLDERS_IN_FULL` folders, it lists their verdicts, and the commands that make a page of each.
+
+    Args:
+        folder: the folder; the page is written to `folder`/report.html.
+        progress: shows a message to the user.
+
+    Returns:
+        The path of the page.
 
     Raises:
         CrosscheckError: for a folder without results, a result that cannot be read, and a page that
@@ -159,6 +195,8 @@ def write_report(folder: Path, progress: Progress) -> Path:
     if not folder.is_dir():
         raise CrosscheckError(f"{folder} is no folder; needed: one that a command of crosscheck wrote")
     path = folder / PAGE
+
+    # find the result files: in the folder, or else in its subfolders
     try:
         own = _results_in(folder)
         below = [] if own else sorted(file for p in BELOW for f in folder.glob(p) for file in _results_in(f))
@@ -171,24 +209,26 @@ def write_report(folder: Path, progress: Progress) -> Path:
             "write them"
         )
     check_writable(path)
+
+    # read them, and make an entry with pictures for each
     found = {file: read_json(file, Compared if file.name == RESULTS[0] else Results) for file in own or below}
     parents = list(dict.fromkeys(file.parent for file in found))
     index = [_index_line(folder, file, results.report) for file, results in found.items()] if below else []
     entries = []
-    for file, results in found.items() if len(parents) <= MOST_IN_FULL else ():
+    for file, results in found.items() if len(parents) <= MAX_FOLDERS_IN_FULL else ():
         number = parents.index(file.parent) + 1
         counted = _counted(progress, f"{number} of {len(parents)} folders") if below else progress
         first = below and file == next(other for other in found if other.parent == file.parent)
         anchor = file.parent.relative_to(folder).as_posix() if first else ""
         entries.append(_entry(file, results, anchor, counted))
     title = f"crosscheck: {folder.resolve().name}"
-    text = rendered("page.html", title=title, index=index, entries=entries, most=MOST_IN_FULL)
+    text = rendered("page.html", title=title, index=index, entries=entries, most=MAX_FOLDERS_IN_FULL)
     write_files({path: text.encode()})
     return path
 
 
 def rendered(template: str, **content: object) -> str:
-    """HTML of a template beside this module; jinja2 escapes all texts in it."""
+    """Render an HTML template of this package with the given variables; all texts in them are escaped."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -200,14 +240,17 @@ def rendered(template: str, **content: object) -> str:
 
 
 def _results_in(folder: Path) -> list[Path]:
+    """List the result files in a folder, in the order of `RESULTS`."""
     return [folder / name for name in RESULTS if (folder / name).is_file()]
 
 
 def _counted(progress: Progress, count: str) -> Progress:
+    """Return a progress function that puts a count, such as "2 of 5 folders", before each message."""
     return lambda text: progress(f"{count}, {text}")
 
 
 def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
+    """Make the row of a result file in the list of verdicts: variables of the template."""
     return {
         "name": file.parent.relative_to(folder).as_posix(),
         "judged": report.judged,
@@ -218,21 +261,27 @@ def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
 
 
 def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Entry:
-    """The report of a file of results with pictures of the runs and recordings that lie beside it.
+    """Make the entry of a result file, with pictures of the runs and recordings in the same folder.
+
+    Args:
+        file: path of the result file.
+        results: its content.
+        anchor: name by which the list of verdicts links to the entry.
+        progress: shows a message to the user.
 
     Raises:
-        CrosscheckError: for one of these that is missing, is no file, or is not the one written with it.
+        CrosscheckError: for a run, recording or picture that is missing or differs from the original.
     """
     entry = Entry(results.report, anchor)
-    beside = [file.parent / name for name in results.files]
-    for path in beside:
+    paths = [file.parent / name for name in results.files]
+    for path in paths:
         if not os.path.lexists(path):
             raise CrosscheckError(f"{path}: missing, {file.name} beside it was written with it; run it again")
         if results.files[path.name] != digest(path):
             raise CrosscheckError(f"{path}: is not the file that {file.name} beside it was written with")
-    runs = _runs(path for path in beside if path.suffix == ".npz")
+    runs = _read_runs(path for path in paths if path.suffix == ".npz")
     first = next(iter(runs.values()), None)
-    for path in (path for path in beside if path.suffix == ".rrd"):
+    for path in (path for path in paths if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
             entry.views.extend(_views(path, [0.0] if first is None else key_times(first)))
@@ -246,7 +295,7 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
             bounds = {(each.quantity, *each.between): each.tolerance for each in results.checks}
         entry.speed.extend(Picture(*each) for each in plots.speed(costs))
         entry.pictures.extend(Picture(*each) for each in plots.pictures(runs, bounds))
-    for path in (path for path in beside if path.suffix == ".png"):
+    for path in (path for path in paths if path.suffix == ".png"):
         try:
             content = read_content(path, "result_size")
         except SourceError as error:
@@ -265,21 +314,21 @@ def key_times(run: Mapping[str, Array]) -> list[float]:
 
 
 def _views(recording: Path, moments: Sequence[float]) -> Iterator[Picture]:
-    """Pictures of the mechanism in a recording at times, s, by the Rerun viewer.
+    """Yield pictures of the mechanism in a recording at times, s, which the Rerun viewer takes.
 
     Raises:
-        CrosscheckError: where the viewer does not run or shows nothing.
+        CrosscheckError: if the viewer does not run or shows nothing.
     """
     from crosscheck.recording.screenshot import MECHANISM, screenshots
 
-    if not recording.is_file():  # a pipe would keep its reader waiting
+    if not recording.is_file():  # reading a pipe could wait forever
         raise CrosscheckError(f"{recording}: not a regular file")
     for moment, content in zip(moments, screenshots(recording, moments, MECHANISM), strict=True):
         yield Picture(content, f"{recording.stem} at {moment:.4g} s")
 
 
-def _runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:
-    """The arrays of runs by engine."""
+def _read_runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:
+    """Read the arrays of runs, by engine and name; all runs must have equally many bodies."""
     found: dict[str, dict[str, Array]] = {}
     for path in paths:
         arrays = load_arrays(path)

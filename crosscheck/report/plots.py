@@ -1,4 +1,7 @@
-"""Pictures of the runs of a crosscheck, from the arrays that it saved."""
+"""Draw the runs of a crosscheck: run times, differences from the first engine, drift and energies.
+
+In: the arrays that `crosscheck run` stored, by engine. Out: pictures (PNG) with captions.
+"""
 
 from __future__ import annotations
 
@@ -20,32 +23,34 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 1.8)}
-"""Dash and width of each engine's curves; thick under thin, so that equal curves all show."""
+"""Dash pattern and width (points) of each engine's curves: thick solid under thin dashed, so that all of
+several equal curves are visible."""
 
 SMALLEST = 1e-18
-"""Smallest plotted value, since the axis is logarithmic."""
+"""Smallest value on logarithmic axes; smaller ones, also zero, are replaced by it."""
 
-SHORTEST_BAR, ROOM = 3.0, 60.0
-"""Run time at the left of the shortest bar, and right of the longest one, by these: decades are alike."""
+LEFT_MARGIN, RIGHT_MARGIN = 3.0, 60.0
+"""Factors of the logarithmic time axis: it begins at the shortest run time divided by the first, and ends at
+the longest run time times the second, which leaves space for labels."""
 
-SPEED = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
+SPEED_CAPTION = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
 
 OTHER_DASH = ("-.", 1.6)
-"""Line style of curves that are not in `DASHES`."""
+"""Dash pattern and width (points) of curves that are not in `DASHES`."""
 
 Runs = Mapping[str, Mapping[str, Array]]
-"""Arrays of `Trajectory.arrays` by name, by engine; the first engine is what others are compared with."""
+"""Arrays of `Trajectory.arrays`, by engine and by name; other engines are compared with the first."""
 
 Bounds = Mapping[tuple[str, ...], float | None]
-"""Tolerances by quantity and names of one or two engines."""
+"""Tolerances by the name of a quantity and the names of one or two engines."""
 
 Line = tuple[str, str, Array, Array]
-"""Label of its panel, engine, times and values."""
+"""A curve: quantity (label of the axis), engine, times (n,), s, and values (n,)."""
 
 
 @contextmanager
 def own_style() -> Iterator[None]:
-    """Draw with the defaults of matplotlib, whatever the user's or the folder's `matplotlibrc` has."""
+    """Within a block or function, use matplotlib's default style instead of the user's `matplotlibrc`."""
     from matplotlib import style
 
     with style.context("default"):
@@ -53,7 +58,14 @@ def own_style() -> Iterator[None]:
 
 
 def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tuple[bytes, str]]:
-    """Draw bars of the run time, s, of each engine that has one, beside its error, m and rad."""
+    """Draw a bar chart of run times, labeled with the errors; nothing if there are no run times.
+
+    Args:
+        costs: by engine, run time, s, and error, m and rad.
+
+    Yields:
+        A picture (PNG) and its caption.
+    """
     names = [name for name, (time, _) in costs.items() if time]
     if not names:
         return
@@ -63,29 +75,37 @@ def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tu
         for time, error in zip(times, errors, strict=True)
     ]
     colors = [palette(list(costs))[name] for name in names]
-    yield png(_bars(names, times, labels, colors)), SPEED
+    yield png(_bars(names, times, labels, colors)), SPEED_CAPTION
 
 
 @own_style()
 def _bars(
     names: Sequence[str], times: Sequence[float], labels: Sequence[str], colors: Sequence[str]
 ) -> Figure:
-    """Draw a bar with a label for each run time, s."""
+    """Draw a horizontal bar with a label and a color for each run time, s."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.8, 0.9 + 0.45 * len(names)), layout="constrained")
     ax = figure.add_subplot()
     bars = ax.barh(names, times, color=colors, height=0.6)
     ax.bar_label(bars, labels, padding=4)
-    # a logarithmic axis has no zero that bars could begin at
-    ax.set(xscale="log", xlim=(min(times) / SHORTEST_BAR, max(times) * ROOM), xlabel="run time, s")
+    # a logarithmic axis has no zero at which bars could begin
+    ax.set(xscale="log", xlim=(min(times) / LEFT_MARGIN, max(times) * RIGHT_MARGIN), xlabel="run time, s")
     ax.invert_yaxis()
     ax.spines[["top", "right"]].set_visible(False)
     return figure
 
 
 def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
-    """Draw differences, drift and energies, as PNG with captions; what was not saved is left out."""
+    """Draw differences, drift and energies over time; quantities that were not stored are left out.
+
+    Args:
+        runs: arrays of each engine's run.
+        bounds: tolerances, which are drawn as thin lines.
+
+    Yields:
+        Pictures (PNG) with their captions.
+    """
     yield from _differences(runs, bounds)
     yield from _drift(runs, bounds)
     yield from _energy(runs)
@@ -93,34 +113,51 @@ def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
 
 @own_style()
 def png(figure: Figure, dpi: int = 100) -> bytes:
-    """A figure as a PNG."""
+    """Convert a figure of matplotlib to the content of a PNG; `dpi` is in pixels per inch."""
     content = io.BytesIO()
     figure.savefig(content, dpi=dpi, format="png")
     return content.getvalue()
 
 
 def curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None:
-    """Draw a quantity over time in the engine's style."""
+    """Draw values (n,) over times (n,), s, in the style of an engine."""
     dash, width = DASHES.get(engine, OTHER_DASH)
     ax.plot(time, values, color=color, linestyle=dash, linewidth=width, label=engine)
 
 
 def _over_time(runs: Runs, name: str, label: str) -> Iterator[Line]:
-    """Yield the lines of the runs with an array over time, unless all values are zero."""
+    """Yield a line for each run that has an array, unless all values are zero.
+
+    Args:
+        runs: arrays of each engine's run.
+        name: name of the array.
+        label: label of the axis.
+    """
     having = [(engine, run) for engine, run in runs.items() if name in run]
     if any(np.any(run[name]) for _, run in having):
         for engine, run in having:
             yield label, engine, run["time"], run[name]
 
 
-def _drawn(
+def _draw(
     lines: list[Line],
     colors: Mapping[str, str],
     caption: str,
     logarithmic: bool = False,
     tolerances: Mapping[tuple[str, str], float | None] | None = None,
 ) -> Iterator[tuple[bytes, str]]:
-    """A picture over time for each label, with tolerances by label and engine; none without lines."""
+    """Draw a picture over time for each label of the lines.
+
+    Args:
+        lines: curves.
+        colors: color of each engine.
+        caption: caption, after the label.
+        logarithmic: whether the axis of values is logarithmic.
+        tolerances: tolerances by label and engine.
+
+    Yields:
+        Pictures (PNG) with their captions.
+    """
     for label in dict.fromkeys(label for label, *_ in lines):
         of_label = [line for line in lines if line[0] == label]
         figure = _curves(label, of_label, colors, tolerances or {}, "log" if logarithmic else "linear")
@@ -135,7 +172,7 @@ def _curves(
     tolerances: Mapping[tuple[str, str], float | None],
     scale: str,
 ) -> Figure:
-    """Draw a quantity over time, a curve and a tolerance for each engine."""
+    """Draw a quantity over time: a curve and the tolerance of each engine; `scale` is "log" or "linear"."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.8, 3.2), layout="constrained")
@@ -152,6 +189,7 @@ def _curves(
 
 
 def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
+    """Draw the largest distance and angle of any body between each run and the first run."""
     reference, *others = runs.items()
     lines, tolerances = [], {}
     for engine, run in others:
@@ -163,10 +201,11 @@ def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
             lines.append((quantity, engine, time, np.maximum(values, SMALLEST)))
             tolerances[quantity, engine] = bounds.get((quantity, reference[0], engine))
     caption = f"difference from {reference[0]}, largest over the bodies; thin lines are tolerances"
-    yield from _drawn(lines, palette(list(runs)), caption, True, tolerances)
+    yield from _draw(lines, palette(list(runs)), caption, True, tolerances)
 
 
 def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
+    """Draw the constraint violation (drift) of each run, largest over the joints."""
     lines = [
         (label, engine, time, np.maximum(violation.max(axis=1, initial=0.0), SMALLEST))
         for label, engine, time, violation in _over_time(runs, "constraint_violation", CONSTRAINT_VIOLATION)
@@ -175,11 +214,12 @@ def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
         (CONSTRAINT_VIOLATION, engine): bounds.get((CONSTRAINT_VIOLATION, engine)) for engine in runs
     }
     caption = "drift, largest over the joints; thin lines are tolerances"
-    yield from _drawn(lines, palette(list(runs)), caption, True, tolerances)
+    yield from _draw(lines, palette(list(runs)), caption, True, tolerances)
 
 
 def _energy(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    """Draw the kinetic and the potential energy of each run, and the work of forces without a potential."""
     lines = [*_over_time(runs, "kinetic_energy", "kinetic, J")]
     lines += _over_time(runs, "potential_energy", "potential, J")
     lines += _over_time(runs, "work", "work done by what has no potential, J")
-    yield from _drawn(lines, palette(list(runs)), "energy")
+    yield from _draw(lines, palette(list(runs)), "energy")

@@ -1,4 +1,8 @@
-"""Reports as text for the terminal, Markdown, JSON and JUnit XML."""
+"""Write reports as text for the terminal, as Markdown, as JSON and as JUnit XML.
+
+In: a `Report` of tables and sentences, see `crosscheck.report.table`. Start reading at `terminal`,
+`markdown`, `as_json` and `junit`.
+"""
 
 from __future__ import annotations
 
@@ -23,42 +27,42 @@ from rich.text import Text
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
 from crosscheck.support.checksum import with_checksum
 
-NARROWEST = 40
-"""Characters of lines, however narrow a terminal is said to be."""
+MIN_LINE_WIDTH = 40
+"""Smallest width of lines, characters, even if the terminal is narrower."""
 
-LONGEST = 32
-"""Characters of words that are not folded."""
+MAX_WORD_WIDTH = 32
+"""Width, characters, up to which a word stays in one line."""
 
-LEAST = 20
-"""Characters of texts that are neither wrapped nor cut to fit another column beside them."""
+MAX_UNWRAPPED_TEXT = 20
+"""Width, characters, up to which a text in a cell is never wrapped."""
 
 GUTTER = 2
-"""Characters between columns."""
+"""Space between columns, characters."""
 
 INDENT = 2
-"""Characters that rows below a heading are indented by."""
+"""Indentation of rows below a heading of rows, characters."""
 
-HEAD = 12
-"""Characters of headings that are not wrapped to the width of the figures below."""
+MAX_UNWRAPPED_HEADING = 12
+"""Width, characters, up to which the heading of a column of numbers is never wrapped."""
 
 STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yellow", "fails": "bold red"}
 """Terminal style of each verdict."""
 
-MARKED = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
-"""Characters that Markdown would take for its own; underscores within a word it does not."""
-
+MARKDOWN_SYNTAX = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
+"""Characters that are syntax in Markdown; underscores within a word are not."""
 
 MAX_VALUE, VALUE_END = 120, 30
-"""Characters of a value in an error line without blanks, and of its end that is shown if it is longer."""
+"""Numbers of characters that an error message shows of the beginning and of the end of a longer word."""
 
 MAX_LINE = 600
-"""Characters of an error line."""
+"""Largest number of characters of an error message."""
 
 
 def printable(text: str) -> str:
-    """Escape all characters but line breaks that are not shown as themselves.
+    """Escape all characters that are not printable, except line breaks.
 
-    A name in a file may hold escape sequences of terminals, or characters that turn others round.
+    A name in a model file may contain escape sequences of terminals, or characters that reverse the writing
+    direction.
     """
     if text.isprintable():
         return text
@@ -66,7 +70,7 @@ def printable(text: str) -> str:
 
 
 def shortened_values(line: str) -> str:
-    """Cut long values in the middle, as names of thousands of letters, and then what is too long a line."""
+    """Shorten an error message: cut the middle of very long words, such as names, and of a long message."""
     words = [
         word if len(word) <= MAX_VALUE + VALUE_END else f"{word[:MAX_VALUE]}...{word[-VALUE_END:]}"
         for word in printable(line).split(" ")
@@ -76,13 +80,13 @@ def shortened_values(line: str) -> str:
 
 
 def terminal(parts: Iterable[Part]) -> str:
-    """Parts that are not folded, in color where standard output has it.
+    """Format the parts of a report that are not folded as text for standard output, in color if supported.
 
-    Tables are as wide as the terminal, COLUMNS, or 80 where there is neither. Sentences wrap there at words;
-    in files and pipes without COLUMNS each is one line.
+    The width is that of the terminal, or the environment variable COLUMNS, or 80 if there is neither.
+    Sentences are wrapped at words. A file or a pipe without COLUMNS gets each sentence in one line.
     """
     console = Console()
-    console.width = max(NARROWEST, console.width)
+    console.width = max(MIN_LINE_WIDTH, console.width)
     with console.capture() as capture:
         before: Part | None = None
         for part in parts:
@@ -94,7 +98,7 @@ def terminal(parts: Iterable[Part]) -> str:
             if part.title:
                 console.print(Text(wrapped(part.title), style="bold"), soft_wrap=True)
             if isinstance(part, Table):
-                for block in _blocks(part, console.width):
+                for block in _split_columns(part, console.width):
                     console.print(_rich_table(block, console.width))
                     console.print()
             else:
@@ -104,11 +108,12 @@ def terminal(parts: Iterable[Part]) -> str:
 
 
 def wrapped(line: str, stream: TextIO | None = None) -> str:
-    """A sentence in lines of the terminal's width, the later ones indented.
+    """Wrap a sentence at the width of the terminal; later lines are indented.
 
     Args:
-        stream: what it is written to; standard output if None. One that is no terminal, as a file that is
-            searched later, gets the sentence as it is, unless COLUMNS is set.
+        line: the sentence.
+        stream: stream that the sentence is written to; standard output if None. For a file or a pipe, the
+            sentence is not wrapped, so that it can be searched, unless the variable COLUMNS is set.
     """
     line, console = printable(line), Console(file=stream)
     if not _has_width(console):
@@ -116,7 +121,7 @@ def wrapped(line: str, stream: TextIO | None = None) -> str:
     indent = " " * (len(line) - len(line.lstrip()) + 2)
     return textwrap.fill(
         line,
-        max(NARROWEST, console.width),
+        max(MIN_LINE_WIDTH, console.width),
         subsequent_indent=indent,
         break_long_words=False,
         break_on_hyphens=False,
@@ -125,16 +130,21 @@ def wrapped(line: str, stream: TextIO | None = None) -> str:
 
 
 def _has_width(console: Console) -> bool:
-    """False for files and pipes, whose lines may be as long as they are."""
+    """Return False for a file or a pipe, in which lines may have any length, unless COLUMNS is set."""
     return console.is_terminal or "COLUMNS" in os.environ
 
 
-def _blocks(table: Table, width: int) -> Iterator[Table]:
-    """A table, or where it is too wide several, each with the columns of text that it begins with."""
-    least = [_least(table, number) + GUTTER for number in range(len(table.columns))]
+def _split_columns(table: Table, width: int) -> Iterator[Table]:
+    """Split a table that is wider than `width` characters into several tables with some of its columns.
+
+    Each table begins with the columns of text at the beginning of the original table.
+    """
+    least = [_min_width(table, number) + GUTTER for number in range(len(table.columns))]
+    # columns of text that all tables begin with; only the first if these take more than half of the width
     keys = list(takewhile(lambda number: not table.columns[number].numeric, range(len(least)))) or [0]
     if sum(least[number] for number in keys) > width / 2:
         keys = keys[:1]
+    # add further columns until the width is exceeded
     chosen = list(keys)
     for number in range(len(keys), len(least)):
         if len(chosen) > len(keys) and sum(least[k] for k in (*chosen, number)) - GUTTER > width:
@@ -145,38 +155,42 @@ def _blocks(table: Table, width: int) -> Iterator[Table]:
 
 
 def _lines(table: Table, number: int) -> list[tuple[str, int]]:
-    """Lines of the texts of a column, and the characters that each is indented by."""
+    """Return the lines of all cells of a column, the heading first, each with its indentation, characters."""
     column = table.columns[number]
     found = [(line, 0) for line in column.heading.split("\n")]
-    sections = number == 0 and any(isinstance(row, str) for row in table.rows)
+    has_sections = number == 0 and any(isinstance(row, str) for row in table.rows)
     for row in table.rows:
         if isinstance(row, str):
             found += [(printable(row), 0)] if number == 0 else []
         elif number < len(row):
             lines = printable(_text(row[number])).split("\n")
-            found += [(line, INDENT if sections else 0) for line in lines]
+            found += [(line, INDENT if has_sections else 0) for line in lines]
     return found
 
 
-def _least(table: Table, number: int) -> int:
-    """Characters that a column needs: figures as they are, texts as far as they do not wrap."""
+def _min_width(table: Table, number: int) -> int:
+    """Compute the smallest width of a column, characters: numbers are not wrapped, long texts are."""
     column, lines = table.columns[number], _lines(table, number)
     if not column.numeric:
-        short = (
-            (len(line) if len(line) <= LEAST else max(map(len, line.split()), default=0), indent)
-            for line, indent in lines
-        )
-        return max(min(LONGEST, length) + indent for length, indent in short)
+        widths = []
+        for line, indent in lines:
+            longest_word = max(map(len, line.split()), default=0)
+            length = len(line) if len(line) <= MAX_UNWRAPPED_TEXT else longest_word
+            widths.append(min(MAX_WORD_WIDTH, length) + indent)
+        return max(widths)
     heads = column.heading.split("\n")
     words = [len(word) for word in column.heading.split()]
-    figures = [len(line) + indent for line, indent in lines[len(heads) :]]
-    return max([*figures, *words, *(min(HEAD, len(line)) for line in heads)])
+    numbers = [len(line) + indent for line, indent in lines[len(heads) :]]
+    return max([*numbers, *words, *(min(MAX_UNWRAPPED_HEADING, len(line)) for line in heads)])
 
 
 def _widths(table: Table, width: int) -> list[int]:
-    """Characters of each column in a terminal; texts that wrap share what the least widths leave."""
+    """Compute the width of each column, characters, in a table of at most `width` characters.
+
+    Columns get their smallest width first. Columns of text share the rest; those that need least come first.
+    """
     numbers = range(len(table.columns))
-    widths = [_least(table, number) for number in numbers]
+    widths = [_min_width(table, number) for number in numbers]
     room = width - sum(widths) - GUTTER * (len(widths) - 1)
     whole = [max(len(line) + indent for line, indent in _lines(table, number)) for number in numbers]
     wrapping = [number for number in numbers if not table.columns[number].numeric]
@@ -188,7 +202,7 @@ def _widths(table: Table, width: int) -> list[int]:
 
 
 def _of_columns(table: Table, numbers: Sequence[int]) -> Table:
-    """A table of some columns of another."""
+    """Make a table of some columns of another table, given by their numbers."""
     if len(numbers) == len(table.columns):
         return table
     rows: Rows = [
@@ -199,19 +213,21 @@ def _of_columns(table: Table, numbers: Sequence[int]) -> Table:
 
 
 def _text(cell: str | Cell) -> str:
+    """Return the text of a cell."""
     return cell if isinstance(cell, str) else cell.text
 
 
 def _heading(table: Table, number: int) -> str:
-    """The heading of a column, in lines as wide as its figures."""
+    """Return the heading of a column; for a column of numbers, wrapped to the width of the column."""
     column = table.columns[number]
     if not column.numeric:
         return column.heading
-    width = _least(table, number)
+    width = _min_width(table, number)
     return "\n".join(textwrap.fill(line, width) for line in column.heading.split("\n"))
 
 
 def _rich_table(table: Table, width: int) -> RichTable:
+    """Convert a table to a table of the package rich, at most `width` characters wide."""
     drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
     if not table.title:
         drawn.box, drawn.padding = None, (0, GUTTER, 0, 0)
@@ -237,10 +253,12 @@ def _rich_table(table: Table, width: int) -> RichTable:
 
 
 def markdown(report: Report, folded: bool = False, links: Mapping[str, str] | None = None) -> str:
-    """A document; its folded parts only if they are asked for, its heading if the report has a title.
+    """Write a report as a Markdown document.
 
     Args:
-        links: addresses of bodies and joints by name, for cells that are about one.
+        report: the report.
+        folded: whether to include folded parts.
+        links: addresses by names of bodies and joints; a cell about one of these becomes a link.
     """
     lines = [f"# {_escaped(report.title)}", ""] if report.title else []
     if report.verdict:
@@ -252,6 +270,7 @@ def markdown(report: Report, folded: bool = False, links: Mapping[str, str] | No
 
 
 def _markdown(part: Part, links: Mapping[str, str] | None) -> Iterator[str]:
+    """Yield the Markdown lines of one part of a report; `links` as of `markdown`."""
     if part.title:
         yield from (f"## {_escaped(part.title)}", "")
     if isinstance(part, Lines):
@@ -261,7 +280,7 @@ def _markdown(part: Part, links: Mapping[str, str] | None) -> Iterator[str]:
 
 
 def markdown_table(table: Table, links: Mapping[str, str] | None = None) -> Iterator[str]:
-    """The lines of a table alone; what fails is bold."""
+    """Yield the Markdown lines of a table, without its title; failing and doubtful cells are bold."""
     links = links or {}
     yield _markdown_row([column.heading for column in table.columns], links)
     yield "|" + "".join("---:|" if column.numeric else "---|" for column in table.columns)
@@ -273,6 +292,7 @@ def markdown_table(table: Table, links: Mapping[str, str] | None = None) -> Iter
 
 
 def _markdown_row(cells: Iterable[str | Cell], links: Mapping[str, str]) -> str:
+    """Write a row of a table in Markdown; `links` as of `markdown`."""
     texts = []
     for cell in (cell if isinstance(cell, Cell) else Cell(cell) for cell in cells):
         text = _escaped(cell.text)
@@ -284,21 +304,28 @@ def _markdown_row(cells: Iterable[str | Cell], links: Mapping[str, str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text that Markdown shows as it is."""
-    return MARKED.sub(r"\\\g<0>", printable(text)).replace("\n", ", ")
+    """Escape a text so that Markdown shows it unchanged; line breaks become commas."""
+    return MARKDOWN_SYNTAX.sub(r"\\\g<0>", printable(text)).replace("\n", ", ")
 
 
 def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, bytes] | None = None) -> bytes:
-    """Results as JSON: data, the report on them, SHA-256 of files beside them that pages show, a checksum."""
+    """Make the content of a JSON result file.
+
+    Args:
+        content: results of the command.
+        report: report on the results, for pages.
+        files: runs, recordings and pictures that the command writes to the same folder; the file has their
+            SHA-256, by which a page detects files of other results.
+    """
     digests = {path.name: hashlib.sha256(held).hexdigest() for path, held in (files or {}).items()}
     whole = _finite({**content, "report": asdict(report), "files": digests})
-    # as a reader finds it: keys that are numbers here are texts there
+    # through JSON once, since the checksum is of the content as read: keys that are numbers become texts
     whole = json.loads(json.dumps(whole, allow_nan=False))
     return (json.dumps(with_checksum(whole), indent=1) + "\n").encode()
 
 
 def _finite(value: object) -> Any:
-    """JSON has no numbers that are not finite; such a figure is its text."""
+    """Replace numbers that are not finite, which JSON does not have, by texts such as "nan"."""
     if isinstance(value, float):
         return value if abs(value) < float("inf") else repr(value)
     if isinstance(value, Mapping):
@@ -309,9 +336,10 @@ def _finite(value: object) -> Any:
 
 
 def junit(report: Report) -> str:
-    """JUnit XML: a suite per table with judged cells, a case per row.
+    """Write a report as JUnit XML, which CI servers show: a test suite per table, a test case per row.
 
-    A row that fails has its cells as the failure's message, a row that improved has them as its output.
+    Tables without judged cells are left out. The cells of a failing row are the message of the failure; those
+    of a row that has improved are the output of the test case.
     """
     root = ElementTree.Element(
         "testsuites", name=printable(report.title), time=f"{report.wall_time or 0.0:.3f}"
@@ -349,6 +377,6 @@ def junit(report: Report) -> str:
 
 
 def _worded(table: Table, row: Sequence[Cell]) -> str:
-    """The cells of a row but the first, each with its heading."""
-    named = zip(table.columns[1:], row[1:], strict=False)
-    return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in named if cell.text)
+    """Describe a row in a line: all cells except the first, each with the heading of its column."""
+    headed = zip(table.columns[1:], row[1:], strict=False)
+    return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in headed if cell.text)

@@ -1,4 +1,8 @@
-"""The report of a crosscheck: figures, settings, advice."""
+"""Make the report of a crosscheck: the checks as tables, and sentences on the limits of the verdict.
+
+A crosscheck runs one scene in several engines, or two models (such as an MJCF and a URDF of one robot) in
+newton_euler, and compares the results. Its result is a `Crosscheck`; the report has what the user reads.
+"""
 
 from __future__ import annotations
 
@@ -40,41 +44,41 @@ from newton_euler.model.trajectory import distance
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.runs.assemble import initial_state
 
-MOST_NAMED = 12
-"""Elements in one line."""
+MAX_NAMES = 12
+"""Largest number of names in one sentence."""
 
 ALL_LISTED = "all in summary.json and on the page of `crosscheck report`"
-"""Text on where all untested elements are listed."""
+"""End of a sentence on untested elements that does not name all of them."""
 
 SAME_CODE = "as all engines call the same code"
-"""Why controllers are untested, whatever the motion."""
+"""Reason why controllers in Python code are untested, whatever the motion."""
 
-MOST_ACTING_LINES = 3
-"""Elements that act and are not simulated, a line each; more are named in one line."""
+MAX_ACTING_LINES = 3
+"""Largest number of lines on elements that act and are not simulated; one more line names the others."""
 
 START_DIGITS = 1e-5
-"""Share of the mechanism's size, or rad, that the digits of a file may leave its loops open at the start."""
+"""Largest change of the start, rad or multiples of the mechanism's size, that is not reported: numbers in
+model files have about five digits, so that kinematic loops do not close exactly."""
 
 IMPLICIT = ("Radau", "implicitfast")
-"""Integrators that engines take for stiff scenes by themselves."""
+"""Implicit integrators, which engines choose for stiff scenes."""
 
 
 def report(result: Crosscheck) -> Report:
-    """All that a crosscheck found."""
+    """Make the report of a crosscheck."""
     limits, others = list(limiting(result)), list(notes(result))
-    said = [*limits, *others]
     parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
     parts.extend(tables(result))
-    parts.append(Lines("", [*said, *(f"advice, {advice}" for advice in result.advice)]))
+    parts.append(Lines("", [*limits, *others, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(entries("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
         parts.append(_untested_table(result.coverage))
     for title, mapping in _mappings(result):
         parts.append(Lines(f"carried over from {title}", list(report_lines(mapping)), folded=True))
-    named = ("scene", "source", "options", "models", "left_out", "versions")
+    shown = ("scene", "source", "options", "models", "left_out", "versions")
     found = result.summary()
     parts.append(
-        entries("scene and versions", {name: found[name] for name in named if found.get(name)}, folded=True)
+        entries("scene and versions", {name: found[name] for name in shown if found.get(name)}, folded=True)
     )
     title = ": ".join(filter(None, [result.title, result.scene.description]))
     brief = summary(result, limits, others)
@@ -82,7 +86,7 @@ def report(result: Crosscheck) -> Report:
 
 
 def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
-    """Import reports of the model files, each after its file's title."""
+    """Yield a title ("the file") and the import report of each model file."""
     models = result.models if isinstance(result, TwoModelComparison) else []
     if result.mapping and not models:
         yield "the file", result.mapping
@@ -90,12 +94,16 @@ def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
 
 
 def judged_word(result: Crosscheck) -> Cell:
-    """The verdict in one word."""
+    """Make the cell with the verdict in one word, such as AGREE."""
     return Cell(result.outcome.value, result.outcome.judged)
 
 
 def _untested_table(found: Coverage) -> Table:
-    """A row per element that the motion does not test, with how much of a change of it shows."""
+    """Make a table of the elements that the motion does not test.
+
+    The effect of an element is the change of the motion if a parameter of the element grows by 10 %, divided
+    by the smallest change that the checks detect.
+    """
     rows: Rows = [
         [each.element, SAME_CODE if each.shared else f"{each.effect:.1e}"] for each in found.untested
     ]
@@ -104,7 +112,11 @@ def _untested_table(found: Coverage) -> Table:
 
 
 def tables(result: Crosscheck) -> Iterator[Table]:
-    """Figures of engines against a model file, of pairs of engines, of each by itself, and of its systems."""
+    """Yield the tables of checks.
+
+    There is a table of engines against the model file, of pairs of engines, of each engine by itself, and of
+    the two formulations of the equations in newton_euler. Reference values and failed checks follow.
+    """
     titles = {
         "file": f"each engine against {result.title} as its file's own reader has it",
         "pairs": "engines compared",
@@ -112,12 +124,12 @@ def tables(result: Crosscheck) -> Iterator[Table]:
         "within": "two equations of motion of one engine",
     }
     engines = {engine.name for engine in result.engines}
-    for part, title in titles.items():
-        rows = [row for row in result.checks if _part(row, engines) == part]
+    for kind, title in titles.items():
+        rows = [row for row in result.checks if _kind_of(row, engines) == kind]
         if rows:
-            yield _table(title, rows)
+            yield _checks_table(title, rows)
     if result.measured:
-        yield _measured_table(result.measured)
+        yield _reference_table(result.measured)
     failed = [row for row in result.checks if not row.agrees]
     if len(failed) > 1:
         yield Table(
@@ -127,7 +139,8 @@ def tables(result: Crosscheck) -> Iterator[Table]:
         )
 
 
-def _part(row: Check, engines: set[str]) -> str:
+def _kind_of(row: Check, engines: set[str]) -> str:
+    """Return the table of a check: "single", "file", "pairs" of engines, or "within" one engine."""
     if len(row.between) == 1:
         return "single"
     if FILE in row.between:
@@ -135,8 +148,8 @@ def _part(row: Check, engines: set[str]) -> str:
     return "pairs" if set(row.between) <= engines else "within"
 
 
-def _table(title: str, rows: list[Check]) -> Table:
-    """A row per quantity, a column per pair or engine, a section per level."""
+def _checks_table(title: str, rows: list[Check]) -> Table:
+    """Make a table of checks: a section per level, a row per quantity, a column per engine or pair."""
     columns = list(dict.fromkeys(row.between for row in rows))
     lines: Rows = []
     for level in dict.fromkeys(row.level for row in rows):
@@ -150,6 +163,7 @@ def _table(title: str, rows: list[Check]) -> Table:
 
 
 def _cell(row: Check) -> Cell:
+    """Make the cell of a check: its value, and its tolerance if the check is judged."""
     about = f"worst at {row.where}"
     if row.unconverged:
         return Cell(f"{row.value:.1e} not judged", "", f"{unconverged_reason([row.unconverged])}; {about}")
@@ -158,8 +172,12 @@ def _cell(row: Check) -> Cell:
     return judged(row.value, row.tolerance, row.agrees, about)
 
 
-def _measured_table(measured: Sequence[ReferenceCheck]) -> Table:
-    """A section per time, a row per reference value: first engine's value, reference, a cell per engine."""
+def _reference_table(measured: Sequence[ReferenceCheck]) -> Table:
+    """Make the table of reference values: known results, such as those of a publication.
+
+    There is a section per time and a row per reference value: the first engine's value, the reference, and
+    the error of each engine.
+    """
     columns = list(dict.fromkeys(found.engine for found in measured))
     rows: Rows = []
     for time in dict.fromkeys(found.known.time for found in measured):
@@ -170,22 +188,27 @@ def _measured_table(measured: Sequence[ReferenceCheck]) -> Table:
             first = cells[columns[0]]
             label = f"{first.known.quantity}, {first.known.unit}"
             values = [f"{first.result:.12g}", f"{first.known.value:.12g}"]
-            mine = [cells[name] for name in columns]
-            rows.append([label, *values, *(judged(each.value, each.tolerance, each.agrees) for each in mine)])
+            checks = [cells[name] for name in columns]
+            errors = [judged(each.value, each.tolerance, each.agrees) for each in checks]
+            rows.append([label, *values, *errors])
     heads = [Column(f"value,\n{columns[0]}", numeric=True), *figures("reference")]
     heads += [Column(name, numeric=True) for name in columns]
     return Table("reference values", [Column(""), *heads], rows)
 
 
 def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
-    """Each engine with its settings and run time."""
+    """Yield the name of each engine, and its settings and run time in a line."""
     for name, run in result.trajectories.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
         yield name, f"{settings}; {run.wall_time:.2g} s"
 
 
 def limiting(result: Crosscheck) -> Iterator[str]:
-    """Word what limits the verdict, a line each: stopped parts, another start, what was not simulated."""
+    """Yield sentences that limit the verdict.
+
+    They report parts that stopped, likely mistakes in the file, a start that differs from the file's, and
+    elements that acted and were not simulated.
+    """
     yield from result.notes
     if result.singular:
         yield str(result.singular)
@@ -201,9 +224,9 @@ def limiting(result: Crosscheck) -> Iterator[str]:
         return
     yield from moved_start_lines(mapping, result.scene)
     acting = mapping.acting
-    for entry in acting[:MOST_ACTING_LINES]:
+    for entry in acting[:MAX_ACTING_LINES]:
         yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
-    if more := [acted(entry) for entry in acting[MOST_ACTING_LINES:]]:
+    if more := [acted(entry) for entry in acting[MAX_ACTING_LINES:]]:
         yield f"active, and left out, too: {_named(more)}"
     if result.until and any(line.startswith("excited") for line in mapping.start):
         yield (
@@ -215,7 +238,12 @@ def limiting(result: Crosscheck) -> Iterator[str]:
 
 
 def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
-    """Word how far the start is from the file's, if constraints change it by more than the file's digits."""
+    """Yield sentences on how much the start was changed to satisfy the constraints, if noticeably.
+
+    Args:
+        mapping: import report of the model file.
+        scene: the scene.
+    """
     changed = mapping.changed_velocities
     if changed and changed.share > START_DIGITS:
         yield (
@@ -235,25 +263,32 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
 
 
 def notes(result: Crosscheck) -> Iterator[str]:
-    """Word all else that is to be known beside the figures, a line each, the most important first."""
+    """Yield further sentences on a crosscheck that do not limit its verdict, the most important first."""
     mapping, scene = result.mapping, result.scene
     if result.nothing_moves:
         yield _rest_line(result)
     yield from redundancy_lines(scene)
+    # inertias; of a model file, a likely mistake is reported with numbers by `limiting`
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
-    if impossible and mapping is None:  # a finding of a file has the numbers
+    if impossible and mapping is None:
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
+
+    # what was not compared or tested
     yield from not_compared(result.checks)
     untested = result.coverage.untested if result.coverage else ()
     for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):
         if names := [covered.element for covered in untested if covered.shared == shared]:
-            listed = f", {ALL_LISTED}" if len(names) > MOST_NAMED else ""
+            listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
             yield f"untested {why}: {_named(names)}{listed}"
+
+    # the model file, and the start
     for title, read in _mappings(result):
         yield f"{title}: {fates_line(read)}"
         yield from sorted(read.start, key=lambda line: not line.startswith("excited"))
     yield from undetermined_lines(scene)
+
+    # stiffness: why an engine chose an implicit integrator
     runs = result.trajectories.items()
     implicit = [name for name, run in runs if run.settings.get("integrator") in IMPLICIT]
     if implicit:
@@ -261,33 +296,34 @@ def notes(result: Crosscheck) -> Iterator[str]:
         fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"
         yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
+
     if mapping and result.trajectories:
         yield _start_line(result)
         yield from _inactive_lines(mapping)
 
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:
-    """Constraints that are almost redundant, how they are taken, and what takes them otherwise."""
-    decided = mobility(scene)
-    for weak in decided.nearly:
+    """Yield a sentence for each nearly redundant constraint, with the option that changes its treatment."""
+    found = mobility(scene)
+    for weak in found.nearly:
         if weak.taken == "redundant":
             other = "redundancy_tolerance=0 takes it literally"
         else:
             other = f"redundancy_tolerance={2.0 * weak.singular_value:.0e} takes it as redundant"
         yield f"nearly redundant, {weak}; {other}"
-    if decided.nearly and decided.degrees_of_freedom == 0:
+    if found.nearly and found.degrees_of_freedom == 0:
         yield "the mechanism has no degree of freedom"
 
 
 def undetermined_lines(scene: Scene) -> Iterator[str]:
-    """Joints whose reactions the equations of motion do not determine at the start, a line if any."""
+    """Yield a sentence on joints whose reactions are not unique at the start, if there are any."""
     count, joints = undetermined_joints(scene, initial_state(scene))
     if count:
         yield f"reactions not unique: {redundancy_text(count, _named(joints))}"
 
 
 def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
-    """Word which elements were left out and watched, and did nothing in the run."""
+    """Yield a sentence on elements that are not simulated and, as the run shows, would not have acted."""
     entries = [mapping.entries[number] for number in mapping.watches]
     idle = [f"{entry.element}: {entry.account}" for entry in entries if entry.fate == "inactive"]
     if idle:
@@ -295,7 +331,7 @@ def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
 
 
 def _start_line(result: Crosscheck) -> str:
-    """Word the start of each engine: the same pose, closed as far as its own run says at its first output."""
+    """Report that all engines start in the same pose, and the constraint violation of each at the start."""
     names = list(result.trajectories)
     runs = list(result.trajectories.values())
     apart = max((distance(runs[0], run, at=0) for run in runs[1:]), default=0.0)
@@ -319,11 +355,11 @@ def _rest_line(result: Crosscheck) -> str:
 
 
 def _named(names: Sequence[str]) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(names[:MOST_NAMED]) + more
+    """List the first `MAX_NAMES` names, and the number of further names."""
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return ", ".join(names[:MAX_NAMES]) + more
 
 
 def _short(value: object) -> object:
-    """A setting with as many digits as people read."""
+    """Round a number among the settings to 3 digits, as text; return other values unchanged."""
     return f"{value:.3g}" if isinstance(value, float) else value

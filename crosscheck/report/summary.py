@@ -1,4 +1,4 @@
-"""The summary of a crosscheck: what is printed in about 25 lines of 80 columns unless more is asked for."""
+"""Make the summary of a crosscheck, which the terminal shows in about 25 lines of 80 columns."""
 
 from __future__ import annotations
 
@@ -20,11 +20,17 @@ from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
 
 MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
-"""Sentences below the tables. A verdict that fails takes more lines itself."""
+"""Largest number of sentences below the tables; a failing verdict takes more lines itself."""
 
 
 def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
-    """Make the tables of levels and engines, all that limits the verdict, the first notes, and all advice."""
+    """Make the parts of the summary: tables of levels and engines, limits of the verdict, notes, advice.
+
+    Args:
+        result: result of a crosscheck.
+        limits: sentences that limit the verdict, all of which are shown.
+        notes: further sentences, of which the first are shown.
+    """
     parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
     parts.append(levels_table(result))
     if result.trajectories:
@@ -39,7 +45,7 @@ def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> 
 
 
 def judged_figures(result: Crosscheck) -> list[Check]:
-    """All figures with a tolerance, those against the reference among them."""
+    """Return all checks that are judged, including those against reference values."""
     found = [row for row in result.checks if row.judged]
     for each in result.measured:
         place = f"{each.known.time:g} s"
@@ -48,13 +54,14 @@ def judged_figures(result: Crosscheck) -> list[Check]:
 
 
 def levels_table(result: Crosscheck) -> Table:
-    """Make a row per level: how many checks hold, each engine's worst, and the one nearest its tolerance.
+    """Make a table with a row per level of checks.
 
-    Beside an engine stands its worst difference from the first engine, or at levels of single engines its own
-    figure. What is nearest its tolerance may be between any two.
+    The columns are the number of passed or failed checks, a column per engine, and the check closest to
+    failing. An engine's column has the value of its check closest to failing: a difference from the first
+    engine or from the model file, or at levels that check each engine by itself the engine's own value.
     """
     first, *others = [engine.name for engine in result.engines]
-    columns = others or [first]
+    shown_engines = others or [first]
     found = judged_figures(result)
     rows: Rows = []
     for level in (READING, "model", START, *OF_EQUATIONS[1:], *OF_RUNS, REFERENCE):
@@ -67,14 +74,15 @@ def levels_table(result: Crosscheck) -> Table:
             held = Cell(f"{failed}/{len(at_level)} FAIL", "fails")
         of_each = [
             [row for row in at_level if name in row.between and {*row.between} <= {name, first, FILE}]
-            for name in columns
+            for name in shown_engines
         ]
         rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
-    heads = [Column("worst of"), *figures("checks", *columns)]
+    heads = [Column("worst of"), *figures("checks", *shown_engines)]
     return Table("", [*heads, Column("% of tolerance, where")], rows)
 
 
 def _worst(rows: Sequence[Check]) -> Cell:
+    """Make the cell of the check closest to failing; an empty cell if there are no checks."""
     if not rows:
         return Cell("")
     worst = max(rows, key=lambda row: row.tolerance_ratio)
@@ -82,22 +90,26 @@ def _worst(rows: Sequence[Check]) -> Cell:
 
 
 def nearest(rows: Sequence[Check]) -> Cell:
-    """Word the check that is nearest its tolerance or exceeds it most."""
+    """Describe the check closest to failing, such as "12 % rocker, 0.5 s, positions".
+
+    The number is the value in percent of the tolerance, or above 100 % a multiple of the tolerance ("3 x").
+    """
     worst = max(rows, key=lambda row: row.tolerance_ratio)
-    share, (quantity, _, unit) = worst.tolerance_ratio, worst.quantity.rpartition(", ")
-    text = f"{100.0 * share:.0f} %" if share >= 0.01 else "<1 %"
-    if share > 1.0:
-        text = f"{share:.0f} x" if 10.0 <= share < 1e4 else f"{share:.1g} x"
-    # random as all states are at which equations are compared
+    ratio, (quantity, _, unit) = worst.tolerance_ratio, worst.quantity.rpartition(", ")
+    text = f"{100.0 * ratio:.0f} %" if ratio >= 0.01 else "<1 %"
+    if ratio > 1.0:
+        text = f"{ratio:.0f} x" if 10.0 <= ratio < 1e4 else f"{ratio:.1g} x"
+    # all checks of equations are at random states
     where = worst.where.removeprefix("random ").replace(" at ", ", ")
-    words = "" if worst.quantity == CONSTRAINT_VIOLATION else quantity or unit  # drift is of little else
-    place = ", ".join(filter(None, [where, words]))
+    # the constraint violation is the only quantity of its level, so that its name is left out
+    name = "" if worst.quantity == CONSTRAINT_VIOLATION else quantity or unit
+    place = ", ".join(filter(None, [where, name]))
     about = worst.where.partition(" at ")[0]
     return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about)
 
 
 def engines_table(result: Crosscheck) -> Table:
-    """Make a row per engine: run time, distance from the finest run, method; or when it stopped."""
+    """Make a table with a row per engine: run time, error and settings, or the time at which it stopped."""
     stopped = {stop.what: stop for stop in result.unfinished}
     rows: Rows = []
     for engine in result.engines:
@@ -114,7 +126,7 @@ def engines_table(result: Crosscheck) -> Table:
 
 
 def brief_settings(settings: Mapping[str, Any]) -> str:
-    """Word an engine's method, its tolerance or step, and what keeps its loops closed."""
+    """Describe an engine's settings in a line: integrator, step or tolerance, and loop closure method."""
     words = [str(settings.get("integrator", ""))]
     if step := settings.get("timestep", settings.get("step")):
         words[0] += f" {seconds(step)}"

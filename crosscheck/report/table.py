@@ -1,7 +1,7 @@
-"""Tables and reports, independent of the format that they are written in.
+"""Tables and reports, independent of the format in which they are written.
 
-Commands make them of their results; `crosscheck.report.render` writes them as text for a terminal, Markdown,
-JSON and JUnit XML, and `crosscheck.report.page` as HTML.
+Commands make a `Report` of their results. `crosscheck.report.render` writes reports as text for a terminal,
+Markdown, JSON and JUnit XML, and `crosscheck.report.page` as HTML.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Verdict = Literal["", "holds", "improved", "doubtful", "fails"]
-"""Judgment of a cell; empty for a cell without one."""
+"""Judgment of a cell, which selects its color; "" for none. "improved" is a cost below the baseline."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a table.
+    """One cell of a table.
 
     Attributes:
-        text: the entry.
-        verdict: how it is judged.
-        about: body, joint or time that it is of, shown on demand.
+        text: text of the cell.
+        verdict: judgment of the cell.
+        about: body, joint or time that the cell is about; pages show it when the mouse points at the cell.
     """
 
     text: str
@@ -34,10 +34,10 @@ class Column:
     """A column of a table.
 
     Attributes:
-        name: may have several lines.
-        unit: of all its figures.
-        numeric: whether it holds figures, aligned at the right and never wrapped.
-        below: whether pages put it, if it is the last one, below the others on narrow screens.
+        name: name, which may have several lines.
+        unit: unit of all numbers in the column.
+        numeric: whether the column has numbers, which are aligned at the right and never wrapped.
+        below: for the last column: whether pages move it below the other columns on narrow screens.
     """
 
     name: str
@@ -47,11 +47,12 @@ class Column:
 
     @property
     def heading(self) -> str:
+        """Name and unit."""
         return f"{self.name}, {self.unit}" if self.unit else self.name
 
 
 Rows = list[list[str | Cell] | str]
-"""Rows of cells, or one text that heads the rows after it."""
+"""Rows of a table: each is a list of cells, or a text that is the heading of the rows after it."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,10 @@ class Table:
     """Rows of cells under columns.
 
     Attributes:
-        title: of the table; one without is drawn without a rule.
-        columns: as many as the longest row has cells.
-        rows: see `Rows`.
-        folded: whether pages show it on demand and the terminal not at all.
+        title: title of the table; a table without one is printed without a rule below its headings.
+        columns: columns, as many as the longest row has cells.
+        rows: rows of cells, and headings of rows.
+        folded: whether pages show the table on demand, and the terminal does not show it.
     """
 
     title: str
@@ -71,7 +72,7 @@ class Table:
     folded: bool = False
 
     def sections(self) -> Iterator[tuple[str, list[Cell]]]:
-        """Rows of cells, each with the text that heads it."""
+        """Yield the rows of cells, each with the heading that it stands below."""
         heading = ""
         for row in self.rows:
             if isinstance(row, str):
@@ -82,7 +83,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Lines:
-    """Sentences, one per line; `folded` as of a `Table`."""
+    """Sentences, one per line.
+
+    Attributes:
+        title: title of the sentences; may be empty.
+        lines: the sentences.
+        folded: whether pages show the sentences on demand, and the terminal does not show them.
+    """
 
     title: str
     lines: list[str]
@@ -90,6 +97,7 @@ class Lines:
 
 
 Part = Table | Lines
+"""Part of a report."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +105,12 @@ class Report:
     """Results of one command.
 
     Attributes:
-        title: what was done to what.
-        verdict: the results in one line.
+        title: the command and the model.
+        verdict: the result in one line.
         judged: the verdict in one word.
         parts: tables and sentences, in order.
-        wall_time: s; None if it was not measured.
-        summary: what the terminal shows of the parts unless all are asked for.
+        wall_time: run time of the command, s; None if it was not measured.
+        summary: short tables and sentences, which the terminal shows without `--verbose`.
     """
 
     title: str
@@ -114,36 +122,43 @@ class Report:
 
     @property
     def headline(self) -> tuple[str, str]:
-        """The word in capitals that the verdict begins with, empty if there is none, and what follows it."""
+        """Verdict, split into the word in capitals at its beginning ("" if there is none) and the rest."""
         word, _, found = self.verdict.partition(": ")
         return (word, found) if word.isupper() else ("", self.verdict)
 
 
 def texts(*names: str) -> list[Column]:
-    """Columns of text."""
+    """Make columns of text with these names."""
     return [Column(name) for name in names]
 
 
 def figures(*names: str) -> list[Column]:
-    """Columns of figures; a unit follows the last comma of a name."""
+    """Make columns of numbers with these names; a unit follows the last comma of a name, as in "time, s"."""
     pairs = [name.rpartition(", ") for name in names]
     return [Column(name or unit, unit if name else "", True) for name, _, unit in pairs]
 
 
 def judged(value: float, allowed: float, agrees: bool, about: str = "") -> Cell:
-    """A figure beside the largest value that it may have."""
+    """Make the cell of a checked value, such as "1.2e-09 < 1e-06".
+
+    Args:
+        value: the value.
+        allowed: its tolerance.
+        agrees: whether the check passes.
+        about: body, joint or time of the value.
+    """
     text = f"{value:.1e} {'<' if value <= allowed else '>'} {allowed:.0e}"
     return Cell(text, "holds" if agrees else "fails", about)
 
 
 def entries(title: str, content: Mapping[str, Any], folded: bool = False) -> Table:
-    """A table of names and values."""
+    """Make a table of names and values."""
     rows: Rows = [[name, _text(value)] for name, value in content.items()]
     return Table(title, texts("", ""), rows, folded)
 
 
 def _text(value: object) -> str:
-    """A value of JSON; numbers with as many digits as people read."""
+    """Format a value of JSON as text, numbers with 6 digits."""
     if isinstance(value, Mapping):
         return "\n".join(f"{name}: {_text(entry)}" for name, entry in value.items())
     if isinstance(value, list | tuple):
@@ -154,5 +169,5 @@ def _text(value: object) -> str:
 
 
 def seconds(value: float) -> str:
-    """Word a duration, s, in seconds or milliseconds."""
+    """Format a duration, given in s, in seconds or milliseconds."""
     return f"{value:.3g} s" if value >= 1.0 else f"{1e3 * value:.3g} ms"

@@ -17,8 +17,8 @@ from command_line import run, scene_file, short_example
 from crosscheck.cli import main
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.library import SCENES
-from crosscheck.report.page import MOST_IN_FULL, PAGE, key_times, write_report
-from crosscheck.report.plots import SPEED, pictures
+from crosscheck.report.page import MAX_FOLDERS_IN_FULL, PAGE, key_times, write_report
+from crosscheck.report.plots import SPEED_CAPTION, pictures
 from crosscheck.report.table import Column, Table, judged
 from crosscheck.support.checksum import with_checksum
 from crosscheck.support.errors import CrosscheckError
@@ -152,7 +152,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         assert package in found.words
         assert version in found.words
     assert "DOP853" in found.words
-    assert list(found.images) == [SPEED, *DIFFERENCES, DRIFT, *ENERGIES]
+    assert list(found.images) == [SPEED_CAPTION, *DIFFERENCES, DRIFT, *ENERGIES]
     assert all(content.startswith(PNG) and len(content) > 5000 for content in found.images.values())
     assert {path.name for path in folder.iterdir()} == {
         *(f"{engine}.npz" for engine in ENGINES),
@@ -280,18 +280,18 @@ def test_all_below_the_usual_folder_on_one_page(bare, tmp_path):
 def test_of_many_folders_an_index(bare, tmp_path, capsys):
     """Verdicts, and what writes the pages; nothing is drawn, even of what has runs."""
     output = tmp_path / "many runs"
-    for number in range(MOST_IN_FULL + 1):
+    for number in range(MAX_FOLDERS_IN_FULL + 1):
         shutil.copytree(bare, output / f"run_{number}")
     write(output / "run_3" / "summary.json", verdict="DISAGREE: as it were")
     found = report(output)
     assert found.links == set()
     assert found.words.count("as it were") == 1
-    assert found.text.count("AGREE") == MOST_IN_FULL
-    for number in range(MOST_IN_FULL + 1):
+    assert found.text.count("AGREE") == MAX_FOLDERS_IN_FULL
+    for number in range(MAX_FOLDERS_IN_FULL + 1):
         assert f"crosscheck report '{output / f'run_{number}'}'" in found.text
     shutil.rmtree(output / "run_3")
-    assert len(report(output).links) == MOST_IN_FULL
-    assert len(SCENES) <= MOST_IN_FULL  # so that `run --all` has one page
+    assert len(report(output).links) == MAX_FOLDERS_IN_FULL
+    assert len(SCENES) <= MAX_FOLDERS_IN_FULL  # so that `run --all` has one page
 
 
 def test_progress_counts_the_folders(folder, tmp_path, monkeypatch):
