@@ -60,7 +60,7 @@ with _interrupt_calls(_end):
 
     from crosscheck.cli import identify, measure, models, regress, run, sun, sweep, view
     from crosscheck.cli.shared import BAD_INPUT, cli
-    from crosscheck.report.render import shortened_values, wrapped
+    from crosscheck.report.render import shorten_words, wrapped
     from crosscheck.support.errors import CrosscheckError, reason_of, short_of_memory
 
 MIN_ADDRESS_BYTES, MIN_ADDRESS_BYTES_PER_PROCESSOR = 3_000_000_000, 250_000_000
@@ -223,7 +223,7 @@ def _discard_output() -> None:
 
 def _print_error(message: str, streams: list[TextIO]) -> None:
     """Print an error message in one line on the first of some streams that can be written."""
-    line = shortened_values(" ".join(["crosscheck: error:", *message.split()]))
+    line = shorten_words(" ".join(["crosscheck: error:", *message.split()]))
     for stream in streams:
         with suppress(OSError):
             click.echo(wrapped(line, stream), file=stream)

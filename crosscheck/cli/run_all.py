@@ -16,7 +16,7 @@ from crosscheck.compare.crosscheck import Progress, crosscheck
 from crosscheck.engines.engine import choose
 from crosscheck.library import SCENES, load
 from crosscheck.report.output import write
-from crosscheck.report.run import judged_word, report
+from crosscheck.report.run import outcome_cell, report
 from crosscheck.report.summary import judged_figures, nearest
 from crosscheck.report.table import Cell, Column, Table, figures, texts
 from crosscheck.support.errors import reason_of
@@ -98,7 +98,7 @@ def run_scene(name: str, engines: Sequence[str], folder: Path) -> SceneOutcome:
         return SceneOutcome(name, time.perf_counter() - start, False, f"did not run: {reason_of(error)}")
     wall_time, closest = time.perf_counter() - start, nearest(judged_figures(result))
     passes = result.outcome.passes()
-    return SceneOutcome(name, wall_time, passes, result.verdict, closest, judged_word(result))
+    return SceneOutcome(name, wall_time, passes, result.verdict, closest, outcome_cell(result))
 
 
 def outcomes_table(outcomes: Sequence[SceneOutcome]) -> Table:

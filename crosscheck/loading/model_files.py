@@ -191,16 +191,16 @@ def fates_line(report: ImportReport) -> str:
     for fate in FATES[1:]:
         names = {entry.element for entry in report.of(fate) if not entry.inert}
         if names:
-            found.append(f"{len(names)} {fate} ({_counted(names)})")
+            found.append(f"{len(names)} {fate} ({_count_by_kind(names)})")
     off = {entry.element for entry in report.entries if entry.is_off}
     if off:
-        found.append(f"{len(off)} switched off by the file itself ({_counted(off)})")
+        found.append(f"{len(off)} switched off by the file itself ({_count_by_kind(off)})")
     if unknown := sorted({entry.element for entry in report.entries if not entry.is_understood}):
         found.append(f"not understood, and not simulated: {listed(unknown)}")
     return ", ".join(found)
 
 
-def _counted(names: set[str]) -> str:
+def _count_by_kind(names: set[str]) -> str:
     """Count elements by kind, such as "2 tendons, 1 equality"; elements without a name are not counted."""
     kinds, plurals = Counter(name.partition(" '")[0] for name in sorted(names)), dict(ACTING)
     found = []

@@ -92,13 +92,13 @@ def check_functions(
         # a slice, since an invalid number of the coordinate is reported elsewhere
         is_angle = kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",)
         per_cycle = 2.0 * math.pi if is_angle else math.inf
-        terms, knots = terms + _terms(motion.function), knots + len(motion.function.knots)
-        cycles = float(np.maximum(cycles, _cycles(motion.function, duration, per_cycle)))
+        terms, knots = terms + _count_terms(motion.function), knots + len(motion.function.knots)
+        cycles = float(np.maximum(cycles, _max_cycles(motion.function, duration, per_cycle)))
     for acting in forces:
         for attribute in acting.functions:
             for function in functions_of(getattr(acting, attribute)):
-                terms, knots = terms + _terms(function), knots + len(function.knots)
-                cycles = float(np.maximum(cycles, _cycles(function, duration, math.inf)))
+                terms, knots = terms + _count_terms(function), knots + len(function.knots)
+                cycles = float(np.maximum(cycles, _max_cycles(function, duration, math.inf)))
     check_counts(where, {"terms": terms, "cycles": cycles, "knots": knots})
 
 
@@ -114,10 +114,10 @@ def check_counts(where: str, counts: Mapping[str, float]) -> None:
             raise CrosscheckError(f"{where}: {problem}")
 
 
-def _terms(function: TimeFunction) -> int:
+def _count_terms(function: TimeFunction) -> int:
     """Count the sines and polynomial coefficients of a function of time; those of one piece of a spline."""
     if isinstance(function, Sum):
-        return sum(map(_terms, function.terms))
+        return sum(map(_count_terms, function.terms))
     if isinstance(function, Polynomial):
         return len(function.coefficients)
     if isinstance(function, Sine | Spline | Steps):
@@ -125,7 +125,7 @@ def _terms(function: TimeFunction) -> int:
     assert_never(function)
 
 
-def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
+def _max_cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
     """Compute an upper bound on the periods and revolutions of a function from time 0 to `duration`.
 
     Args:
@@ -143,7 +143,7 @@ def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
         periods = abs(function.angular_frequency) * duration / (2.0 * math.pi)
         return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle
     if isinstance(function, Sum):
-        return sum(_cycles(term, duration, per_cycle) for term in function.terms)
+        return sum(_max_cycles(term, duration, per_cycle) for term in function.terms)
     if isinstance(function, Spline | Steps):
         return float(np.sum(np.abs(np.diff(function.values)))) / per_cycle
     assert_never(function)

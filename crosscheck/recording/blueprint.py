@@ -98,11 +98,11 @@ def blueprint(
     if moments:
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
         texts.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
-    rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
+    rows = [[plot for plot in plots if plot.is_judged is is_judged] for is_judged in (False, True)]
     end = float(run.time[-1])
     plotted = [_row(row, end) for row in rows if row]
     row_heights = [1.0, LOWER_ROW_HEIGHT]
-    return laid_out(
+    return make_layout(
         rrb.Horizontal(
             rrb.Vertical(mechanism_view, rrb.Tabs(*texts, active_tab=0), row_shares=row_heights),
             rrb.Vertical(*plotted, row_shares=row_heights[: len(plotted)]),
@@ -112,7 +112,7 @@ def blueprint(
     )
 
 
-def laid_out(views: rrb.Container, duration: float = MIN_PLAYBACK_S) -> Layout:
+def make_layout(views: rrb.Container, duration: float = MIN_PLAYBACK_S) -> Layout:
     """Make a layout that shows some views, with all panels of the viewer collapsed, and plays in a loop.
 
     Args:

@@ -127,7 +127,7 @@ def log_run(
     shown = plots(scene, trajectories, tolerances or {})
     arrow_scale = _arrow_scale(mechanism, trajectories)
     first = next(iter(trajectories.values()), None) or _initial_pose(mechanism)
-    apart = {engine: _apart(mechanism, first, trajectories[engine]) for engine in engines[1:]}
+    apart = {engine: _largest_distance(mechanism, first, trajectories[engine]) for engine in engines[1:]}
     visible = MIN_VISIBLE_DISTANCE * mechanism.size
     near = [engine for engine, distance in apart.items() if distance <= visible]
 
@@ -208,7 +208,7 @@ def _initial_pose(mechanism: Mechanism) -> Trajectory:
     return Trajectory("", {}, 0.0, np.zeros(1), *names, start.position[None], start.quaternion[None])
 
 
-def _apart(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
+def _largest_distance(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
     """Compute the largest distance, m, between the drawn bodies of two runs at the same time."""
     n = min(len(first.time), len(other.time))
     differences = (
@@ -408,10 +408,10 @@ def _log_plot(
 
     for engine, values in plot.lines.items():
         style = styles[engine]
-        width = LINE_WIDTH if plot.judges else style.line_width
+        width = LINE_WIDTH if plot.is_judged else style.line_width
         look = rr.SeriesLines(colors=style.color, names=engine, widths=width)
         # a difference of two runs ends with the shorter run
-        time = times[engine][: len(values)] if plot.judges else times[engine]
+        time = times[engine][: len(values)] if plot.is_judged else times[engine]
         log(engine, look, time, values)
         if engine in plot.tolerances:
             look = rr.SeriesLines(colors=style.color, names=engine, widths=0.5 * LINE_WIDTH)

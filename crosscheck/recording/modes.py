@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from crosscheck.recording.blueprint import laid_out, scene_view, send_layout
+from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
 from crosscheck.recording.log import log_bodies, log_ground, log_text
 from crosscheck.recording.shapes import Style
 from crosscheck.report.render import markdown_table
@@ -166,20 +166,20 @@ def log_modes(recording: rr.RecordingStream, scene: Scene, model: LinearModel, m
     mechanism = scene.mechanism
     text = "\n".join([f"# Modes of {scene.name}", "", *markdown_table(table(mechanism, modes))])
     log_text(recording, "/modes", text)
-    log_ground(recording, mechanism, swinging(mechanism, model, np.zeros((len(mechanism.bodies), 6))))
+    log_ground(recording, mechanism, animate_mode(mechanism, model, np.zeros((len(mechanism.bodies), 6))))
     names = [f"mode_{number}" for number in range(1, len(modes.twists) + 1)][:MAX_ANIMATED]
     views = []
     for k, (name, color) in enumerate(palette(names).items()):
-        run = swinging(mechanism, model, modes.twists[k])
+        run = animate_mode(mechanism, model, modes.twists[k])
         log_bodies(recording, [name], mechanism, run, Style(rgb(color)))
         heading = f"mode {k + 1}" + f", {modes.frequencies[k]:.4g} Hz" * bool(modes.frequencies[k])
         views.append(scene_view(mechanism, run, heading, ["+ /ground/**", f"+ /{name}/**"]))
     table_view = rrb.TextDocumentView(origin="/modes", name="Modes")
-    send_layout(recording, laid_out(rrb.Vertical(rrb.Grid(*views), table_view, row_shares=[2.0, 1.0])))
+    send_layout(recording, make_layout(rrb.Vertical(rrb.Grid(*views), table_view, row_shares=[2.0, 1.0])))
     recording.send_recording_name(f"modes of {scene.name}")
 
 
-def swinging(mechanism: Mechanism, model: LinearModel, twist: Array) -> Trajectory:
+def animate_mode(mechanism: Mechanism, model: LinearModel, twist: Array) -> Trajectory:
     """Animate one period of a mode.
 
     Args:

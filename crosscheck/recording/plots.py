@@ -24,7 +24,7 @@ SMALLEST = 1e-18
 """Smallest difference, m or rad, in plots of logarithms; smaller ones, also zero, are replaced by it."""
 
 MIN_VARIATION = 1e-5
-"""Smallest variation of a quantity that is plotted, in multiples of `Plot.large`."""
+"""Smallest variation of a quantity that is plotted, in multiples of `Plot.scale`."""
 
 MAX_COORDINATES = 5
 """Largest number of joint coordinates that are plotted."""
@@ -42,10 +42,10 @@ class Plot:
         path: parts of the path of the lines in the recording, below `/plots`; the engine's name is added.
         title: the quantity and its unit.
         lines: values (n,) over the output times, by engine.
-        large: a large value of the quantity, in its unit; a plot is left out if its lines vary much less.
+        scale: a large value of the quantity, in its unit; a plot is left out if its lines vary much less.
         target: set-point of a control law, a constant or a function of time; None without one.
         tolerances: tolerance of each engine, in the unit of the plot.
-        judges: True for a difference or a constraint violation, by which engines are judged; False for a
+        is_judged: True for a difference or a constraint violation, by which engines are judged; False for a
             quantity of the motion, of which the lines of several engines coincide if they agree.
     """
 
@@ -53,16 +53,16 @@ class Plot:
     path: tuple[str, ...]
     title: str
     lines: dict[str, Array]
-    large: float = 0.0
+    scale: float = 0.0
     target: float | TimeFunction | None = None
     tolerances: dict[str, float] = field(default_factory=dict)
-    judges: bool = False
+    is_judged: bool = False
 
     @property
     def is_flat(self) -> bool:
         """True if the lines are constant and equal, so that the plot would show nothing."""
         variation = np.ptp(np.concatenate(list(self.lines.values())))
-        return not self.judges and bool(variation <= MIN_VARIATION * self.large)
+        return not self.is_judged and bool(variation <= MIN_VARIATION * self.scale)
 
 
 def plots(scene: Scene, trajectories: dict[str, Trajectory], tolerances: Tolerances) -> list[Plot]:
@@ -141,29 +141,29 @@ def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator
 
 def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Plot the actuator force or torque of each control law."""
-    forces = _present(trajectories, "actuator_force")
+    forces = _stored_arrays(trajectories, "actuator_force")
     for k, law in enumerate(scene.control):
         name = coordinate_name(scene.mechanism.joint(law.joint), law.coordinate)
         unit = "N" if scene.mechanism.is_slide(law.joint, law.coordinate) else "N m"
         lines = {engine: force[:, k] for engine, force in forces.items()}
-        yield Plot("Control", ("control", name), f"{name} [{unit}]", lines, _largest(forces))
+        yield Plot("Control", ("control", name), f"{name} [{unit}]", lines, _max_abs(forces))
 
 
 def _energy_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Plot the kinetic and the potential energy."""
-    found = {kind: _present(trajectories, f"{kind}_energy") for kind in ("kinetic", "potential")}
-    large = max(map(_largest, found.values()))
+    found = {kind: _stored_arrays(trajectories, f"{kind}_energy") for kind in ("kinetic", "potential")}
+    large = max(map(_max_abs, found.values()))
     for kind, lines in found.items():
         yield Plot("Energy", ("energy", kind), f"{kind} energy [J]", lines, large)
 
 
-def _present(trajectories: dict[str, Trajectory], name: str) -> dict[str, Array]:
+def _stored_arrays(trajectories: dict[str, Trajectory], name: str) -> dict[str, Array]:
     """Return an array of `Trajectory`, given by its name, of the runs that have the array; by engine."""
     values = {engine: getattr(run, name) for engine, run in trajectories.items()}
     return {engine: line for engine, line in values.items() if line is not None}
 
 
-def _largest(lines: dict[str, Array]) -> float:
+def _max_abs(lines: dict[str, Array]) -> float:
     """Return the largest absolute value of some arrays; 0 if there are none."""
     return max((float(np.max(np.abs(line), initial=0.0)) for line in lines.values()), default=0.0)
 
@@ -179,10 +179,15 @@ def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances
     for name, quantity, title, values in (
         ("position", POSES[0], "position [m]", {e: positions_apart(first, r) for e, r in others}),
         ("angle", POSES[1], "angle [rad]", {e: orientations_apart(first, r) for e, r in others}),
-        ("drift", CONSTRAINT_VIOLATION, "drift [m, rad]", _present(trajectories, "constraint_violation")),
+        (
+            "drift",
+            CONSTRAINT_VIOLATION,
+            "drift [m, rad]",
+            _stored_arrays(trajectories, "constraint_violation"),
+        ),
     ):
         lines = {engine: np.log10(np.maximum(np.max(x, axis=1), SMALLEST)) for engine, x in values.items()}
         single = quantity == CONSTRAINT_VIOLATION
         found = {e: tolerances.get((quantity, e) if single else (quantity, reference, e), 0.0) for e in lines}
         bounds = {engine: float(np.log10(bound)) for engine, bound in found.items() if bound > 0.0}
-        yield Plot(group, ("agreement", name), title, lines, tolerances=bounds, judges=True)
+        yield Plot(group, ("agreement", name), title, lines, tolerances=bounds, is_judged=True)

@@ -99,7 +99,7 @@ def _bars(bars: Sequence[Capsule | Cylinder], pose: Pose, style: Style) -> rr.Ca
     looks: dict[str, Any] = {
         "lengths": [bar.length for bar in bars],
         "radii": [bar.radius for bar in bars],
-        "quaternions": [xyzw(_from_z(pose.vector_to_body(bar.end - bar.start))) for bar in bars],
+        "quaternions": [xyzw(_rotation_from_z(pose.vector_to_body(bar.end - bar.start))) for bar in bars],
         "colors": style.color,
         "fill_mode": style.fill,
     }
@@ -189,7 +189,7 @@ def _normals(vertices: Array, triangles: Array) -> Array:
     return np.asarray(total / np.where(lengths > 0.0, lengths, 1.0))
 
 
-def _from_z(vector: Array) -> Array:
+def _rotation_from_z(vector: Array) -> Array:
     """Compute a rotation, quaternion (4,), from the z axis to the direction of a vector (3,); z for zero."""
     length = float(np.linalg.norm(vector))
     axis = vector / length if length > 0.0 else np.array([0.0, 0.0, 1.0])

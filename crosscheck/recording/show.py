@@ -48,7 +48,7 @@ def _show_in_window(log: Callable[..., None], scene: Scene, *args: Any) -> None:
     """Open a viewer, send a recording to it, and end Rerun's threads; arguments as of `show`."""
     recording = new_recording(scene)
     try:
-        with safe_path():
+        with safe_path():  # the viewer must not import modules from the current folder
             recording.spawn()
         log(recording, scene, *args)
         recording.flush(timeout_sec=SENDING_TIMEOUT_S)

@@ -56,8 +56,8 @@ folder takes a few seconds. The library has fewer scenes."""
 Progress = Callable[[str], None]
 
 
-class Cost(BaseModel):
-    """Cost of an engine's run.
+class EngineCost(BaseModel):
+    """EngineCost of an engine's run.
 
     Attributes:
         wall_time: run time, s; None if the engine did not run.
@@ -68,7 +68,7 @@ class Cost(BaseModel):
     error: float | None = None
 
 
-class Bound(BaseModel):
+class CheckTolerance(BaseModel):
     """Tolerance of a check.
 
     Attributes:
@@ -82,7 +82,7 @@ class Bound(BaseModel):
     tolerance: float | None
 
 
-class Results(BaseModel):
+class ResultFile(BaseModel):
     """The fields of a result file that a page needs.
 
     Attributes:
@@ -113,7 +113,7 @@ class Results(BaseModel):
         return files
 
 
-class Compared(Results):
+class CrosscheckFile(ResultFile):
     """The fields of a crosscheck's result file that a page needs.
 
     Attributes:
@@ -121,8 +121,8 @@ class Compared(Results):
         checks: checks whose tolerances are drawn in the plots.
     """
 
-    engines: dict[str, Cost] = {}
-    checks: list[Bound] = []
+    engines: dict[str, EngineCost] = {}
+    checks: list[CheckTolerance] = []
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Entry:
+class PageEntry:
     """One result file, as the template `page.html` shows it.
 
     Attributes:
@@ -211,16 +211,19 @@ def write_report(folder: Path, progress: Progress) -> Path:
     check_writable(path)
 
     # read them, and make an entry with pictures for each
-    found = {file: read_json(file, Compared if file.name == RESULTS[0] else Results) for file in own or below}
+    found = {
+        file: read_json(file, CrosscheckFile if file.name == RESULTS[0] else ResultFile)
+        for file in own or below
+    }
     parents = list(dict.fromkeys(file.parent for file in found))
     index = [_index_line(folder, file, results.report) for file, results in found.items()] if below else []
     entries = []
     for file, results in found.items() if len(parents) <= MAX_FOLDERS_IN_FULL else ():
         number = parents.index(file.parent) + 1
-        counted = _counted(progress, f"{number} of {len(parents)} folders") if below else progress
+        counted = _with_count(progress, f"{number} of {len(parents)} folders") if below else progress
         first = below and file == next(other for other in found if other.parent == file.parent)
         anchor = file.parent.relative_to(folder).as_posix() if first else ""
-        entries.append(_entry(file, results, anchor, counted))
+        entries.append(_make_entry(file, results, anchor, counted))
     title = f"crosscheck: {folder.resolve().name}"
     text = rendered("page.html", title=title, index=index, entries=entries, most=MAX_FOLDERS_IN_FULL)
     write_files({path: text.encode()})
@@ -244,7 +247,7 @@ def _results_in(folder: Path) -> list[Path]:
     return [folder / name for name in RESULTS if (folder / name).is_file()]
 
 
-def _counted(progress: Progress, count: str) -> Progress:
+def _with_count(progress: Progress, count: str) -> Progress:
     """Return a progress function that puts a count, such as "2 of 5 folders", before each message."""
     return lambda text: progress(f"{count}, {text}")
 
@@ -260,7 +263,7 @@ def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
     }
 
 
-def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Entry:
+def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress) -> PageEntry:
     """Make the entry of a result file, with pictures of the runs and recordings in the same folder.
 
     Args:
@@ -272,7 +275,7 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
     Raises:
         CrosscheckError: for a run, recording or picture that is missing or differs from the original.
     """
-    entry = Entry(results.report, anchor)
+    entry = PageEntry(results.report, anchor)
     paths = [file.parent / name for name in results.files]
     for path in paths:
         if not os.path.lexists(path):
@@ -284,13 +287,13 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
     for path in (path for path in paths if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
-            entry.views.extend(_views(path, [0.0] if first is None else key_times(first)))
+            entry.views.extend(_view_pictures(path, [0.0] if first is None else key_times(first)))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     if runs:
         progress("plots")
         costs, bounds = {}, {}
-        if isinstance(results, Compared):
+        if isinstance(results, CrosscheckFile):
             costs = {name: (cost.wall_time, cost.error) for name, cost in results.engines.items()}
             bounds = {(each.quantity, *each.between): each.tolerance for each in results.checks}
         entry.speed.extend(Picture(*each) for each in plots.speed(costs))
@@ -313,7 +316,7 @@ def key_times(run: Mapping[str, Array]) -> list[float]:
     return [float(time[0]), float(time[middle]), float(time[-1])]
 
 
-def _views(recording: Path, moments: Sequence[float]) -> Iterator[Picture]:
+def _view_pictures(recording: Path, moments: Sequence[float]) -> Iterator[Picture]:
     """Yield pictures of the mechanism in a recording at times, s, which the Rerun viewer takes.
 
     Raises:

@@ -51,7 +51,7 @@ STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yello
 MARKDOWN_SYNTAX = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
 """Characters that are syntax in Markdown; underscores within a word are not."""
 
-MAX_VALUE, VALUE_END = 120, 30
+WORD_START, WORD_END = 120, 30
 """Numbers of characters that an error message shows of the beginning and of the end of a longer word."""
 
 MAX_LINE = 600
@@ -69,10 +69,10 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\u00a0" else repr(c)[1:-1] for c in text)
 
 
-def shortened_values(line: str) -> str:
+def shorten_words(line: str) -> str:
     """Shorten an error message: cut the middle of very long words, such as names, and of a long message."""
     words = [
-        word if len(word) <= MAX_VALUE + VALUE_END else f"{word[:MAX_VALUE]}...{word[-VALUE_END:]}"
+        word if len(word) <= WORD_START + WORD_END else f"{word[:WORD_START]}...{word[-WORD_END:]}"
         for word in printable(line).split(" ")
     ]
     whole = " ".join(words)
@@ -148,13 +148,13 @@ def _split_columns(table: Table, width: int) -> Iterator[Table]:
     chosen = list(keys)
     for number in range(len(keys), len(least)):
         if len(chosen) > len(keys) and sum(least[k] for k in (*chosen, number)) - GUTTER > width:
-            yield _of_columns(table, chosen)
+            yield _select_columns(table, chosen)
             chosen = list(keys)
         chosen.append(number)
-    yield _of_columns(table, chosen)
+    yield _select_columns(table, chosen)
 
 
-def _lines(table: Table, number: int) -> list[tuple[str, int]]:
+def _column_lines(table: Table, number: int) -> list[tuple[str, int]]:
     """Return the lines of all cells of a column, the heading first, each with its indentation, characters."""
     column = table.columns[number]
     found = [(line, 0) for line in column.heading.split("\n")]
@@ -170,7 +170,7 @@ def _lines(table: Table, number: int) -> list[tuple[str, int]]:
 
 def _min_width(table: Table, number: int) -> int:
     """Compute the smallest width of a column, characters: numbers are not wrapped, long texts are."""
-    column, lines = table.columns[number], _lines(table, number)
+    column, lines = table.columns[number], _column_lines(table, number)
     if not column.numeric:
         widths = []
         for line, indent in lines:
@@ -184,7 +184,7 @@ def _min_width(table: Table, number: int) -> int:
     return max([*numbers, *words, *(min(MAX_UNWRAPPED_HEADING, len(line)) for line in heads)])
 
 
-def _widths(table: Table, width: int) -> list[int]:
+def _column_widths(table: Table, width: int) -> list[int]:
     """Compute the width of each column, characters, in a table of at most `width` characters.
 
     Columns get their smallest width first. Columns of text share the rest; those that need least come first.
@@ -192,7 +192,7 @@ def _widths(table: Table, width: int) -> list[int]:
     numbers = range(len(table.columns))
     widths = [_min_width(table, number) for number in numbers]
     room = width - sum(widths) - GUTTER * (len(widths) - 1)
-    whole = [max(len(line) + indent for line, indent in _lines(table, number)) for number in numbers]
+    whole = [max(len(line) + indent for line, indent in _column_lines(table, number)) for number in numbers]
     wrapping = [number for number in numbers if not table.columns[number].numeric]
     for count, number in enumerate(sorted(wrapping, key=lambda number: whole[number] - widths[number])):
         more = max(0, min(whole[number] - widths[number], room // (len(wrapping) - count)))
@@ -201,7 +201,7 @@ def _widths(table: Table, width: int) -> list[int]:
     return widths
 
 
-def _of_columns(table: Table, numbers: Sequence[int]) -> Table:
+def _select_columns(table: Table, numbers: Sequence[int]) -> Table:
     """Make a table of some columns of another table, given by their numbers."""
     if len(numbers) == len(table.columns):
         return table
@@ -232,7 +232,7 @@ def _rich_table(table: Table, width: int) -> RichTable:
     if not table.title:
         drawn.box, drawn.padding = None, (0, GUTTER, 0, 0)
     drawn.show_header = any(column.heading for column in table.columns)
-    for number, (column, each) in enumerate(zip(table.columns, _widths(table, width), strict=True)):
+    for number, (column, each) in enumerate(zip(table.columns, _column_widths(table, width), strict=True)):
         drawn.add_column(
             Text(printable(_heading(table, number))),
             justify="right" if column.numeric else "left",
@@ -318,20 +318,20 @@ def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, byt
             SHA-256, by which a page detects files of other results.
     """
     digests = {path.name: hashlib.sha256(held).hexdigest() for path, held in (files or {}).items()}
-    whole = _finite({**content, "report": asdict(report), "files": digests})
+    whole = _without_non_finite({**content, "report": asdict(report), "files": digests})
     # through JSON once, since the checksum is of the content as read: keys that are numbers become texts
     whole = json.loads(json.dumps(whole, allow_nan=False))
     return (json.dumps(with_checksum(whole), indent=1) + "\n").encode()
 
 
-def _finite(value: object) -> Any:
+def _without_non_finite(value: object) -> Any:
     """Replace numbers that are not finite, which JSON does not have, by texts such as "nan"."""
     if isinstance(value, float):
         return value if abs(value) < float("inf") else repr(value)
     if isinstance(value, Mapping):
-        return {name: _finite(entry) for name, entry in value.items()}
+        return {name: _without_non_finite(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [_without_non_finite(entry) for entry in value]
     return value
 
 
@@ -365,7 +365,7 @@ def junit(report: Report) -> str:
             case = ElementTree.SubElement(
                 suite, "testcase", classname=printable(owner), name=printable(row[0].text), time="0"
             )
-            message = printable(f"{heading}: {row[0].text}: {_worded(part, row)}".removeprefix(": "))
+            message = printable(f"{heading}: {row[0].text}: {_row_text(part, row)}".removeprefix(": "))
             verdicts = {cell.verdict for cell in row}
             if "improved" in verdicts:
                 ElementTree.SubElement(case, "system-out").text = message
@@ -376,7 +376,7 @@ def junit(report: Report) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _worded(table: Table, row: Sequence[Cell]) -> str:
+def _row_text(table: Table, row: Sequence[Cell]) -> str:
     """Describe a row in a line: all cells except the first, each with the heading of its column."""
     headed = zip(table.columns[1:], row[1:], strict=False)
     return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in headed if cell.text)

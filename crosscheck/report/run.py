@@ -66,14 +66,14 @@ IMPLICIT = ("Radau", "implicitfast")
 
 def report(result: Crosscheck) -> Report:
     """Make the report of a crosscheck."""
-    limits, others = list(limiting(result)), list(notes(result))
+    limits, others = list(verdict_limits(result)), list(notes(result))
     parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
     parts.extend(tables(result))
     parts.append(Lines("", [*limits, *others, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(entries("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
         parts.append(_untested_table(result.coverage))
-    for title, mapping in _mappings(result):
+    for title, mapping in _import_reports(result):
         parts.append(Lines(f"carried over from {title}", list(report_lines(mapping)), folded=True))
     shown = ("scene", "source", "options", "models", "left_out", "versions")
     found = result.summary()
@@ -82,10 +82,10 @@ def report(result: Crosscheck) -> Report:
     )
     title = ": ".join(filter(None, [result.title, result.scene.description]))
     brief = summary(result, limits, others)
-    return Report(title, result.verdict, judged_word(result), parts, result.wall_time, brief)
+    return Report(title, result.verdict, outcome_cell(result), parts, result.wall_time, brief)
 
 
-def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
+def _import_reports(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
     """Yield a title ("the file") and the import report of each model file."""
     models = result.models if isinstance(result, TwoModelComparison) else []
     if result.mapping and not models:
@@ -93,7 +93,7 @@ def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
     yield from ((f"the file of {model.name}", model.mapping) for model in models if model.mapping)
 
 
-def judged_word(result: Crosscheck) -> Cell:
+def outcome_cell(result: Crosscheck) -> Cell:
     """Make the cell with the verdict in one word, such as AGREE."""
     return Cell(result.outcome.value, result.outcome.judged)
 
@@ -199,11 +199,11 @@ def _reference_table(measured: Sequence[ReferenceCheck]) -> Table:
 def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
     """Yield the name of each engine, and its settings and run time in a line."""
     for name, run in result.trajectories.items():
-        settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
+        settings = ", ".join(f"{key} {_rounded(value)}" for key, value in run.settings.items())
         yield name, f"{settings}; {run.wall_time:.2g} s"
 
 
-def limiting(result: Crosscheck) -> Iterator[str]:
+def verdict_limits(result: Crosscheck) -> Iterator[str]:
     """Yield sentences that limit the verdict.
 
     They report parts that stopped, likely mistakes in the file, a start that differs from the file's, and
@@ -212,7 +212,7 @@ def limiting(result: Crosscheck) -> Iterator[str]:
     yield from result.notes
     if result.singular:
         yield str(result.singular)
-    for _, read in _mappings(result):
+    for _, read in _import_reports(result):
         yield from (f"finding, {finding}" for finding in read.findings)
     if isinstance(result, TwoModelComparison):
         for model in result.models:
@@ -227,7 +227,7 @@ def limiting(result: Crosscheck) -> Iterator[str]:
     for entry in acting[:MAX_ACTING_LINES]:
         yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MAX_ACTING_LINES:]]:
-        yield f"active, and left out, too: {_named(more)}"
+        yield f"active, and left out, too: {_name_list(more)}"
     if result.until and any(line.startswith("excited") for line in mapping.start):
         yield (
             f"the excitation may be the cause of what acts from {result.until:.4g} s on; "
@@ -268,7 +268,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
     if result.nothing_moves:
         yield _rest_line(result)
     yield from redundancy_lines(scene)
-    # inertias; of a model file, a likely mistake is reported with numbers by `limiting`
+    # inertias; of a model file, a likely mistake is reported with numbers by `verdict_limits`
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
     if impossible and mapping is None:
         broken = "two principal moments together less than the third"
@@ -280,10 +280,10 @@ def notes(result: Crosscheck) -> Iterator[str]:
     for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):
         if names := [covered.element for covered in untested if covered.shared == shared]:
             listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
-            yield f"untested {why}: {_named(names)}{listed}"
+            yield f"untested {why}: {_name_list(names)}{listed}"
 
     # the model file, and the start
-    for title, read in _mappings(result):
+    for title, read in _import_reports(result):
         yield f"{title}: {fates_line(read)}"
         yield from sorted(read.start, key=lambda line: not line.startswith("excited"))
     yield from undetermined_lines(scene)
@@ -319,7 +319,7 @@ def undetermined_lines(scene: Scene) -> Iterator[str]:
     """Yield a sentence on joints whose reactions are not unique at the start, if there are any."""
     count, joints = undetermined_joints(scene, initial_state(scene))
     if count:
-        yield f"reactions not unique: {redundancy_text(count, _named(joints))}"
+        yield f"reactions not unique: {redundancy_text(count, _name_list(joints))}"
 
 
 def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
@@ -354,12 +354,12 @@ def _rest_line(result: Crosscheck) -> str:
     return f"nothing moves, as {why}; runs test nothing; largest displacement (m, rad): {moved}"
 
 
-def _named(names: Sequence[str]) -> str:
+def _name_list(names: Sequence[str]) -> str:
     """List the first `MAX_NAMES` names, and the number of further names."""
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return ", ".join(names[:MAX_NAMES]) + more
 
 
-def _short(value: object) -> object:
+def _rounded(value: object) -> object:
     """Round a number among the settings to 3 digits, as text; return other values unchanged."""
     return f"{value:.3g}" if isinstance(value, float) else value

@@ -20,7 +20,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from crosscheck.recording.blueprint import laid_out, scene_view, send_layout
+from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
 from crosscheck.recording.log import PLAIN_COLOR, log_bodies, log_ground, log_text, send_columns
 from crosscheck.recording.shapes import Style
 from crosscheck.support.palette import palette, rgb
@@ -86,7 +86,7 @@ def log_sweep(
     report_view = rrb.TextDocumentView(origin="/sweep", name="Sweep")
     left = rrb.Vertical(view, report_view, row_shares=[1.6, 1.0])
     whole = rrb.Horizontal(left, rrb.Vertical(*plots)) if plots else left
-    send_layout(recording, laid_out(whole, float(first.time[-1])))
+    send_layout(recording, make_layout(whole, float(first.time[-1])))
     recording.send_recording_name(title)
 
 

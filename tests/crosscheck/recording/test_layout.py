@@ -56,7 +56,7 @@ def test_all_that_moves_is_seen_and_a_plane_face_on(tmp_path, name, direction, u
 def test_what_neither_moves_nor_parts_is_not_plotted():
     scene = load("pendulum")
     run = newton_euler.simulate(scene)
-    titles = [plot.title for plot in plots(scene, {"newton_euler": run}, {}) if not plot.judges]
+    titles = [plot.title for plot in plots(scene, {"newton_euler": run}, {}) if not plot.is_judged]
     assert titles == ["pivot [rad]", "kinetic energy [J]", "potential energy [J]"]
 
 

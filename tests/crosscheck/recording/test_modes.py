@@ -7,7 +7,7 @@ from command_line import run
 from rerun.chunk import RrdReader
 
 from crosscheck.library import load
-from crosscheck.recording.modes import AMPLITUDE, stability, swinging
+from crosscheck.recording.modes import AMPLITUDE, animate_mode, stability
 from newton_euler.analysis.linear.linear_model import Modes
 from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.analysis.loads.equilibrium import equilibrium
@@ -57,7 +57,7 @@ def test_drawn_motion_keeps_hinges_closed_to_first_order():
     model = linearize(scene, equilibrium(scene))
     modes = model.modes()
     for twist in modes.twists:
-        run_of_mode = swinging(scene.mechanism, model, twist)
+        run_of_mode = animate_mode(scene.mechanism, model, twist)
         for equations in scene.mechanism.equations:
             joint, ends = equations.joint, []
             for body, point in ((equations.first, joint.point), (equations.second, joint.reaction_point)):

@@ -18,7 +18,7 @@ from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import Stop, stops_text
 from crosscheck.loading.load import load_scene
 from crosscheck.report.outcome import ExitStatus, Outcome
-from crosscheck.report.run import limiting
+from crosscheck.report.run import verdict_limits
 from crosscheck.support.errors import CrosscheckError
 
 FAST = ["newton_euler", "mujoco"]
@@ -87,7 +87,8 @@ def test_an_excitation_is_named_as_a_possible_cause_of_what_acts_later(excitatio
         for height in (0.07, 0.01)
     )
     lines = [
-        [line for line in limiting(each.crosscheck) if "excitation=off" in line] for each in (late, early)
+        [line for line in verdict_limits(each.crosscheck) if "excitation=off" in line]
+        for each in (late, early)
     ]
     assert (len(lines[0]), lines[1]) == (named, [])
 
@@ -125,7 +126,7 @@ def test_python_states_the_outcome(tmp_path):
 @pytest.mark.parametrize(("reach", "moved"), [(0.4, False), (0.400001, False), (0.43, True)])
 def test_a_start_that_is_not_the_files_is_reported_first(reach, moved, tmp_path):
     verdict = crosscheck.check(file(tmp_path, LOOP.format(reach=reach)), FAST, duration=0.1)
-    first = next(limiting(verdict.crosscheck), "")
+    first = next(verdict_limits(verdict.crosscheck), "")
     assert ("'close'" in first) == moved
     if moved:
         change = verdict.crosscheck.mapping.moved
@@ -141,7 +142,7 @@ def test_velocities_of_a_file_that_do_not_fit_its_loops_are_reported(rates, chan
     key = f'<keyframe><key name="go" qvel="{rates}"/></keyframe></mujoco>'
     path = file(tmp_path, LOOP.format(reach=0.4).replace("</mujoco>", key))
     verdict = crosscheck.check(path, FAST, duration=0.1, key="go")
-    lines = [line for line in limiting(verdict.crosscheck) if "velocities of go" in line]
+    lines = [line for line in verdict_limits(verdict.crosscheck) if "velocities of go" in line]
     found = verdict.crosscheck.summary()["changed_velocities"]
     assert (bool(lines), found is not None) == (changed, changed)
     if changed:

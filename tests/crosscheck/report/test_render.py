@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import matplotlib
 import pytest
 
-from crosscheck.report.page import Entry, rendered
+from crosscheck.report.page import PageEntry, rendered
 from crosscheck.report.plots import speed
-from crosscheck.report.render import as_json, junit, markdown, shortened_values, terminal
+from crosscheck.report.render import as_json, junit, markdown, shorten_words, terminal
 from crosscheck.report.table import Cell, Column, Lines, Report, Table, entries, figures, judged, texts
 
 ODD = "a|b <c> & \x00 `d`_"
@@ -154,7 +154,7 @@ def terminal_of(report):
 
 
 def page_of(report):
-    return rendered("page.html", title=report.title, index=[], entries=[Entry(report)], most=30)
+    return rendered("page.html", title=report.title, index=[], entries=[PageEntry(report)], most=30)
 
 
 @pytest.mark.parametrize("written", [terminal_of, markdown, junit, page_of], ids=lambda f: f.__name__)
@@ -167,12 +167,12 @@ def test_names_cannot_steer_a_terminal(written):
 
 
 def test_long_values_of_an_error_are_cut():
-    line = shortened_values(f"--keep '{'x' * 5000}': no; {' '.join(['choice'] * 500)}; give another")
+    line = shorten_words(f"--keep '{'x' * 5000}': no; {' '.join(['choice'] * 500)}; give another")
     assert len(line) < 620
     assert line.startswith("--keep 'xxx")
     assert line.endswith("give another")
-    assert shortened_values(f"{'y' * 300}") == f"{'y' * 120}...{'y' * 30}"
-    assert shortened_values("short: a b") == "short: a b"
+    assert shorten_words(f"{'y' * 300}") == f"{'y' * 120}...{'y' * 30}"
+    assert shorten_words("short: a b") == "short: a b"
 
 
 def test_a_style_of_the_user_does_not_reach_pictures():
