@@ -12,7 +12,7 @@ from mechanisms import pendulum
 
 import mjcf
 from crosscheck.library.entries import ENTRIES
-from crosscheck.loading.size import _terms
+from crosscheck.loading.size import _count_terms
 from mjcf.rigid import RigidMuJoCo
 from mjcf.write import add_geom
 from newton_euler.model import scene as scene_module
@@ -96,7 +96,7 @@ class Unknown:
         lambda shape: add_geom(Element("body"), shape, "", Pose(np.zeros(3), np.eye(3)), np.eye(4)[0]),
         lambda shape: add_visual(Element("link"), shape, np.zeros(3), "gray"),
         lambda function: shifted(function, 1.0),
-        _terms,
+        _count_terms,
     ],
     ids=["plausibility", "MJCF", "URDF", "shift of a function", "size of a function"],
 )
