@@ -1,6 +1,6 @@
 """Design loads: run the load cases of a scene, and write the largest loads of joints and actuators.
 
-A load case is a run of the scene with settings of its own. The results are tables, a CSV, a plot and a
+A load case is a run of the scene with certain settings. The results are tables, a CSV, a plot and a
 recording.
 """
 

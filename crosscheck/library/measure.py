@@ -76,6 +76,7 @@ def components(names: tuple[str, ...], vector: Quantity) -> dict[str, Quantity]:
     """Split a measured array (n, len(names)) into one quantity for each of its columns."""
 
     def component(k: int) -> Quantity:
+        """Return the function that measures column k."""
         return lambda run: vector(run)[:, k]
 
     return {name: component(k) for k, name in enumerate(names)}

@@ -115,6 +115,7 @@ def _leg_length(k: int) -> Quantity:
     """Return the function that measures the length (n,), m, of leg k, counted from 0, between its joints."""
 
     def length(run: Trajectory) -> Array:
+        """Return the distance (n,), m, between the joints of the leg."""
         return np.asarray(np.linalg.norm(position(run, "platform", PLATFORM[k] - HOME) - BASE[k], axis=1))
 
     return length

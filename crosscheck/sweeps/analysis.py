@@ -417,8 +417,8 @@ def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
     """Fit y (n,) by a quadratic polynomial of parameters x (n, k); by a linear one if there are few runs.
 
     Returns:
-        Fitted values and y of the same runs (a sample if all runs do not fit into memory), and the fraction
-        of the variance that the fit explains (empty if there are too few runs).
+        Fitted values and y of the same runs: a sample if all runs do not fit into memory. Then the attributes
+        `share`, `error` and `bounds` of an `Effect`; empty for too few runs.
     """
     k = x.shape[1]
     count = 1 + k + k * (k + 1) // 2

@@ -1,7 +1,8 @@
 """Cross-check some runs of a sweep, extreme and random ones, in all engines.
 
-newton_euler executes the runs of a sweep. A check repeats a run in all engines as `crosscheck run` does, and
-compares the kept outputs (the numbers that the sweep stores of the run) of each engine with the stored ones.
+newton_euler executes the runs of a sweep and stores their kept outputs: the numbers that the user asked for.
+A check repeats a run in all engines as `crosscheck run` does. It also compares the kept outputs of each
+engine's run with the stored ones.
 """
 
 from __future__ import annotations
@@ -174,19 +175,19 @@ def _check(
         result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {}, mapping)
         kept = tuple(_check_kept(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
-        return CheckedRun(run, why, False, True, str(error), engines=names)
+        return CheckedRun(run, why, complete=False, agrees=True, verdict=str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
     return CheckedRun(
         run,
         why,
         complete,
-        not result.differs,
-        result.verdict,
-        kept,
-        not result.nothing_moves,
-        result.untested,
-        names,
-        tuple(result.acting),
+        agrees=not result.differs,
+        verdict=result.verdict,
+        kept=kept,
+        moves=not result.nothing_moves,
+        untested=result.untested,
+        engines=names,
+        acting=tuple(result.acting),
     )
 
 
@@ -198,9 +199,11 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
         extremes: numbers of all extreme runs, including those that were not checked.
     """
     count, random = len(checked), sum(each.why == CHOSEN_AT_RANDOM for each in checked)
-    left = len(set(extremes).difference(each.run for each in checked))
+    unchecked = len(set(extremes).difference(each.run for each in checked))
     of_extremes = (
-        f"{count - random} of {count - random + left} extremes" if left else f"{count - random} extreme"
+        f"{count - random} of {count - random + unchecked} extremes"
+        if unchecked
+        else f"{count - random} extreme"
     )
     kinds = [of_extremes] * (count > random) + [f"{random} at random"] * (random > 0)
     of_runs = f"{count} run{'s'[: count - 1]} ({', '.join(kinds)})"
@@ -221,12 +224,13 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
         found += (
             f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_tolerance_ratio))}"
         )
+    # list the reasons why numbers are not judged
     soft = sorted({check.between[0] for check in kept if check.detail == SOFT_CONSTRAINTS})
-    unsettled = sum(bool(check.unconverged) for check in kept)
-    open_ = [f"reactions of {name}, whose constraints are soft" for name in soft]
-    open_ += ["reactions that are not unique"] * any(check.detail == NOT_UNIQUE for check in kept)
-    open_ += [f"{unsettled} numbers of unconverged runs"] if unsettled else []
-    found += f"; not judged: {', '.join(open_)}" if open_ else ""
+    unconverged = sum(bool(check.unconverged) for check in kept)
+    not_judged = [f"reactions of {name}, whose constraints are soft" for name in soft]
+    not_judged += ["reactions that are not unique"] * any(check.detail == NOT_UNIQUE for check in kept)
+    not_judged += [f"{unconverged} numbers of unconverged runs"] if unconverged else []
+    found += f"; not judged: {', '.join(not_judged)}" if not_judged else ""
     return found if any(each.moves for each in checked) else f"{found}; nothing moves"
 
 
@@ -246,9 +250,10 @@ def _difference(check: Check) -> str:
 def _check_kept(
     swept: SweepResults, found: Sequence[KeptNumber], run: int, result: Crosscheck, engines: Sequence[Engine]
 ) -> Iterator[Check]:
-    """Yield for each variable and engine the check closest to failing.
+    """Compare the kept numbers of a run of the sweep with those of the engines' runs.
 
-    One check is yielded for the judged numbers, and one for each reason why numbers are not judged.
+    For each variable and engine the check closest to failing is yielded: one of the judged numbers, and one
+    for each reason why numbers are not judged.
 
     The tolerance is the fixed relative error of the engine and of newton_euler, times `KeptNumber.scale`. If
     the difference is larger, both runs are repeated at finer tolerances, and their changes times `OWN_ERROR`
@@ -281,38 +286,44 @@ def _check_kept(
         outputs, kept = kept_of(plan, run, trajectory)
         finer_run = cache(partial(_finer_of, plan, run, engine, scene))
         checks: dict[str, list[Check]] = {}
-        # Compare each kept number with the sweep's
+        # Compare each kept number of the engine's run with that of the sweep's run
         for scalar in found:
-            own, scale = float(numbers[scalar.variable][scalar.place]), scalar.scale(numbers[scalar.variable])
-            value = float(kept[scalar.variable][scalar.place])
+            reduction, stored = reductions[scalar.variable], numbers[scalar.variable]
+            of_sweep, scale = float(stored[scalar.place]), scalar.scale(stored)
+            of_engine = float(kept[scalar.variable][scalar.place])
             why = SOFT_CONSTRAINTS if engine.evaluate_soft_constraints is not None and scalar.reacts else ""
-            if scalar.reacts and not not_unique.isdisjoint(
-                reductions[scalar.variable].reacting(scalar.place)
-            ):
+            if scalar.reacts and not not_unique.isdisjoint(reduction.reacting(scalar.place)):
                 why = NOT_UNIQUE
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale
-            apart = 0.0 if np.array_equal(value, own, equal_nan=True) else abs(value - own)
-            limit, unsettled = fixed, ""
-            if apart > fixed and not why:
-                finer, finer_kept = finer_run()
-                fine = finer_kept[scalar.variable][scalar.place]
-                again, fine_own = (each[scalar.variable][0][scalar.place] for each in change_of_sweep())
-                change = max(abs(value - fine), _change(reductions[scalar.variable], scalar, outputs, finer))
-                limit += OWN_ERROR * float(change + abs(again - fine_own))
-                falls = abs(fine - fine_own) <= max(MAX_REMAINING_ERROR * max(apart, change), fixed)
-                if limit > UNRESOLVED * scale or (apart <= limit and not falls):
-                    unsettled = engine.name
+            is_same = np.array_equal(of_engine, of_sweep, equal_nan=True)
+            difference = 0.0 if is_same else abs(of_engine - of_sweep)
+            tolerance, unconverged = fixed, ""
+            if difference > fixed and not why:
+                # Repeat both runs at finer tolerances, and add the changes of the number
+                finer_outputs, finer_kept = finer_run()
+                fine_of_engine = finer_kept[scalar.variable][scalar.place]
+                repeated_of_sweep, fine_of_sweep = (
+                    each[scalar.variable][0][scalar.place] for each in change_of_sweep()
+                )
+                change = max(
+                    abs(of_engine - fine_of_engine), _change(reduction, scalar, outputs, finer_outputs)
+                )
+                tolerance += OWN_ERROR * float(change + abs(repeated_of_sweep - fine_of_sweep))
+                largest = max(MAX_REMAINING_ERROR * max(difference, change), fixed)
+                decreases = abs(fine_of_engine - fine_of_sweep) <= largest
+                if tolerance > UNRESOLVED * scale or (difference <= tolerance and not decreases):
+                    unconverged = engine.name
             checks.setdefault(scalar.variable, []).append(
                 Check(
                     KEPT_LEVEL,
                     scalar.heading,
                     (engine.name, "sweep"),
-                    apart,
-                    limit,
+                    difference,
+                    tolerance,
                     f"run {run}",
-                    not (why or unsettled),
-                    unsettled,
-                    why,
+                    judged=not (why or unconverged),
+                    unconverged=unconverged,
+                    detail=why,
                 )
             )
         # Yield the check closest to failing of each variable and reason

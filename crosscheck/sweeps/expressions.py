@@ -115,6 +115,7 @@ class Outputs:
         """Return the outputs of one run of any engine."""
 
         def joint(name: str) -> JointMotion:
+            """Return the coordinates (1, n, k) of a joint and their rates."""
             names, coordinates, rates = run.joint(name)
             return JointMotion(names, coordinates[None], None if rates is None else rates[None])
 
@@ -333,6 +334,7 @@ class Expression:
         self.signed = self.signed or (last == "quaternion" and signed) or last == "coordinate"
 
         def look_up(outputs: Outputs) -> Value:
+            """Return the quantity, or its component, from the outputs of runs."""
             found = outputs.quantity(last, before, signed)
             if not component:
                 return found
@@ -358,6 +360,7 @@ def _elementwise(function: Callable[..., Array], unit: str = "") -> Callable[...
     """Convert a function of arrays into a function of values, whose result has the given unit."""
 
     def apply(*values: Value) -> Value:
+        """Apply the function to the arrays of values; find dimensions and unit of the result."""
         units = {value.unit for value in values}
         own = (units.pop() if len(units) == 1 else "") if unit == SAME_UNIT else unit
         dimensions = reduce(_combined_dimensions, (value.dimensions for value in values))

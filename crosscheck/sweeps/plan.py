@@ -210,7 +210,7 @@ class SweepPlan:
 
 
 def processor() -> str:
-    """Describe the processor as far as it affects the last bits of results: architecture and FMA
+    """Describe what affects the last bits of results: the processor's architecture and FMA
     instructions."""
     fused = llvm_binding().get_host_cpu_features().get("fma", False)
     return f"{platform.machine()} {'with' if fused else 'without'} FMA"

@@ -202,6 +202,7 @@ def _task_size(plan: SweepPlan, pool: Workers, progress: Callable[[str], None]) 
     runs = plan.samples.runs
 
     def make(count: int) -> None:
+        """Execute `count` runs; if the sweep has fewer, repeat them."""
         own = plan.parameters(0, min(count, runs))
         run_all(plan, {name: np.resize(values, count) for name, values in own.items()})
 
