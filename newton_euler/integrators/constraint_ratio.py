@@ -46,13 +46,13 @@ class ConstraintRatio(Record):
         progress: a `Progress`.
         prepare: compiles the function and fills in this record.
         evaluate: writes the pivot ratio, at most 1, at a state with time and parameters.
-        found: (1,) vector that `evaluate` writes to.
+        results: (1,) vector that `evaluate` writes to.
     """
 
     progress: int
     prepare: Callback
     evaluate: Callback
-    found: Vector
+    results: Vector
 
 
 def no_ratio() -> ConstraintRatio:
@@ -69,8 +69,8 @@ def evaluate_ratio(ratio: ConstraintRatio, x: Vector) -> float:
     """
     if ratio.progress != Progress.READY:
         return UNKNOWN_RATIO
-    ratio.evaluate(x, ratio.found)
-    return max(ratio.found[0], 0.0)
+    ratio.evaluate(x, ratio.results)
+    return max(ratio.results[0], 0.0)
 
 
 @native
@@ -85,5 +85,5 @@ def constraint_ratio(ratio: ConstraintRatio, x: Vector) -> float:
     if ratio.progress == Progress.UNKNOWN:
         return 0.0
     if ratio.progress == Progress.UNPREPARED:
-        ratio.prepare(x, ratio.found)
+        ratio.prepare(x, ratio.results)
     return evaluate_ratio(ratio, x)

@@ -61,7 +61,7 @@ class Closing(Record):
         units: (nv,) natural magnitudes of v, SI.
         at: (inputs,) present state of the iteration.
         moved: (nq,) scratch for `retract`.
-        found: results of `evaluate`.
+        results: results of `evaluate`.
         rows: (k, nv) Phi_q, later the columns of L^-1 Phi_q^T.
         lower: (nv, nv) metric, later its Cholesky factor L.
         basis: (r, nv) orthonormal vectors, r = min(k, nv), in the order in which they were chosen.
@@ -86,7 +86,7 @@ class Closing(Record):
     units: Shared
     at: Vector
     moved: Vector
-    found: Vector
+    results: Vector
     rows: Vector
     lower: Vector
     basis: Vector
@@ -149,7 +149,7 @@ def closing_of(
         units=np.array(units, dtype=float),
         at=scratch(inputs),
         moved=scratch(nq),
-        found=scratch(2 * constraints + sum(map(len, places))),
+        results=scratch(2 * constraints + sum(map(len, places))),
         rows=scratch(constraints, nv),
         lower=scratch(nv, nv),
         basis=scratch(rank, nv),
@@ -174,7 +174,7 @@ def factor_metric(closing: Closing) -> int:
     places = closing.places
     rows = closing.rows
     lower = closing.lower
-    nonzeros = closing.found[2 * k :]
+    nonzeros = closing.results[2 * k :]
     # scatter the nonzeros into the full matrices Phi_q and M
     for i in range(k * nv):
         rows[i] = 0.0
@@ -239,19 +239,23 @@ def orthogonalize(closing: Closing) -> None:
     # modified Gram-Schmidt with pivoting: take the longest column that is left
     longest = 0.0
     for r in range(k if k < nv else nv):
-        place = 0
-        most = 0.0
+        chosen_row = 0
+        squared_length = 0.0
         for row in range(k):
-            if lengths[row] > most:
-                most = lengths[row]
-                place = row
-        longest = max(longest, most)
-        scale = 1.0 / sqrt(most) if most > WEAK_CONSTRAINT_LENGTH * WEAK_CONSTRAINT_LENGTH * longest else 0.0
+            if lengths[row] > squared_length:
+                squared_length = lengths[row]
+                chosen_row = row
+        longest = max(longest, squared_length)
+        scale = (
+            1.0 / sqrt(squared_length)
+            if squared_length > WEAK_CONSTRAINT_LENGTH * WEAK_CONSTRAINT_LENGTH * longest
+            else 0.0
+        )
         # normalize the column; a weak one becomes zero, so that it corrects nothing
-        closing.chosen[r] = float(place)
+        closing.chosen[r] = float(chosen_row)
         closing.inverse[r] = scale
         for i in range(nv):
-            basis[nv * r + i] = scale * rows[nv * place + i]
+            basis[nv * r + i] = scale * rows[nv * chosen_row + i]
         # subtract its component from all columns
         for row in range(k):
             share = 0.0
@@ -292,10 +296,10 @@ def correct(closing: Closing, residuals: Vector) -> None:
     # back substitution: solve L^T step = y for the vector y of the loop above
     for m in range(nv):
         i = nv - 1 - m
-        left = step[i]
+        remainder = step[i]
         for j in range(i + 1, nv):
-            left -= lower[nv * j + i] * step[j]
-        step[i] = left / lower[nv * i + i]
+            remainder -= lower[nv * j + i] * step[j]
+        step[i] = remainder / lower[nv * i + i]
     # from dimensionless numbers to SI
     for i in range(nv):
         step[i] = closing.units[i] * step[i]
@@ -323,7 +327,7 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
     k = closing.constraints
     at = closing.at
     moved = closing.moved
-    found = closing.found
+    results = closing.results
     step = closing.step
     y[nq + nv] = -1.0
     if k < 0:
@@ -337,15 +341,15 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
     closing.retract(at, y)
     for i in range(nq + nv):
         at[i] = y[i]
-    closing.evaluate(at, found)
-    left = squared(k, found)
+    closing.evaluate(at, results)
+    squared_residual = squared(k, results)
     # positions: Newton's iteration, with a new Jacobian while the residual is large
     for number in range(MAX_DENSE_ITERATIONS):
-        if number == 0 or left > REUSE_JACOBIAN_BELOW * REUSE_JACOBIAN_BELOW:
+        if number == 0 or squared_residual > REUSE_JACOBIAN_BELOW * REUSE_JACOBIAN_BELOW:
             if factor_metric(closing) == 0:
                 return
             orthogonalize(closing)
-        correct(closing, found)
+        correct(closing, results)
         for i in range(nq):
             at[i] = y[i]
         for i in range(nv):
@@ -356,25 +360,25 @@ def close_by(closing: Closing, x: Vector, y: Vector) -> None:
         for i in range(nv):
             at[nq + i] = x[nq + i]
         # accept the step if it reduces the residual by half at least, else stop
-        before = left
-        closing.evaluate(at, found)
-        left = squared(k, found)
-        if not left < 0.25 * before:
-            left = before
+        previous = squared_residual
+        closing.evaluate(at, results)
+        squared_residual = squared(k, results)
+        if not squared_residual < 0.25 * previous:
+            squared_residual = previous
             break
         for i in range(nq):
             y[i] = at[i]
-        if left < RESIDUAL_ROUND_OFF * RESIDUAL_ROUND_OFF:
+        if squared_residual < RESIDUAL_ROUND_OFF * RESIDUAL_ROUND_OFF:
             break
     # fail if the loops stay open
-    if not left <= CLOSURE_TOLERANCE * CLOSURE_TOLERANCE:
+    if not squared_residual <= CLOSURE_TOLERANCE * CLOSURE_TOLERANCE:
         return
     # velocities: two corrections, the second one removes the round-off of the first
     for _time in range(2):
         for i in range(nq + nv):
             at[i] = y[i]
-        closing.evaluate(at, found)
-        correct(closing, found[k:])
+        closing.evaluate(at, results)
+        correct(closing, results[k:])
         for i in range(nv):
             y[nq + i] -= step[i]
     y[nq + nv] = 1.0

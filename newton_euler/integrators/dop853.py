@@ -257,7 +257,7 @@ def error_norm(system: Equations, h: float, margin: float, method: Dop853) -> fl
 
 @native
 def prepare_dense(
-    h: float, count: int, row: int, stride: int, begun: Vector, end: Vector, k: Vector, terms: Vector
+    h: float, count: int, row: int, stride: int, start: Vector, end: Vector, k: Vector, terms: Vector
 ) -> None:
     """Compute the seven terms of the dense output of a step (II.6) from the rates of all sixteen stages.
 
@@ -266,12 +266,12 @@ def prepare_dense(
         count: length of the state.
         row: length of a row of k.
         stride: distance between two terms in `terms`.
-        begun, end: (count,) states at the start and at the end of the step.
+        start, end: (count,) states at the start and at the end of the step.
         k: rates of the stages, one stage in each row.
         terms: the seven terms, written; may be the same memory as k.
     """
     for i in range(count):
-        change = end[i] - begun[i]
+        change = end[i] - start[i]
         first = h * k[i] - change
         second = 2.0 * change - h * (k[row * STAGES + i] + k[i])
         third = 0.0 + DENSE[0] * k[i]
@@ -548,15 +548,15 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     excess = error
     # if the error estimate looks like round-off, measure the round-off of the rates and add it to the
     # tolerance: a shorter step would not reduce it (`newton_euler.integrators.round_off`)
-    rough = 0
+    may_be_round_off = 0
     if control[Control.ERROR_RATIO] < ROUGH_ERROR_RATIO or (
         control[Control.ROUND_OFF_MARK] == 1.0 and error >= 1.0
     ):
-        rough = 1
-    if rough == 1 and control[Control.ROUND_OFF_MARK] < 0.0:
-        rough = 0
+        may_be_round_off = 1
+    if may_be_round_off == 1 and control[Control.ROUND_OFF_MARK] < 0.0:
+        may_be_round_off = 0
         control[Control.ROUND_OFF_MARK] = control[Control.ROUND_OFF_MARK] + 1.0
-    if status == Status.DONE and rough == 1 and pivot_ratio >= NEAR_PIVOT_RATIO:
+    if status == Status.DONE and may_be_round_off == 1 and pivot_ratio >= NEAR_PIVOT_RATIO:
         spare = k[row * (STAGES + 1) :]
         if (
             measure_round_off(system, h, now, method.units, method.at, k, spare, method.round_off)
@@ -577,12 +577,12 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     # and the step is shortened so that the singular configuration lies between two stages (step 4); the pivot
     # ratios are those at the start, at stage 9 (0.6 of the step) and at the end
     if near == 1 and control[Control.PLACEMENT_TRIES] < MAX_PLACEMENT_TRIES:
-        shorter = SAFETY * error**ERROR_EXPONENT if error > 1.0 else 1.0
-        wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)
-        if wanted < 1.0:
+        error_factor = SAFETY * error**ERROR_EXPONENT if error > 1.0 else 1.0
+        placement_factor = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], error_factor)
+        if placement_factor < 1.0:
             counts[Count.REJECTED] += 1.0
             control[Control.PLACEMENT_TRIES] += 1.0
-            control[Control.STEP] = wanted * h
+            control[Control.STEP] = placement_factor * h
             return Status.DONE
     # reject the step for its error (section II.4)
     if not error < 1.0:
@@ -594,25 +594,30 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         return Status.DONE
     # project the end; the change by projection is the part of the error that opens constraints
     status = project_end(system, near, end, method.projected, method.at)
-    moved = 0.0
+    projection_change = 0.0
     if status != Status.DONE:
-        moved = FAILED_STEP_ERROR
+        projection_change = FAILED_STEP_ERROR
     elif near == 0 and system.projecting == 1:
-        moved = change_by_projection(system, method.at, method.projected, method.rtol, method.atol)
+        projection_change = change_by_projection(
+            system, method.at, method.projected, method.rtol, method.atol
+        )
     if (
         status != Status.DONE
-        or is_error_of_step(moved, control[Control.PROJECTION_CHANGE], control[Control.PROJECTION_NOISE]) == 1
+        or is_error_of_step(
+            projection_change, control[Control.PROJECTION_CHANGE], control[Control.PROJECTION_NOISE]
+        )
+        == 1
     ):
         counts[Count.REJECTED] += 1.0
         if status != Status.DONE and h < 1e-10 * (stop - table.times[0]):
             return status
-        control[Control.STEP] = h * max(MIN_STEP_FACTOR, SAFETY * moved**ERROR_EXPONENT)
+        control[Control.STEP] = h * max(MIN_STEP_FACTOR, SAFETY * projection_change**ERROR_EXPONENT)
         control[Control.MAX_GROWTH] = 1.0
-        control[Control.PROJECTION_CHANGE] = moved
+        control[Control.PROJECTION_CHANGE] = projection_change
         return Status.DONE
     # accept the step: record, count and write the outputs that the step has passed
     control[Control.PROJECTION_CHANGE] = HUGE
-    control[Control.PROJECTION_NOISE] = moved if moved >= 1.0 else 0.0
+    control[Control.PROJECTION_NOISE] = projection_change if projection_change >= 1.0 else 0.0
     store_step(system.exchange, h, method, int(counts[Count.STEPS]))
     counts[Count.STEPS] += 1.0
     if near == 0 and excess >= 1.0:

@@ -36,9 +36,9 @@ def zero_block(n: int, a: Vector) -> int:
 @native
 def exchange(x: Vector, i: int, j: int) -> None:
     """Exchange two elements of a vector."""
-    kept = x[i]
+    first = x[i]
     x[i] = x[j]
-    x[j] = kept
+    x[j] = first
 
 
 @native
@@ -90,15 +90,15 @@ def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
     for k in range(m, n):
         exchange(x, k, int(pivots[k]))
     for k in range(n):
-        share = x[k]
+        factor = x[k]
         for i in range(m if k < m else k + 1, n):
-            x[i] -= a[n * k + i] * share
+            x[i] -= a[n * k + i] * factor
     for back in range(n):
         k = n - 1 - back
         x[k] = x[k] / a[n * k + k]
-        share = x[k]
+        factor = x[k]
         for i in range(k if k >= m else 0):
-            x[i] -= a[n * k + i] * share
+            x[i] -= a[n * k + i] * factor
 
 
 @native
@@ -132,9 +132,9 @@ def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
         im = -b[n * k + k] / square
         below = m if k < m else k + 1
         for i in range(below, n):
-            share = a[n * k + i]
-            a[n * k + i] = share * re - b[n * k + i] * im
-            b[n * k + i] = share * im + b[n * k + i] * re
+            factor = a[n * k + i]
+            a[n * k + i] = factor * re - b[n * k + i] * im
+            b[n * k + i] = factor * im + b[n * k + i] * re
         for j in range(below, n):
             above_re = a[n * j + k]
             above_im = b[n * j + k]

@@ -111,43 +111,46 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
     """
     n = system.n
     lanes = system.lanes
-    found = system.projection_work[lanes * system.inputs :]
-    left = HUGE
+    results = system.projection_work[lanes * system.inputs :]
+    squared_residual = HUGE
     # positions: Newton's iteration; the last round only evaluates the residual that the round before left
     for step in range(MAX_NATIVE_ITERATIONS + 1):
         copy_to_lanes(system.inputs, lanes, x, system.projection_work)
-        system.position(system.projection_work, found)
-        if not found[lanes * (n + 1)] > MIN_PIVOT:
-            return project_densely(system, x, found)
-        before = left
-        left = found[lanes * n]
+        system.position(system.projection_work, results)
+        if not results[lanes * (n + 1)] > MIN_PIVOT:
+            return project_densely(system, x, results)
+        previous = squared_residual
+        squared_residual = results[lanes * n]
         # stop at round-off, if the residual does not halve any more, or after the last step
         if (
-            left < system.tolerance * system.tolerance
-            or left >= 0.25 * before
+            squared_residual < system.tolerance * system.tolerance
+            or squared_residual >= 0.25 * previous
             or step == MAX_NATIVE_ITERATIONS
         ):
             break
         for i in range(n):
-            x[i] = found[lanes * i]
-        if left * left < QUADRATIC_RATE * found[lanes * (n + 1)] * system.tolerance * system.tolerance:
-            left = 0.0  # the quadratic convergence makes the next residual negligible
+            x[i] = results[lanes * i]
+        if (
+            squared_residual * squared_residual
+            < QUADRATIC_RATE * results[lanes * (n + 1)] * system.tolerance * system.tolerance
+        ):
+            squared_residual = 0.0  # the quadratic convergence makes the next residual negligible
             break
     # velocities: one linear least-norm problem
     if with_velocities == 1:
         copy_to_lanes(system.inputs, lanes, x, system.projection_work)
-        system.velocity(system.projection_work, found)
-        left = found[lanes * n]
-        if left < HUGE and not found[lanes * (n + 1)] > MIN_PIVOT:
-            return project_densely(system, x, found)
+        system.velocity(system.projection_work, results)
+        squared_residual = results[lanes * n]
+        if squared_residual < HUGE and not results[lanes * (n + 1)] > MIN_PIVOT:
+            return project_densely(system, x, results)
     # check the residual of positions that is left
-    if not left < HUGE:
+    if not squared_residual < HUGE:
         return Status.NOT_FINITE
-    if left > system.open_tolerance * system.open_tolerance:
+    if squared_residual > system.open_tolerance * system.open_tolerance:
         return Status.OPEN
     if with_velocities == 1:
         for i in range(n):
-            x[i] = found[lanes * i]
+            x[i] = results[lanes * i]
     return Status.DONE
 
 
@@ -164,47 +167,50 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
     n = system.n
     lanes = system.lanes
     work = system.projection_work
-    found = work[lanes * system.inputs :]
-    before = found[lanes * (n + 2) :]  # squared residual, 0 where nothing is left to do
+    results = work[lanes * system.inputs :]
+    previous = results[lanes * (n + 2) :]  # squared residual, 0 where nothing is left to do
     # positions: at most a few steps of Newton's iteration in all lanes; give up if one lane needs more
     for lane in range(lanes):
-        before[lane] = HUGE
-    unsettled = lanes
+        previous[lane] = HUGE
+    unconverged = lanes
     for _step in range(MAX_LANE_ITERATIONS):
-        system.position(work, found)
-        unsettled = 0
+        system.position(work, results)
+        unconverged = 0
         for lane in range(lanes):
-            if before[lane] > 0.0:
-                left = found[lanes * n + lane]
-                pivot_ratio = found[lanes * (n + 1) + lane]
-                if not pivot_ratio > MIN_PIVOT or left >= 0.25 * before[lane]:
+            if previous[lane] > 0.0:
+                squared_residual = results[lanes * n + lane]
+                pivot_ratio = results[lanes * (n + 1) + lane]
+                if not pivot_ratio > MIN_PIVOT or squared_residual >= 0.25 * previous[lane]:
                     return 0
-                before[lane] = left
-                if left < system.tolerance * system.tolerance:
-                    before[lane] = 0.0
+                previous[lane] = squared_residual
+                if squared_residual < system.tolerance * system.tolerance:
+                    previous[lane] = 0.0
                 else:
                     for i in range(n):
-                        work[lanes * i + lane] = found[lanes * i + lane]
-                    if left * left < QUADRATIC_RATE * pivot_ratio * system.tolerance * system.tolerance:
-                        before[lane] = 0.0
+                        work[lanes * i + lane] = results[lanes * i + lane]
+                    if (
+                        squared_residual * squared_residual
+                        < QUADRATIC_RATE * pivot_ratio * system.tolerance * system.tolerance
+                    ):
+                        previous[lane] = 0.0
                     else:
-                        unsettled += 1
-        if unsettled == 0:
+                        unconverged += 1
+        if unconverged == 0:
             break
-    if unsettled > 0:
+    if unconverged > 0:
         return 0
     # velocities
     if with_velocities == 1:
-        system.velocity(work, found)
+        system.velocity(work, results)
         for lane in range(lanes):
-            left = found[lanes * n + lane]
+            squared_residual = results[lanes * n + lane]
             if (
-                not left <= system.open_tolerance * system.open_tolerance
-                or not found[lanes * (n + 1) + lane] > MIN_PIVOT
+                not squared_residual <= system.open_tolerance * system.open_tolerance
+                or not results[lanes * (n + 1) + lane] > MIN_PIVOT
             ):
                 return 0
         for i in range(lanes * n):
-            work[i] = found[i]
+            work[i] = results[i]
     return 1
 
 
@@ -351,8 +357,8 @@ def change_by_projection(
     largest_change = 0.0
     place = 0  # in `members`: count of coordinates, their indices, count of velocities, their indices, ...
     for _group in range(system.groups):
-        total = 0.0
-        counted = 0
+        squared_sum = 0.0
+        elements = 0
         for _part in range(2):  # coordinates, velocities
             count = int(system.members[place])
             change = 0.0
@@ -363,15 +369,15 @@ def change_by_projection(
                 size += projected[i] * projected[i]
             if count > 0:
                 scale = atol + rtol * sqrt(size / count)
-                total += change / (scale * scale)
+                squared_sum += change / (scale * scale)
             place += count + 1
-            counted += count
-        largest_change = max(largest_change, total / counted)
+            elements += count
+        largest_change = max(largest_change, squared_sum / elements)
     return sqrt(largest_change)
 
 
 @native
-def is_error_of_step(moved: float, before: float, noise: float) -> int:
+def is_error_of_step(change: float, change_before: float, noise: float) -> int:
     """Return 1 if a step has to be rejected because projection changed its end too much, else 0.
 
     Far from the origin, round-off of the constraints can exceed the tolerance. Shorter steps do not reduce
@@ -379,11 +385,16 @@ def is_error_of_step(moved: float, before: float, noise: float) -> int:
     accepted in the following steps, too.
 
     Args:
-        moved: change of this step by projection, in units of the tolerance.
-        before: change of the longer try of this step that was rejected just before; `HUGE` if there was none.
+        change: change of this step by projection, in units of the tolerance.
+        change_before: change of the longer try of this step that was rejected just before; `HUGE` if there
+            was none.
         noise: change of the last accepted step if it was 1 or more, else 0.
     """
-    return 1 if moved >= 1.0 and moved >= MAX_NOISE_GROWTH * noise and moved < MIN_SHRINK * before else 0
+    return (
+        1
+        if change >= 1.0 and change >= MAX_NOISE_GROWTH * noise and change < MIN_SHRINK * change_before
+        else 0
+    )
 
 
 @np.errstate(invalid="ignore")  # angles of several hinges in a row are NaN for orientations out of reach
@@ -404,14 +415,18 @@ def project_position(system: System, q: Array) -> Array:
         return best
     unused = rows_left_out(system)
     # iterate until the residual is at round-off, or has not improved twice in a row
-    worse, least = 0, np.inf
+    rounds_without_gain, least_residual = 0, np.inf
     for _ in range(MAX_ITERATIONS + 1):
         phi, jacobian = system.phi(at), with_zero_rows(system.phi_jacobian(at), unused)
-        open_by = largest(with_zero_rows(phi, unused))
-        worse = 0 if open_by < least else worse + 1
-        if worse == 0:
-            best, least = at, open_by
-        if not np.isfinite(phi).all() or least < RESIDUAL_ROUND_OFF * system.mechanism.size or worse == 2:
+        residual = largest(with_zero_rows(phi, unused))
+        rounds_without_gain = 0 if residual < least_residual else rounds_without_gain + 1
+        if rounds_without_gain == 0:
+            best, least_residual = at, residual
+        if (
+            not np.isfinite(phi).all()
+            or least_residual < RESIDUAL_ROUND_OFF * system.mechanism.size
+            or rounds_without_gain == 2
+        ):
             break
         step = minimum_norm(
             jacobian,
@@ -477,10 +492,10 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
     drifts = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.longest)
     largest_drift = np.max(drifts, axis=1, initial=0.0)
     start = float(largest_drift[0])
-    wide = np.flatnonzero(largest_drift > (MAX_DRIFT if start <= MAX_DRIFT else 2.0 * start))
-    if not wide.size:
+    violations = np.flatnonzero(largest_drift > (MAX_DRIFT if start <= MAX_DRIFT else 2.0 * start))
+    if not violations.size:
         return
-    row = int(wide[0])
+    row = int(violations[0])
     worst = int(np.argmax(drifts[row]))
     owner = row_owners(mechanism.equations, coupled)[worst]
     drift = abs(float(phi[row, worst]))

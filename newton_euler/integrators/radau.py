@@ -182,8 +182,8 @@ def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> flo
     if n == 0:
         return total
     for i in range(n):
-        share = x[i] / (atol + rtol * abs(now[i]))
-        total += share * share
+        relative = x[i] / (atol + rtol * abs(now[i]))
+        total += relative * relative
     return sqrt(total / n)
 
 
@@ -212,7 +212,7 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
                 + FROM_STAGES[3 * s + 1] * z[n + i]
                 + FROM_STAGES[3 * s + 2] * z[2 * n + i]
             )
-    before = -1.0
+    previous_size = -1.0
     rate = -1.0
     for k in range(MAX_NEWTON_STEPS):
         # evaluate the rates of the stages
@@ -248,10 +248,12 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
         size = sqrt(size / 3.0)
         if not size < HUGE:
             return -1
-        if before >= 0.0:
-            rate = size / before
-            left = MAX_NEWTON_STEPS - 1 - k
-            if size >= ROUND_OFF_CORRECTION and (rate >= 1.0 or rate**left / (1.0 - rate) * size > tolerance):
+        if previous_size >= 0.0:
+            rate = size / previous_size
+            steps_left = MAX_NEWTON_STEPS - 1 - k
+            if size >= ROUND_OFF_CORRECTION and (
+                rate >= 1.0 or rate**steps_left / (1.0 - rate) * size > tolerance
+            ):
                 return -1
         # correct W, and transform back: Z = T W
         for i in range(n):
@@ -270,8 +272,8 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
             return k + 1
         if rate >= 1.0:
             return k + 1
-        before = size
-    return MAX_NEWTON_STEPS if before < ROUND_OFF_CORRECTION else -1
+        previous_size = size
+    return MAX_NEWTON_STEPS if previous_size < ROUND_OFF_CORRECTION else -1
 
 
 @native
@@ -389,33 +391,33 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     d1 = scaled_norm(n, slope, now, rtol, atol)
     h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, stop - now[n])
     method.jacobian(now, method.matrix)
-    due = 1  # index of the next output time
-    fresh = 1  # 1 if the Jacobian is that of the present state
-    factored = 0  # 1 if the LU factors are those of the present Jacobian and step size
+    next_row = 1  # index of the next output time
+    is_jacobian_current = 1  # 1 if the Jacobian is that of the present state
+    is_factored = 0  # 1 if the LU factors are those of the present Jacobian and step size
     before_h = 0.0  # size and error of the step before, 0 if there is none
     before_error = 0.0
-    moved_before = HUGE  # change by projection for which this step was rejected
-    moved_noise = 0.0  # change by projection of the step before if it was 1 or more
+    change_before = HUGE  # change by projection for which this step was rejected
+    change_noise = 0.0  # change by projection of the step before if it was 1 or more
     rejected = 0  # 1 if the last try of this step was rejected for its error
     m = 0  # size of the leading block of zeros of the Jacobian
     for i in range(3 * n):
         z[i] = 0.0
-    while due < table.count:
+    while next_row < table.count:
         # clip the last step to the end of the run
         status = before_step(system, table, method.max_steps, h, now)
         if status != Status.DONE:
             return status
         if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:
             h = stop - now[n]
-            factored = 0
+            is_factored = 0
         # factor the matrices of the linear systems, gamma/h - J and (alpha + i beta)/h - J
-        if factored == 0:
+        if is_factored == 0:
             m = zero_block(n, method.matrix)
             if factor_matrices(n, m, h, method) == 1:
                 counts[Count.REJECTED] += 1.0
                 h = 0.5 * h
                 continue
-            factored = 1
+            is_factored = 1
         # predict the stages by the collocation polynomial of the step before ("Starting values")
         if before_h > 0.0:
             for s in range(3):
@@ -426,23 +428,23 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             for i in range(3 * n):
                 z[i] = 0.0
         # solve for the stages by simplified Newton iterations
-        taken = solve_stages(system, method, m, h)
+        newton_steps = solve_stages(system, method, m, h)
         pivot_ratio = min(min(f[n], f[2 * n + 1]), f[3 * n + 2])
         # reject a step with unsafe accelerations (step 3 of `newton_euler.integrators.singular`)
-        if taken >= 0 and pivot_ratio < UNSAFE_PIVOT_RATIO and slope[n] >= UNSAFE_PIVOT_RATIO:
+        if newton_steps >= 0 and pivot_ratio < UNSAFE_PIVOT_RATIO and slope[n] >= UNSAFE_PIVOT_RATIO:
             counts[Count.REJECTED] += 1.0
             h = UNSAFE_STEP_FACTOR * h
-            factored = 0
+            is_factored = 0
             continue
         # if Newton's iteration fails, try a new Jacobian, then half the step
-        if taken < 0:
+        if newton_steps < 0:
             counts[Count.REJECTED] += 1.0
-            if fresh == 0:
+            if is_jacobian_current == 0:
                 method.jacobian(now, method.matrix)
-                fresh = 1
+                is_jacobian_current = 1
             else:
                 h = 0.5 * h
-            factored = 0
+            is_factored = 0
             continue
         # error estimate of order 3; in the first step and after a rejection, a second estimate from a
         # corrected start, because stiff components exaggerate the first one ("Step size selection")
@@ -455,10 +457,10 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             if evaluate(system, at, f) == Status.DONE:
                 error = error_of_step(n, m, h, method, f)
         # outputs within the step need the error of the interpolation, too
-        if before_h > 0.0 and times[due] < now[n] + h and error <= 1.0 and n > 0:
+        if before_h > 0.0 and times[next_row] < now[n] + h and error <= 1.0 and n > 0:
             error = max(error, error_within(n, h, before_h, method))
         # factor for the next step: by the error, and by the predictive controller of Gustafsson
-        safety = 0.9 * (2.0 * MAX_NEWTON_STEPS + 1.0) / (2.0 * MAX_NEWTON_STEPS + taken)
+        safety = 0.9 * (2.0 * MAX_NEWTON_STEPS + 1.0) / (2.0 * MAX_NEWTON_STEPS + newton_steps)
         factor = MAX_STEP_FACTOR
         if error > 0.0:
             factor = error**-0.25
@@ -468,7 +470,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         if not error <= 1.0:
             counts[Count.REJECTED] += 1.0
             h = h * max(MIN_STEP_FACTOR, safety * factor) if error < HUGE else 0.2 * h
-            factored = 0
+            is_factored = 0
             rejected = 1
             continue
         # project the end; the change by projection is the part of the error that opens constraints
@@ -476,34 +478,36 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             f[i] = now[i] + z[2 * n + i]
         f[n] = now[n] + h
         status = project_end(system, 0, f, projected, unprojected)
-        moved = 0.0
+        projection_change = 0.0
         if status == Status.DONE and system.projecting == 1:
-            moved = change_by_projection(system, unprojected, projected, rtol, atol)
-        if status != Status.DONE or is_error_of_step(moved, moved_before, moved_noise) == 1:
+            projection_change = change_by_projection(system, unprojected, projected, rtol, atol)
+        if status != Status.DONE or is_error_of_step(projection_change, change_before, change_noise) == 1:
             counts[Count.REJECTED] += 1.0
             if status != Status.DONE and h < 1e-10 * (stop - times[0]):
                 return status
             h = h * (
-                max(MIN_STEP_FACTOR, safety * moved**-0.25) if status == Status.DONE else MIN_STEP_FACTOR
+                max(MIN_STEP_FACTOR, safety * projection_change**-0.25)
+                if status == Status.DONE
+                else MIN_STEP_FACTOR
             )
-            moved_before = moved if status == Status.DONE else HUGE
-            factored = 0
+            change_before = projection_change if status == Status.DONE else HUGE
+            is_factored = 0
             rejected = 1
             continue
         # accept the step, and interpolate and project the outputs within it
-        moved_before = HUGE
-        moved_noise = moved if moved >= 1.0 else 0.0
+        change_before = HUGE
+        change_noise = projection_change if projection_change >= 1.0 else 0.0
         counts[Count.STEPS] += 1.0
         rejected = 0
         factor = min(MAX_STEP_FACTOR, max(MIN_STEP_FACTOR, safety * factor))
         prepare_dense(n, z, terms)
-        first = due
-        while due < table.count and times[due] <= now[n] + h:
-            state = states[n * due :]
-            interpolate_radau(table.output_state_size, n, (times[due] - now[n]) / h, now, terms, state)
+        first_row = next_row
+        while next_row < table.count and times[next_row] <= now[n] + h:
+            state = states[n * next_row :]
+            interpolate_radau(table.output_state_size, n, (times[next_row] - now[n]) / h, now, terms, state)
             normalize_quaternions(system, state, state)
-            due += 1
-        status = project_rows(system, table, states, first, due, 0, at)
+            next_row += 1
+        status = project_rows(system, table, states, first_row, next_row, 0, at)
         if status != Status.DONE:
             return status
         # move to the end of the step; `before` follows angles that lose a revolution
@@ -522,17 +526,17 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         # next step would be at most 20 % longer ("Step size selection")
         before_h = h
         before_error = max(error, 1e-2)
-        fresh = 0
+        is_jacobian_current = 0
         if changed == 1:
             copy_flags(system.exchange, now, at)
             copy_flags(system.exchange, now, projected)
-        if changed == 1 or (taken > 2 and convergence > 1e-3):
+        if changed == 1 or (newton_steps > 2 and convergence > 1e-3):
             method.jacobian(now, method.matrix)
-            fresh = 1
-            factored = 0
-        if fresh == 1 or factor > 1.2 or factor < 1.0:
+            is_jacobian_current = 1
+            is_factored = 0
+        if is_jacobian_current == 1 or factor > 1.2 or factor < 1.0:
             h = h * factor
-            factored = 0
+            is_factored = 0
     return Status.DONE
 
 

@@ -30,21 +30,21 @@ EXCHANGED = -1.0
 class RowExchange(Record):
     """The exchangeable constraint rows of a scene, and the functions that exchange them.
 
-    Both functions take x (inputs,), a state with time, flags and parameters, and write to `found`.
+    Both functions take x (inputs,), a state with time, flags and parameters, and write to `results`.
 
     Attributes:
         count: number of exchangeable rows, 0 for most scenes.
         first: index of the first of their flags in x.
         shares: writes the square of the largest share, then the nonzeros of all rows.
         exchange: changes the flags in x to those of a better choice of rows, and writes `EXCHANGED`.
-        found: vector that both functions write to.
+        results: vector that both functions write to.
     """
 
     count: int
     first: int
     shares: Callback
     exchange: Callback
-    found: Vector
+    results: Vector
 
 
 def no_exchange(first: int) -> RowExchange:
@@ -62,10 +62,10 @@ def exchange_rows(rows: RowExchange, x: Vector) -> int:
     """
     if rows.count == 0:
         return 0
-    rows.shares(x, rows.found)
-    if rows.found[0] > MAX_SHARE * MAX_SHARE:
-        rows.exchange(x, rows.found)
-    return 1 if rows.found[0] == EXCHANGED else 0
+    rows.shares(x, rows.results)
+    if rows.results[0] > MAX_SHARE * MAX_SHARE:
+        rows.exchange(x, rows.results)
+    return 1 if rows.results[0] == EXCHANGED else 0
 
 
 @native

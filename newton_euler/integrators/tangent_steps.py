@@ -78,7 +78,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
     fives = k[13 * row :]
     threes = k[14 * row :]
     end = tangents.at[tangents.inputs * lanes :]
-    begun = tangents.x[tangents.inputs * lanes :]
+    start = tangents.x[tangents.inputs * lanes :]
     # embedded formulas of orders 5 and 3 for each element
     for i in range(size):
         five = ERROR_5[0] * k[i]
@@ -95,7 +95,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
         third_place = 0.0
         for i in range(tangents.places):
             e = lanes * i + lane
-            place = max(place, max(abs(begun[e]), abs(end[e])))
+            place = max(place, max(abs(start[e]), abs(end[e])))
             fifth_place += fives[e] * fives[e]
             third_place += threes[e] * threes[e]
         speed = 0.0
@@ -103,7 +103,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
         third_speed = 0.0
         for i in range(tangents.speeds, tangents.n):
             e = lanes * i + lane
-            speed = max(speed, max(abs(begun[e]), abs(end[e])))
+            speed = max(speed, max(abs(start[e]), abs(end[e])))
             fifth_speed += fives[e] * fives[e]
             third_speed += threes[e] * threes[e]
         # if only coordinates or only velocities of the tangent are near zero, the other gives the scale

@@ -177,8 +177,8 @@ def prepare_terms(tangents: Tangents, h: float) -> None:
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
     k = tangents.k[size:]
-    begun = tangents.x[tangents.inputs * tangents.lanes :]
-    prepare_dense(h, size, row, row, begun, tangents.k[row * 16 :], k, k)
+    start = tangents.x[tangents.inputs * tangents.lanes :]
+    prepare_dense(h, size, row, row, start, tangents.k[row * 16 :], k, k)
 
 
 @native
@@ -192,14 +192,14 @@ def interpolate_tangents(tangents: Tangents, theta: float, y: Vector) -> None:
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
     terms = tangents.k[size:]
-    begun = tangents.x[tangents.inputs * tangents.lanes :]
+    start = tangents.x[tangents.inputs * tangents.lanes :]
     for i in range(size):
         total = 0.0
         weight = 1.0
         for j in range(7):
             weight = weight * (theta if j % 2 == 0 else 1.0 - theta)
             total += weight * terms[row * j + i]
-        y[i] = begun[i] + total
+        y[i] = start[i] + total
 
 
 @native
