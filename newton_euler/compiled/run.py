@@ -430,7 +430,7 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
         first=code.flags.start,
         shares=shares,
         exchange=python.guarded(exchange),
-        found=np.zeros((shares.outputs, lanes)),
+        results=np.zeros((shares.outputs, lanes)),
     )
 
 
