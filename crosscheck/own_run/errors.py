@@ -24,7 +24,7 @@ MAX_ANGLE_SCALE = 1.0
 """Largest rotation, rad, that errors of rotations are divided by: many revolutions excuse no larger error."""
 
 
-MIN_DESCRIPTIVE = 0.1
+MIN_DESCRIPTIVE = 0.5
 """Smallest relative error of positions that describes a run, as a fraction of the relative error. People
 judge
 lengths more easily than angles."""
@@ -85,6 +85,10 @@ class RunError:
     def is_of_position(self) -> bool:
         """True if the error of positions describes the run: it is no small part of the relative error."""
         return self.relative_position >= MIN_DESCRIPTIVE * self.relative
+
+    def part(self, of_position: bool) -> float:
+        """Return the relative error of positions, or of rotations."""
+        return self.relative_position if of_position else self.relative_rotation
 
     @property
     def band(self) -> Band:

@@ -190,7 +190,8 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     causes: tuple[MeasuredCause, ...] = ()
     remedies: tuple[MeasuredRemedy, ...] = ()
     if run.stopped or error.band is not Band.ACCURATE:
-        causes = tuple(sorted(_causes(compared, run), key=lambda cause: -cause.error.relative))
+        of_position = error.is_of_position
+        causes = tuple(sorted(_causes(compared, run), key=lambda cause: -cause.error.part(of_position)))
         remedies = tuple(_remedies(compared, run, error))
     return Judgement(
         simulation.engine,

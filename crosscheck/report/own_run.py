@@ -44,16 +44,16 @@ def _lines(judgement: Judgement) -> Iterator[str]:
             f"  note    compared until {judgement.until:.3g} s: from then on the motion multiplies any error "
             "by more than 1000, and no run with other steps can match"
         )
-    causes = [each for each in judgement.causes if each.error.relative > 0.0]
+    by_position = error.is_of_position
+    causes = [(each.name, each.error) for each in judgement.causes if each.error.part(by_position) > 0.0]
     if causes:
-        least = MIN_CAUSE * causes[0].error.relative
-        by_position = error.is_of_position
-        named = [
-            f"{each.name}: {size(each.error, by_position)}" for each in causes if each.error.relative >= least
+        least = MIN_CAUSE * causes[0][1].part(by_position)
+        listed = [
+            f"{name}: {size(each, by_position)}" for name, each in causes if each.part(by_position) >= least
         ]
-        yield f"  cause   {'; '.join(named)}"
+        yield f"  cause   {'; '.join(listed)}"
     for k, remedy in enumerate(judgement.remedies):
-        yield f"  {'fix' if k == 0 else '':<7} {_remedy(remedy, error.is_of_position)}"
+        yield f"  {'fix' if k == 0 else '':<7} {_remedy(remedy, by_position)}"
 
 
 def headline(judgement: Judgement) -> str:
@@ -62,8 +62,7 @@ def headline(judgement: Judgement) -> str:
     if judgement.stopped:
         return "DIVERGED"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
-    relative = error.relative_position if error.is_of_position else error.relative_rotation
-    return f"{word} {size(error, error.is_of_position)}, {percent(relative)} of the motion"
+    return f"{word} {size(error, error.is_of_position)}, {percent(error.relative)} of the motion"
 
 
 def size(error: RunError, by_position: bool) -> str:
