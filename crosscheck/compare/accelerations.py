@@ -1,7 +1,8 @@
-"""Level "accelerations and reactions": constrained accelerations, reactions in one form for all engines.
+"""Level "accelerations and reactions": accelerations under rigid constraints, and joint reactions.
 
-Reactions are force and torque on the second body, at the joint point, in the world frame. Where redundant
-constraints leave them open they are compared as J^T lambda, what they do to bodies, see `reactions`.
+The checks compare two engines at the same states. A reaction is the force and the torque of a joint on its
+second body, at the joint point, in the world frame. Redundant constraints leave some combinations of
+reactions undetermined; these combinations are removed before reactions are compared (`determined`).
 """
 
 from __future__ import annotations
@@ -19,25 +20,33 @@ from newton_euler.equations.undetermined import determined
 from newton_euler.scalars import Array
 
 LEVEL = "accelerations and reactions"
+"""Name of the level in checks."""
 
 SOFTNESS = 1e-2
-"""Relative to the largest: MuJoCo caps solimp at 0.9999, so its constraint forces are off by the
-order of 0.1 % however small the step, and by more where a mechanism is ill-conditioned; they are
-shown beside the rigid ones."""
+"""Expected error of reaction forces of soft constraints, relative to the largest force. MuJoCo limits solimp
+to
+0.9999, which causes errors of about 0.1 % at any step, and larger errors in ill-conditioned mechanisms."""
 
 
 def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
-    """Accelerations of bodies and joints, and reactions of joints.
+    """Compare accelerations of bodies and joints, and reactions of joints, of two engines.
 
-    Tolerances are round-off magnified by the condition of the constraints and of the mass matrix; reactions
-    lose the constraints' condition once more. What fails is blamed on the body or term whose equations of
-    motion are violated.
+    Tolerances are round-off times the condition numbers of the constraints and of the mass matrix. For
+    reactions, the condition number of the constraints is squared. A failing check is attributed to the body,
+    joint or term whose equations of motion are violated.
+
+    Args:
+        pair: names of the two engines.
+        first, second: their equations at the same states.
     """
+    # Tolerances and scales
     states = first.states
-    constraints, masses = max(first.condition, second.condition), states.mass_condition
-    yield Check(LEVEL, "condition of masses", pair, masses, 1.0 / EPSILON, "", judged=False)
-    tolerance, looser = (
-        round_off(condition * masses, states.noise) for condition in (constraints, constraints**2)
+    constraint_condition = max(first.condition, second.condition)
+    mass_condition = states.mass_condition
+    yield Check(LEVEL, "condition of masses", pair, mass_condition, 1.0 / EPSILON, "", judged=False)
+    tolerance, reaction_tolerance = (
+        round_off(condition * mass_condition, states.noise)
+        for condition in (constraint_condition, constraint_condition**2)
     )
     scales, mechanism = first.scales, states.scene.mechanism
 
@@ -45,48 +54,65 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     def cause() -> Cause | None:
         return dynamic_cause(first, second)
 
-    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str], moved: bool = False) -> Check:
+    def row(
+        quantity: str, gap: Array, tolerance: float, names: Sequence[str], attribute: bool = True
+    ) -> Check:
+        """Make the check of the largest of the differences `gap` (n states, bodies or joints)."""
         value, found = float(gap.max()), Cause(names[int(np.argmax(gap.max(axis=0)))])
-        if not value <= tolerance and not moved:
+        if not value <= tolerance and attribute:
             found = cause() or found
         return Check(LEVEL, quantity, pair, value, tolerance, found.where, detail=found.detail)
 
-    def apart(name: str) -> Array:
+    def difference(name: str) -> Array:
+        """Norms of the differences of a vector quantity, (n states, bodies)."""
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
 
-    linear = apart("linear_acceleration") / scales.acceleration
-    angular = apart("angular_acceleration") * scales.size / scales.acceleration
+    # Accelerations
+    linear = difference("linear_acceleration") / scales.acceleration
+    angular = difference("angular_acceleration") * scales.size / scales.acceleration
     yield row("linear acceleration, rel", linear, tolerance, mechanism.body_names)
     yield row("angular acceleration, rel", angular, tolerance, mechanism.body_names)
     names = mechanism.joint_names
-    yield row("joint acceleration, rel", _joint_gap(first, second), tolerance + RATE_ERROR, names)
+    joints = _joint_acceleration_differences(first, second)
+    yield row("joint acceleration, rel", joints, tolerance + RATE_ERROR, names)
+    # Reactions
     force, torque = (first.stack(name) - second.stack(name) for name in ("reaction_force", "reaction_torque"))
     force, torque = determined(force, torque, states.undetermined, scales.size)
-    yield row("reaction force, rel", np.linalg.norm(force, axis=2) / scales.force, looser, names)
+    yield row("reaction force, rel", np.linalg.norm(force, axis=2) / scales.force, reaction_tolerance, names)
     gap = np.linalg.norm(torque, axis=2) / (scales.force * scales.size)
-    moved = _is_another_point(torque, first.stack("reaction_force"))
-    yield row("reaction torque, rel", gap, looser, names, moved)
+    # A shifted joint point does not violate equations of motion: the joint itself is the cause
+    shifted = _is_shifted_joint_point(torque, first.stack("reaction_force"))
+    yield row("reaction torque, rel", gap, reaction_tolerance, names, attribute=not shifted)
 
 
-def _joint_gap(first: Samples, second: Samples) -> Array:
-    """Differences (n, j) of the accelerations of joints: of the second body relative to the first.
+def _joint_acceleration_differences(first: Samples, second: Samples) -> Array:
+    """Compute relative differences (n, j) of joint accelerations of two engines at n states.
 
-    They follow from the accelerations of each system's own coordinates. An angular one counts at the size.
+    A joint acceleration is the acceleration of the joint's second body relative to its first body. The
+    accelerations follow from those of each engine's coordinates, see `Samples.coordinate_accelerations`.
+    Angular accelerations are multiplied by the mechanism's size.
     """
     mechanism, scales = first.states.scene.mechanism, first.scales
-    ends = np.array([[mechanism.body_index(name) for name in (j.first, j.second)] for j in mechanism.joints])
+    first_bodies = [mechanism.body_index(joint.first) for joint in mechanism.joints]
+    second_bodies = [mechanism.body_index(joint.second) for joint in mechanism.joints]
     gaps = []
+    # First the linear, then the angular accelerations
     pairs = zip(first.coordinate_accelerations, second.coordinate_accelerations, strict=True)
     for (one, two), unit in zip(pairs, (1.0, scales.size), strict=True):
-        difference = (one - two)[:, ends[:, 1]] - (one - two)[:, ends[:, 0]]
+        difference = (one - two)[:, second_bodies] - (one - two)[:, first_bodies]
         gaps.append(np.linalg.norm(difference, axis=2) * unit / scales.acceleration)
     return np.asarray(np.maximum(*gaps))
 
 
-def _is_another_point(torque: Array, force: Array) -> bool:
-    """True if differences of torques (n, j, 3) are those of one joint that is seen from another point.
+def _is_shifted_joint_point(torque: Array, force: Array) -> bool:
+    """Return True if torque differences come from another point of one joint.
 
-    Then they are arms times forces (n, j, 3), perpendicular to the forces in every state.
+    A reaction about another point has a torque that differs by arm x force. The differences are then those of
+    a single joint, and perpendicular to the reaction force in every state.
+
+    Args:
+        torque: (n, j, 3) differences of the reaction torques of j joints at n states, N m.
+        force: (n, j, 3) reaction forces, N.
     """
     largest = np.linalg.norm(torque, axis=2).max(axis=0)
     if np.sum(largest > MIN_RESIDUAL_RATIO * largest.max()) != 1:
@@ -99,7 +125,13 @@ def _is_another_point(torque: Array, force: Array) -> bool:
 
 
 def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Check:
-    """Compare reaction forces of an engine's soft constraints at the start."""
+    """Compare reaction forces at the initial state between soft and rigid constraints of one engine.
+
+    Args:
+        name: name of the engine.
+        soft: evaluation of the initial state with the engine's soft constraints.
+        rigid: the engine's equations with rigid constraints; the first state is the initial state.
+    """
     states = rigid.states
     force = rigid.evaluations[0].reaction_force
     floor = states.energy / states.scene.mechanism.size

@@ -1,4 +1,9 @@
-"""Elements of a model file that are not simulated: whether they act in a run, and since when."""
+"""Elements of a model file that are not simulated: whether they would act in a run, and from which time on.
+
+crosscheck simulates rigid bodies, joints and forces. Contacts, joint limits and dry friction of a file are
+not simulated. In: the import report of a file and a run. Out: the report with the time from which each such
+element would have acted, and sentences about it for the verdict.
+"""
 
 from __future__ import annotations
 
@@ -14,23 +19,24 @@ from newton_euler.reading.import_report import CONTACTS, ImportedElement, Import
 from newton_euler.runs.simulate import simulate
 
 CLOSER_OUTPUTS = (8, 64)
-"""Factors by which outputs are closer in further runs, made while elements may act between outputs.
+"""Factors on the number of outputs in repeated runs, if elements may act between the outputs of the first
+run.
 
-Their errors are of fourth order in the output period: a factor of 8 divides them by 4096."""
+Errors of the interpolation are of order 4 in the output period: a factor of 8 divides them by 4096."""
 
-MOST_ACTING = 2
-"""Elements that a verdict names of those that act and are not simulated."""
+MAX_NAMED = 2
+"""Largest number of elements that a verdict names."""
 
 
 def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportReport:
-    """Return an import report with what a run of the scene shows of elements that are not simulated.
+    """Return an import report that shows whether elements that are not simulated would act in a run.
 
-    If the outputs of the run are too far apart to tell, newton_euler repeats the run with closer ones.
+    If the outputs of the run are too far apart to decide, newton_euler repeats the run with closer outputs.
 
     Args:
-        scene: as it was read from the file.
-        mapping: what became of the elements of the file.
-        run: of the scene, with velocities.
+        scene: scene that was imported from the file.
+        mapping: import report: how each element of the file was imported.
+        run: run of the scene, with velocities.
     """
     found = mapping.after(SampledMotion(scene, run))
     for factor in CLOSER_OUTPUTS:
@@ -50,7 +56,7 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
 
 
 def watched_in_own_run(scene: Scene, mapping: ImportReport) -> ImportReport:
-    """Return an import report with what newton_euler's run of the scene shows of it."""
+    """Simulate a scene in newton_euler and return the import report of `watched` for this run."""
     try:
         run = simulate(scene, **native_method(scene, refined=False))
     except StoppedError as error:
@@ -63,27 +69,28 @@ def watched_in_own_run(scene: Scene, mapping: ImportReport) -> ImportReport:
 
 
 def acted(entry: ImportedElement) -> str:
-    """Word an element that acted in a run: which, since when, and by how much a limit was passed."""
+    """Format an element that would have acted: its name, and the time or by how much a limit was passed."""
     passed = f" {entry.seen}" if entry.seen.startswith("passed") else f" from {entry.since:.4g} s on"
     return f"{what_acted(entry)}{passed}"
 
 
 def reduction(acting: Sequence[ImportedElement]) -> str:
-    """Word the elements that acted and were not simulated, and which part of the run is the file's.
+    """Format the elements that would have acted, and the part of the run before that.
 
     Args:
-        acting: at least one element, in order of time.
+        acting: elements that are not simulated and would have acted, in order of time; at least one.
     """
-    more = f"; and {len(acting) - MOST_ACTING} more" if len(acting) > MOST_ACTING else ""
-    named = f"not simulated: {'; '.join(map(acted, acting[:MOST_ACTING]))}{more}"
+    more = f"; and {len(acting) - MAX_NAMED} more" if len(acting) > MAX_NAMED else ""
+    named = f"not simulated: {'; '.join(map(acted, acting[:MAX_NAMED]))}{more}"
     if not (until := acting[0].since):
         return f"{named}. The whole run is of the file without these"
     return f"{named}. The run is of the file until {until:.4g} s, then of the file without these"
 
 
 def what_acted(entry: ImportedElement) -> str:
-    """Word which element acted."""
+    """Return the name of an element for sentences, such as "limits of joint 'pivot'"."""
     if entry.topic == CONTACTS:
         return CONTACTS
-    named = entry.element.endswith(entry.topic)  # as "option density" of topic "density", and without a topic
+    # "option density" already contains its topic "density"; a topic may also be empty
+    named = entry.element.endswith(entry.topic)
     return entry.element if named else f"{entry.topic} of {entry.element}"

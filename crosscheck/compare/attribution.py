@@ -1,14 +1,17 @@
-"""The body, joint or term that a difference between two engines comes from.
+"""Attribution of a difference between two engines to a body, a joint or a parameter.
 
-The scene's own equations are the referee. What is right in an engine's model satisfies them wherever the
-engine ends up; the one thing that is wrong does not:
+In: the equations of two engines at the same states (`Samples`). Out: the name of the element whose model is
+likely wrong. The results of each engine are inserted into the equations of the scene, which are right by
+definition; the equations of the wrong element are violated:
 
-- bodies placed by an engine's kinematics, its own loops closed, leave open in the scene's eyes the joint
-  that is wrong, or all joints of a body whose frame is wrong;
-- accelerations and reactions of an engine violate Newton's and Euler's equations, with the scene's masses
-  and forces, of the body whose mass or inertia is wrong, of all bodies as another gravity would, or of the
-  two bodies of a joint as another spring or control law there would;
-- accelerations that satisfy these equations open the joint whose velocity term is wrong.
+- Kinematics: poses of an engine violate the scene's constraints of the wrong joint, or of all joints of a
+body
+  whose frame is wrong.
+- Dynamics: accelerations and reactions of an engine violate Newton's and Euler's equations with the scene's
+  masses and forces. The equations of a single body are violated if its mass or inertia is wrong, those of all
+  bodies if gravity is, and those of the two bodies of a joint if a spring or a controller there is.
+- Velocity terms: accelerations satisfy the equations of the bodies, but violate the constraints of the joint
+  whose velocity-dependent term is wrong.
 """
 
 from __future__ import annotations
@@ -38,59 +41,77 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 ForceAtJoint = Law | JointSpring | BallSpring
+"""Control law of an actuator, or spring, that acts at a joint."""
 
 MIN_VIOLATION = 1e-11
-"""Sizes of the mechanism, rad, and as many a second: what is more is not round-off, see `kinematics`."""
+"""Smallest constraint violation that is not round-off: sizes of the mechanism or rad; rates in 1/s."""
 
 MIN_ACCELERATION_VIOLATION = 1e-9
-"""Share of the largest acceleration: round-off of ill-conditioned masses opens joints by less."""
+"""Smallest violation of joint constraints by accelerations that is not round-off, divided by the largest
+acceleration."""
 
 MIN_RESIDUAL_RATIO = 1e-2
 """Residuals below this fraction of the largest one are side effects, such as squares of a small error."""
 
 EXPLAINED = 1e-4
-"""Share of all residuals that a cause may leave over: small errors act in proportion, and this is how far."""
+"""Largest remaining residual if a cause explains the residuals, divided by the largest residual. Residuals
+are
+proportional to small errors of a parameter up to about this fraction."""
 
 UNBALANCED = 1e-10
-"""Residual in units of the scene's energy divided by its size, N: round-off at a condition number of 100."""
+"""Smallest residual that is not round-off, divided by the scene's energy over its size, N. It is the
+round-off
+at a condition number of 100."""
 
 
 def kinematic_cause(first: Samples, second: Samples) -> str | None:
-    """The joint that one of two systems opens, or the body all of whose joints it opens.
+    """Find the joint, or the body, whose kinematics are wrong in one of two engines.
 
-    A joint may be wrong in such a way that its loop cannot move at all; then it shows before the loop is
-    closed. None if no joint is open in the scene's eyes: then a system holds what the scene leaves free.
+    Three searches follow each other. The first one closes the loops of each engine. If a wrong joint prevents
+    that, the second one compares poses before loops are closed. The third one looks at the closing joints of
+    the engine's model alone.
+
+    Returns:
+        Name of the joint whose constraints in the scene are violated, or of the body if the constraints of
+        all its joints are. None if no constraint is violated, so that an engine has too many constraints.
     """
-    for look in (_opened, _stuck, _open_closure):
+    for search in (_violated_after_closure, _violated_in_tree, _violated_closure):
         for samples in (second, first):
-            if (found := look(samples)) is not None:
+            if (found := search(samples)) is not None:
                 return found
     return None
 
 
-def _opened(samples: Samples) -> str | None:
-    """The joint that a system opens where it keeps its own closed, or the body whose joints these are."""
+def _violated_after_closure(samples: Samples) -> str | None:
+    """Find the joint that an engine violates while its own loops are closed, or the body of such joints."""
     mechanism = samples.states.scene.mechanism
-    openings = _openings(samples)
-    if not np.max(openings, initial=0.0) > MIN_VIOLATION:
+    violations = _violations(samples)
+    if not np.max(violations, initial=0.0) > MIN_VIOLATION:
         return None
-    opened = np.flatnonzero(openings > MIN_RESIDUAL_RATIO * openings.max())
-    ends = [{mechanism.joints[k].first, mechanism.joints[k].second} for k in opened]
+    violated = np.flatnonzero(violations > MIN_RESIDUAL_RATIO * violations.max())
+    ends = [{mechanism.joints[k].first, mechanism.joints[k].second} for k in violated]
     common = set.intersection(*ends) - {mechanism.body_names[0]}
-    if len(opened) > 1 and len(common) == 1:
+    if len(violated) > 1 and len(common) == 1:
         return common.pop()
-    return mechanism.joint_names[int(np.argmax(openings))]
+    return mechanism.joint_names[int(np.argmax(violations))]
 
 
-def _openings(samples: Samples) -> Array:
-    """(j,) how far, in sizes or rad, a system's own kinematics open each joint, and how fast, in 1/s."""
+def _violations(samples: Samples) -> Array:
+    """Compute how much an engine's kinematics violate the scene's constraints of each joint.
+
+    Returns:
+        (j,) the larger of the residuals of poses with closed loops, sizes of the mechanism or rad, and of
+        their rates under the velocities that the engine allows, 1/s.
+    """
     system, mechanism = samples.system, samples.states.scene.mechanism
     size = mechanism.size
     found = np.zeros(len(mechanism.joints))
     for (q, v), motion, basis in zip(samples.coordinates, samples.motions, samples.bases, strict=True):
+        # Poses; some loops cannot be closed
         with suppress(AssemblyError):
             closed = system.state(project_position(system, q), 0.0 * v)
-            found = np.maximum(found, _gaps(mechanism, closed))
+            found = np.maximum(found, _residuals(mechanism, closed))
+        # Velocities
         frames = motion.frames()
         velocities = basis.reshape(len(frames), 6, -1)
         for k, equations in enumerate(mechanism.equations):
@@ -103,8 +124,8 @@ def _openings(samples: Samples) -> Array:
     return found
 
 
-def _gaps(mechanism: Mechanism, state: State) -> Array:
-    """(j,) how far a state opens each joint, in sizes or rad."""
+def _residuals(mechanism: Mechanism, state: State) -> Array:
+    """Compute the largest constraint residual (j,) of each joint in a state, mechanism sizes or rad."""
     frames, gaps = state.frames(), []
     for equations in mechanism.equations:
         phi = equations.phi(frames[equations.first], frames[equations.second])
@@ -112,19 +133,21 @@ def _gaps(mechanism: Mechanism, state: State) -> Array:
     return np.array(gaps)
 
 
-def _stuck(samples: Samples) -> str | None:
-    """The joint of the tree that is open where a system's coordinates put the bodies.
+def _violated_in_tree(samples: Samples) -> str | None:
+    """Find the joint of the spanning tree that an engine violates before its loops are closed.
 
-    Those that close loops are left out: they are open there whichever joint is wrong.
+    Joints that close loops are ignored: before loops are closed they are violated whichever joint is wrong.
     """
     mechanism = samples.states.scene.mechanism
-    gaps = np.max([_gaps(mechanism, motion) for motion in samples.motions], axis=0)
-    gaps[list(SpanningTree(mechanism).cuts)] = 0.0
-    return mechanism.joint_names[int(np.argmax(gaps))] if np.max(gaps, initial=0.0) > MIN_VIOLATION else None
+    residuals = np.max([_residuals(mechanism, motion) for motion in samples.motions], axis=0)
+    residuals[list(SpanningTree(mechanism).cuts)] = 0.0
+    if not np.max(residuals, initial=0.0) > MIN_VIOLATION:
+        return None
+    return mechanism.joint_names[int(np.argmax(residuals))]
 
 
-def _open_closure(samples: Samples) -> str | None:
-    """The closure whose two points lie farthest apart in a system's own model, if they do."""
+def _violated_closure(samples: Samples) -> str | None:
+    """Find the loop-closing ball joint whose two points are farthest apart in an engine's own model."""
     gaps = {
         name: float(np.linalg.norm(joint.points[1] - joint.points[0]))
         for name, joint in samples.joints.items()
@@ -135,21 +158,26 @@ def _open_closure(samples: Samples) -> str | None:
 
 
 def accelerated_joint(first: Samples, second: Samples) -> str | None:
-    """Find the joint whose constraints the body accelerations of one of two systems violate.
+    """Find the joint whose constraints the body accelerations of one of two engines violate.
 
-    Accelerations with a wrong velocity term satisfy the equations of motion of bodies and open the joint that
-    the term belongs to. None if all joints stay closed.
+    Accelerations with a wrong velocity term satisfy the equations of motion of the bodies, but violate the
+    constraints of the joint that the term belongs to. None if they violate no constraint.
     """
     mechanism = first.states.scene.mechanism
     for samples in (second, first):
-        gaps = np.max([_acceleration_gaps(mechanism, found) for found in samples.evaluations], axis=0)
-        if np.max(gaps, initial=0.0) > MIN_ACCELERATION_VIOLATION * samples.scales.acceleration:
-            return mechanism.joint_names[int(np.argmax(gaps))]
+        violations = [_acceleration_violations(mechanism, found) for found in samples.evaluations]
+        largest = np.max(violations, axis=0)
+        if np.max(largest, initial=0.0) > MIN_ACCELERATION_VIOLATION * samples.scales.acceleration:
+            return mechanism.joint_names[int(np.argmax(largest))]
     return None
 
 
-def _acceleration_gaps(mechanism: Mechanism, found: Evaluation) -> Array:
-    """Compute the violation (j,) of joints by accelerations, m/s^2; angular ones count at the size."""
+def _acceleration_violations(mechanism: Mechanism, found: Evaluation) -> Array:
+    """Compute the residuals (j,) of the joint constraints at the level of accelerations, m/s^2.
+
+    The residual of a joint is |J a - gamma|, with the constraint Jacobian J, the body accelerations a and the
+    velocity term gamma. Angular residuals are multiplied by the mechanism's size.
+    """
     frames, linear, angular = found.state.frames(), found.linear_acceleration, found.angular_acceleration
     gaps = []
     for equations in mechanism.equations:
@@ -163,11 +191,12 @@ def _acceleration_gaps(mechanism: Mechanism, found: Evaluation) -> Array:
 
 
 class Cause(NamedTuple):
-    """Source of a difference.
+    """Cause of a difference between two engines.
 
     Attributes:
-        where: a body, a joint or "gravity".
-        detail: gravity, or the parameter of a joint's control law or spring, as it is and as it should be.
+        where: name of a body or a joint, or "gravity".
+        detail: the wrong parameter with its value in the engine and its value in the scene, for gravity and
+            for a control law or spring at a joint; empty otherwise.
     """
 
     where: str
@@ -175,105 +204,151 @@ class Cause(NamedTuple):
 
 
 def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause | None:
-    """The body, joint or "gravity" that one of two systems gets wrong in Newton's and Euler's equations.
+    """Find the body, the joint or gravity whose model is wrong in one of two engines.
 
-    A joint if it is what a control law or spring does there, or if accelerations open it while these
-    equations hold. None if all joints stay closed, too: then what differs is no force on a body. Without
-    `forces` the bodies alone come into question, as where inertia differs.
+    A joint is found if a control law or spring there explains the residuals of Newton's and Euler's
+    equations, or if accelerations violate the constraints of the joint although these equations hold.
+
+    Args:
+        first, second: equations of the two engines at the same states.
+        forces: False to consider bodies only, for example if kinetic energies differ.
+
+    Returns:
+        The cause; None if neither the equations of bodies nor the constraints are violated.
     """
     scene = first.states.scene
     for samples in (second, first):
         residuals = momentum_residuals(samples)
-        largest = np.abs(residuals).max(axis=(0, 2))
+        largest = np.abs(residuals).max(axis=(0, 2))  # of each moving body
         if not largest.max() > UNBALANCED * first.states.energy / scene.mechanism.size:
             continue
-        if forces and (other := _other_gravity(scene, residuals)) is not None:
-            return Cause("gravity", _instead(other, scene.gravity, "m/s^2"))
-        if forces and (found := _at_joint(samples, residuals)):
+        if forces and (other := _fitted_gravity(scene, residuals)) is not None:
+            return Cause("gravity", _instead_of(other, scene.gravity, "m/s^2"))
+        if forces and (found := _force_cause(samples, residuals)):
             return found
         return Cause(scene.mechanism.body_names[1 + int(np.argmax(largest))])
     opened = accelerated_joint(first, second)
     return None if opened is None else Cause(opened)
 
 
-def _other_gravity(scene: Scene, residuals: Array) -> Array | None:
-    """(3,) gravity, m/s^2, that explains residuals (n, b - 1, 6) of several bodies; None if none does."""
+def _fitted_gravity(scene: Scene, residuals: Array) -> Array | None:
+    """Return the gravity (3,), m/s^2, that explains the residuals of all bodies; None if none does.
+
+    Args:
+        scene: the scene.
+        residuals: (n, b - 1, 6) residuals of Newton's and Euler's equations, see `momentum_residuals`.
+    """
     mass = np.array([body.mass for body in scene.mechanism.bodies[1:]])
-    other = np.einsum("nbi,b->i", residuals[..., :3], mass) / (len(residuals) * (mass @ mass))
-    left = residuals.copy()
-    left[..., :3] -= mass[:, None] * other
-    explains = np.abs(left).max() < EXPLAINED * np.abs(residuals).max()
-    return scene.gravity + other if explains else None
+    # Least squares: residual force of a body = its mass times the change of gravity
+    change = np.einsum("nbi,b->i", residuals[..., :3], mass) / (len(residuals) * (mass @ mass))
+    remaining = residuals.copy()
+    remaining[..., :3] -= mass[:, None] * change
+    explains = np.abs(remaining).max() < EXPLAINED * np.abs(residuals).max()
+    return scene.gravity + change if explains else None
 
 
-def _at_joint(samples: Samples, residuals: Array) -> Cause | None:
-    """The joint whose control law or spring explains residuals (n, b - 1, 6), with the parameter if one does.
+def _force_cause(samples: Samples, residuals: Array) -> Cause | None:
+    """Find the joint whose control law or spring explains the residuals of an engine; None if none does.
 
-    Where the scene has no spring there may be one, which one parameter has to explain.
+    A spring that the scene does not have, at any joint coordinate, is tried as well; a single parameter of
+    that spring must explain the residuals.
+
+    Args:
+        samples: equations of the engine at n states.
+        residuals: (n, b - 1, 6) residuals of Newton's and Euler's equations, see `momentum_residuals`.
     """
     scene = samples.states.scene
-    taken = {law.key for law in scene.forces if isinstance(law, OnCoordinate)}
+    with_spring = {force.key for force in scene.forces if isinstance(force, OnCoordinate)}
     absent = tuple(
         JointSpring(joint.name, coordinate=k)
         for joint in scene.mechanism.joints
         for k in range(len(joint.coordinate_kinds))
-        if (joint.name, k) not in taken
+        if (joint.name, k) not in with_spring
     )
-    probed = replace(scene, forces=(*scene.forces, *absent))
-    equations = Cartesian(probed)
-    own = (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, OnBall)))
-    for law in (*own, *absent):
-        pushes = np.array([_pushes(equations, law, evaluation) for evaluation in samples.evaluations])
-        multiples = _multiples(pushes, residuals)
-        if multiples is not None:
-            places = [surroundings(probed, evaluation.state) for evaluation in samples.evaluations]
-            detail = _parameter(law, multiples, places)
-            if detail or law in own:
-                return Cause(law.joint, detail)
+    extended = replace(scene, forces=(*scene.forces, *absent))
+    equations = Cartesian(extended)
+    present = (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, OnBall)))
+    for force in (*present, *absent):
+        unit_loads = np.array([_unit_loads(equations, force, found) for found in samples.evaluations])
+        fitted = _fitted_forces(unit_loads, residuals)
+        if fitted is not None:
+            places = [surroundings(extended, evaluation.state) for evaluation in samples.evaluations]
+            detail = _wrong_parameter(force, fitted, places)
+            if detail or force in present:
+                return Cause(force.joint, detail)
     return None
 
 
-def _multiples(pushes: Array, residuals: Array) -> Array | None:
-    """(n, k) multiples of `pushes` (n, k, b - 1, 6) that explain residuals (n, b - 1, 6), state by state."""
-    flat = residuals.reshape(len(residuals), -1)
-    left, found = flat.copy(), []
-    for rest, pushed in zip(left, pushes.reshape(*pushes.shape[:2], -1), strict=True):
-        found.append(np.linalg.lstsq(pushed.T, rest)[0])
-        rest -= found[-1] @ pushed
-    return np.array(found) if np.abs(left).max() < EXPLAINED * np.abs(flat).max() else None
+def _fitted_forces(unit_loads: Array, residuals: Array) -> Array | None:
+    """Fit the forces of an element at a joint to the residuals, state by state.
 
+    Args:
+        unit_loads: (n, k, b - 1, 6) loads on the bodies by k unit forces of the element.
+        residuals: (n, b - 1, 6) residuals of Newton's and Euler's equations.
 
-def _parameter(law: ForceAtJoint, forces: Array, places: Sequence[Surroundings]) -> str:
-    """The parameter of a law that alone explains forces (n, k) beside its own, and its value; or nothing.
-
-    Forces that are the same in all states say nothing of what they depend on.
+    Returns:
+        (n, k) forces, N or N m; None if the forces do not explain the residuals.
     """
-    if np.ptp(forces, axis=0).max() < EXPLAINED * np.abs(forces).max():
+    flat = residuals.reshape(len(residuals), -1)
+    remaining, found = flat.copy(), []
+    for residual, loads in zip(remaining, unit_loads.reshape(*unit_loads.shape[:2], -1), strict=True):
+        found.append(np.linalg.lstsq(loads.T, residual)[0])
+        residual -= found[-1] @ loads  # in place
+    explains = np.abs(remaining).max() < EXPLAINED * np.abs(flat).max()
+    return np.array(found) if explains else None
+
+
+def _wrong_parameter(force: ForceAtJoint, extra: Array, places: Sequence[Surroundings]) -> str:
+    """Find the single parameter of a control law or spring whose change explains extra forces.
+
+    Args:
+        force: control law or spring.
+        extra: (n, k) forces in addition to those of `force` at n states, N or N m. If they are the same in
+        all
+            states, they do not show which parameter they depend on.
+        places: positions, velocities and time at the n states, which `force` depends on.
+
+    Returns:
+        Text with the name of the parameter and both values; empty if no parameter explains the forces.
+    """
+    if np.ptp(extra, axis=0).max() < EXPLAINED * np.abs(extra).max():
         return ""
-    own = np.array([np.atleast_1d(law.at_joint(at)) for at in places])
-    for name in law.parameters:
-        value = getattr(law, name)
+    own = np.array([np.atleast_1d(force.at_joint(place)) for place in places])
+    for name in force.parameters:
+        value = getattr(force, name)
         if not isinstance(value, float):
-            continue  # functions of time and rests of balls
-        more: ForceAtJoint = replace(law, **{name: value + 1.0})  # type: ignore[arg-type]
-        change = np.array([np.atleast_1d(more.at_joint(at)) for at in places]) - own
-        if not np.any(change):
+            continue  # functions of time, and rest orientations of balls
+        # Forces are linear in each parameter: fit its change to the extra forces
+        larger: ForceAtJoint = replace(force, **{name: value + 1.0})  # type: ignore[arg-type]
+        slope = np.array([np.atleast_1d(larger.at_joint(place)) for place in places]) - own
+        if not np.any(slope):
             continue
-        by = float(np.sum(change * forces) / np.sum(change * change))
-        if np.abs(forces - by * change).max() < EXPLAINED * np.abs(forces).max():
-            return f"{name} {_instead(np.array([value + by]), np.array([value]))}"
+        change = float(np.sum(slope * extra) / np.sum(slope * slope))
+        if np.abs(extra - change * slope).max() < EXPLAINED * np.abs(extra).max():
+            return f"{name} {_instead_of(np.array([value + change]), np.array([value]))}"
     return ""
 
 
-def _instead(found: Array, own: Array, unit: str = "") -> str:
-    """Word numbers (n,) that residuals explain, and the scene's own."""
-    known = np.where(np.abs(found) > EXPLAINED * np.abs(found - own).max(), found, 0.0)
-    texts = (" ".join(f"{number:.4g}" for number in numbers) for numbers in (known, own))
+def _instead_of(found: Array, own: Array, unit: str = "") -> str:
+    """Format fitted numbers (n,) and those of the scene, as "1.1 instead of 1 m/s^2"."""
+    # Numbers far below the change are round-off of zero
+    rounded = np.where(np.abs(found) > EXPLAINED * np.abs(found - own).max(), found, 0.0)
+    texts = (" ".join(f"{number:.4g}" for number in numbers) for numbers in (rounded, own))
     return f"{' instead of '.join(texts)} {unit}".rstrip()
 
 
-def _pushes(equations: Cartesian, law: ForceAtJoint, found: Evaluation) -> Array:
-    """(k, b - 1, 6) what one unit force of a law, or three of a ball, do to the bodies, as of `_residual`."""
+def _unit_loads(equations: Cartesian, law: ForceAtJoint, found: Evaluation) -> Array:
+    """Compute the loads on the moving bodies by unit forces of a control law or spring.
+
+    Args:
+        equations: Cartesian equations of the scene.
+        law: control law or spring at a joint.
+        found: evaluation with the state.
+
+    Returns:
+        (k, b - 1, 6) loads in the units of `momentum_residuals`: for k = 1 unit force along a joint
+        coordinate, or for k = 3 unit torques of a ball joint.
+    """
     q, _ = equations.coordinates(found.state)
     frames = found.state.frames()
     if law.on_ball:
@@ -284,7 +359,7 @@ def _pushes(equations: Cartesian, law: ForceAtJoint, found: Evaluation) -> Array
         first, second = driven.first, driven.second
         jacobian = driven.measure(q, frames).jacobian
     r_i, theta_i, r_j, theta_j = jacobian
-    pushes = np.zeros((len(r_i), len(frames), 6))
+    loads = np.zeros((len(r_i), len(frames), 6))
     for body, r, theta in ((first, r_i, theta_i), (second, r_j, theta_j)):
-        pushes[:, body] += np.hstack([r, theta @ frames[body].rotation / equations.mechanism.size])
-    return pushes[:, 1:]
+        loads[:, body] += np.hstack([r, theta @ frames[body].rotation / equations.mechanism.size])
+    return loads[:, 1:]

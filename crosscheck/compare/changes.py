@@ -1,9 +1,13 @@
-"""Changes of 10 % of every element of a scene: what a run has to show of it to test it.
+"""Changes of 10 % of every element of a scene, for the coverage analysis.
 
-What acts as a force (mass, inertia, springs, dampers, rotors, actuators, wrenches) is 1.1 times itself. A
-joint is turned by 0.1 rad and moved by a tenth of the longest body, axes and points together and on both
-bodies, so that it closes as before. Factors of gears and pitches of screws are 1.1 times themselves, and
-prescribed motions go 1.1 times as far.
+In: a scene. Out: an `Element` for each mass, inertia, joint, spring, actuator and so on, with a function that
+returns the scene with this element changed. `coverage.py` compares the motion with and without the change; if
+the motion is the same, a run does not test the element.
+
+Masses, inertias, springs, dampers, armatures (rotor inertias), actuators and wrenches become 1.1 times as
+large. A joint is rotated by 0.1 rad and moved by a tenth of the longest body, on both bodies alike, so that
+it is still closed. Factors of gears, pitches of screws and the displacements of prescribed motions become 1.1
+times as large.
 """
 
 from __future__ import annotations
@@ -32,21 +36,23 @@ from newton_euler.runs.assemble import assemble, initial_state
 from newton_euler.scalars import Array
 
 CHANGE = 0.1
-"""Relative change of an element; of a joint's axes in rad, of its points in sizes of the longest body."""
+"""Relative change of an element. Axes of joints are rotated by this angle, rad, and their points are moved by
+this fraction of the longest body's length."""
 
-MORE = 1.0 + CHANGE
+CHANGE_FACTOR = 1.0 + CHANGE
+"""Ratio of a changed number to the original one."""
 
 SKEW = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
-"""A direction that few axes have."""
+"""Unit vector in which joints are moved and about which they are rotated: parallel to few axes of models."""
 
 
-class Moment(NamedTuple):
-    """A time of a run.
+class TimePoint(NamedTuple):
+    """Poses of all bodies at one time of a run.
 
     Attributes:
-        time: s.
-        frames: of all bodies.
-        angles: as of `State.angles`.
+        time: time, s.
+        frames: position and rotation of each body.
+        angles: joint angles with their revolutions, as `State.angles`.
     """
 
     time: float
@@ -56,106 +62,127 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True)
 class Element:
-    """One element of a scene, and the change of it.
+    """One element of a scene, and its change.
 
     Attributes:
         name: kind and name, such as "mass of body 'crank'".
-        changed: gives a scene with the change.
-        parameters: names of the parameters that it changes, see `newton_euler.equations.parameters`; None for
-            a change of the equations themselves.
-        violated: by how much poses violate the changed constraints, in what they may where they are off by a
-            length (m) and an angle (rad): with more than 1 they are no poses of the changed scene, nor within
-            that of any. 0 where nothing is told.
-        displaced: the changed joint, where the element is one that nothing acts on but its reaction.
-        body: the number of the body whose "mass" or "inertia" it changes.
-        shared: True for an element that is the same code in all engines: their agreement tells nothing of it,
+        changed: returns a scene with the change.
+        parameters: names of the changed parameters, see `newton_euler.equations.parameters`; None if the
+            equations themselves change (joints, couplings, prescribed motions).
+        violation: returns how much the poses of a run violate the changed constraints. Arguments are the time
+            points and tolerances of positions, m, and orientations, rad. The unit of the result is the
+            largest violation possible within these tolerances, so a result above 1 proves that the changed
+            scene moves differently. 0 if the change has no constraints.
+        displaced: equations of the changed joint; None if the element is no joint, or if forces, motions or
+            couplings act at the joint.
+        body: number of the changed body, and "mass" or "inertia"; None for other elements.
+        shared: True for an element whose code is the same in all engines. Their agreement does not test it,
             and it is not changed.
     """
 
     name: str
     changed: Callable[[Scene], Scene]
     parameters: tuple[str, ...] | None = None
-    violated: Callable[[Sequence[Moment], float, float], float] = lambda moments, length, angle: 0.0
+    violation: Callable[[Sequence[TimePoint], float, float], float] = lambda points, length, angle: 0.0
     displaced: JointEquations | None = None
     body: tuple[int, str] | None = None
     shared: bool = False
 
 
 def elements(scene: Scene) -> Iterator[Element]:
-    """All elements of a scene that a motion may depend on."""
+    """Yield all elements of a scene that a motion may depend on, each with its change."""
+    # Mass properties
     for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
         for what in ("mass", "inertia"):
-            element = _of_values(scene, f"{what} of body {body.name!r}", "bodies", k, what)
+            element = _parameter_element(scene, f"{what} of body {body.name!r}", "bodies", k, what)
             yield replace(element, body=(k, what))
+    # Actuators, forces and armatures, by what their parameters are the strength of
     for field in ("control", "forces", "armatures"):
-        for k, acting in enumerate(getattr(scene, field)):
-            if isinstance(acting, HeldLaw):
-                yield Element(f"actuator {acting.where}", lambda scene: scene, shared=True)
-            for what, attributes in acting.strengths.items():
-                if any(np.any(getattr(acting, attribute)) for attribute in attributes):
-                    yield _of_values(scene, f"{what} {acting.where}", field, k, *attributes)
-    yield from _constraints(scene)
+        for k, force in enumerate(getattr(scene, field)):
+            if isinstance(force, HeldLaw):  # a digital controller: all engines call the same code
+                yield Element(f"actuator {force.where}", lambda scene: scene, shared=True)
+            for what, attributes in force.strengths.items():
+                if any(np.any(getattr(force, attribute)) for attribute in attributes):
+                    yield _parameter_element(scene, f"{what} {force.where}", field, k, *attributes)
+    yield from _constraint_elements(scene)
 
 
-def _of_values(scene: Scene, name: str, what: str, number: int, *attributes: str) -> Element:
-    """An element whose parameters become `MORE` times themselves."""
-    own = parameter_values(scene, [numbered(what, number, attribute) for attribute in attributes])
-    values = {parameter: MORE * value for parameter, value in own.items()}
+def _parameter_element(scene: Scene, name: str, field: str, number: int, *attributes: str) -> Element:
+    """Return an element whose parameters are multiplied by `CHANGE_FACTOR`.
+
+    Args:
+        scene: the scene.
+        name: name of the element.
+        field: group of the scene that the element is in, such as "bodies" or "forces".
+        number: number of the element in the group.
+        attributes: names of the attributes that are the parameters.
+    """
+    own = parameter_values(scene, [numbered(field, number, attribute) for attribute in attributes])
+    values = {parameter: CHANGE_FACTOR * value for parameter, value in own.items()}
     return Element(name, partial(with_values, values=values), tuple(values))
 
 
-def _constraints(scene: Scene) -> Iterator[Element]:
+def _constraint_elements(scene: Scene) -> Iterator[Element]:
+    """Yield the elements that are constraints: joints, couplings and prescribed motions."""
     mechanism, tree = scene.mechanism, {kept.joint for kept in SpanningTree(scene.mechanism).joints}
-    loaded = {each.joint for each in (*scene.joint_forces, *scene.armatures, *scene.motions)}
+    loaded = {force.joint for force in (*scene.joint_forces, *scene.armatures, *scene.motions)}
     loaded |= {joint for coupling in mechanism.couplings for joint, _ in coupling.factors()}
     for number, joint in enumerate(mechanism.joints):
         constrains = mechanism.equations[number].count > 0 or joint.name in loaded
         if isinstance(joint, Fixed) or not constrains:
-            continue  # where two bodies are one, or not tied, another point or axis changes nothing
+            continue  # another point or axis changes nothing between rigidly connected or unconnected bodies
         name = f"{'joint' if number in tree else 'loop'} {joint.name!r}"
-        element = _of_joint(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
+        element = _joint_element(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
         yield replace(element, displaced=None) if joint.name in loaded else element
     for number, coupling in enumerate(mechanism.couplings):
-        yield _of_coupling(scene, number, _with_other_factors(coupling))
+        yield _coupling_element(scene, number, _with_changed_factors(coupling))
     for number, motion in enumerate(scene.motions):
-        yield _of_motion(scene, number, motion)
+        yield _motion_element(scene, number, motion)
 
 
 def _displaced(joint: Joint, distance: float) -> Joint:
-    """A joint turned by `CHANGE` rad and moved by a distance, m, both along `SKEW` and on both bodies."""
+    """Return a joint rotated by `CHANGE` rad about `SKEW` and moved by a distance, m, along it."""
     turn = rotation(from_rotation_vector(CHANGE * SKEW))
     names = (*joint.axis_names, *joint.vector_names)
     fields: dict[str, Any] = {name: getattr(joint, name) @ turn.T for name in names}
     if isinstance(joint, Screw):
-        fields["pitch"] = MORE * joint.pitch
+        fields["pitch"] = CHANGE_FACTOR * joint.pitch
     point = joint.point + distance * SKEW
-    beyond = point + turn @ (joint.reaction_point - joint.point)
-    return replace(joint, point=point, point_on_second=beyond, **fields)
+    point_on_second = point + turn @ (joint.reaction_point - joint.point)
+    return replace(joint, point=point, point_on_second=point_on_second, **fields)
 
 
-def _of_joint(mechanism: Mechanism, name: str, number: int, displaced: Joint) -> Element:
+def _joint_element(mechanism: Mechanism, name: str, number: int, displaced: Joint) -> Element:
+    """Return the element of the joint with a number, whose change is another joint in its place."""
+
     def changed(scene: Scene) -> Scene:
         joints = list(scene.mechanism.joints)
         joints[number] = displaced
-        return _begun(scene, Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings))
+        return _with_constraints(scene, Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings))
 
     own = mechanism.equations[number]
     first, second = (mechanism.bodies[k].pose for k in (own.first, own.second))
     equations = displaced.attach(own.first, first, own.second, second)
 
-    def violated(moments: Sequence[Moment], length: float, angle: float) -> float:
+    def violation(points: Sequence[TimePoint], length: float, angle: float) -> float:
         found = 0.0
-        for _, frames, _ in moments:
+        for _, frames, _ in points:
             ends = frames[own.first], frames[own.second]
-            allowed = _allowed(own, equations.jacobian(*ends), length, angle)
+            allowed = _allowed_residuals(own, equations.jacobian(*ends), length, angle)
             found = max(found, float(np.max(np.abs(equations.phi(*ends)) / allowed, initial=0.0)))
         return found
 
-    return Element(name, changed, violated=violated, displaced=equations)
+    return Element(name, changed, violation=violation, displaced=equations)
 
 
-def _allowed(ends: JointEquations, jacobian: Jacobian, length: float, angle: float) -> Array:
-    """(k,) by how much residuals change at most where both bodies move by a length and turn by an angle."""
+def _allowed_residuals(ends: JointEquations, jacobian: Jacobian, length: float, angle: float) -> Array:
+    """Return the largest change (k,) of k residuals if both bodies move by a length and turn by an angle.
+
+    Args:
+        ends: joint equations with the numbers of both bodies; the ground does not move.
+        jacobian: Jacobian of the residuals with respect to the motions of both bodies.
+        length, angle: m and rad.
+    """
     by_body = (
         np.linalg.norm(r, axis=1) * length + np.linalg.norm(theta, axis=1) * angle
         for number, r, theta in (
@@ -167,69 +194,86 @@ def _allowed(ends: JointEquations, jacobian: Jacobian, length: float, angle: flo
     return np.sum(list(by_body), axis=0)
 
 
-def _with_other_factors(coupling: JointCoupling) -> JointCoupling:
-    """A coupling with all of its factors but the first one `MORE` times themselves."""
+def _with_changed_factors(coupling: JointCoupling) -> JointCoupling:
+    """Return a coupling with all factors but the first one multiplied by `CHANGE_FACTOR`."""
     if isinstance(coupling, Gear):
-        return replace(coupling, ratio=MORE * coupling.ratio)
+        return replace(coupling, ratio=CHANGE_FACTOR * coupling.ratio)
     if isinstance(coupling, PolynomialCoupling):
-        return replace(coupling, coefficients=tuple(MORE * c for c in coupling.coefficients))
+        return replace(coupling, coefficients=tuple(CHANGE_FACTOR * c for c in coupling.coefficients))
     assert isinstance(coupling, LinearCoupling)
     first, *others = coupling.terms
-    return replace(coupling, terms=(first, *((joint, k, MORE * factor) for joint, k, factor in others)))
+    changed = ((joint, k, CHANGE_FACTOR * factor) for joint, k, factor in others)
+    return replace(coupling, terms=(first, *changed))
 
 
-def _of_coupling(scene: Scene, number: int, other: JointCoupling) -> Element:
+def _coupling_element(scene: Scene, number: int, other: JointCoupling) -> Element:
+    """Return the element of the coupling with a number, whose change is another coupling in its place."""
     others = list(scene.mechanism.couplings)
     others[number] = other
 
     def changed(scene: Scene) -> Scene:
-        return _begun(scene, Mechanism(scene.mechanism.bodies, scene.mechanism.joints, others))
+        return _with_constraints(scene, Mechanism(scene.mechanism.bodies, scene.mechanism.joints, others))
 
+    # The couplings of the scene are prescribed motions and screws, then the couplings of the mechanism
     coupled = list(couplings(scene))
     index = len(coupled) - len(others) + number
     coupled[index] = replace(coupled[index], factors=other.factors(), powers=other.powers())
-    violated = partial(_uncoupled, scene.mechanism, coupled, index)
-    return Element(f"{other.kind} {other.name!r}", changed, violated=violated)
+    violation = partial(_coupling_violation, scene.mechanism, coupled, index)
+    return Element(f"{other.kind} {other.name!r}", changed, violation=violation)
 
 
-def _of_motion(scene: Scene, number: int, motion: PrescribedMotion) -> Element:
+def _motion_element(scene: Scene, number: int, motion: PrescribedMotion) -> Element:
+    """Return the element of the prescribed motion with a number; its change goes 1.1 times as far."""
     start = float(motion.function.value(0.0))
-    farther = Sum((scaled(motion.function, MORE), Polynomial((-CHANGE * start,))))
+    # start + 1.1 (f(t) - start) = 1.1 f(t) - 0.1 start
+    farther = Sum((scaled(motion.function, CHANGE_FACTOR), Polynomial((-CHANGE * start,))))
     motions = list(scene.motions)
     motions[number] = replace(motion, function=farther)
 
     def changed(scene: Scene) -> Scene:
-        return _begun(scene, scene.mechanism, tuple(motions))
+        return _with_constraints(scene, scene.mechanism, tuple(motions))
 
-    coupled = list(couplings(scene))
+    coupled = list(couplings(scene))  # prescribed motions come first
     coupled[number] = replace(coupled[number], function=farther)
-    violated = partial(_uncoupled, scene.mechanism, coupled, number)
-    return Element(f"motion {motion.where}", changed, violated=violated)
+    violation = partial(_coupling_violation, scene.mechanism, coupled, number)
+    return Element(f"motion {motion.where}", changed, violation=violation)
 
 
-def _uncoupled(
+def _coupling_violation(
     mechanism: Mechanism,
     coupled: Sequence[Coupling],
     index: int,
-    moments: Sequence[Moment],
+    points: Sequence[TimePoint],
     length: float,
     angle: float,
 ) -> float:
-    """See `Element.violated`: of one of some couplings."""
+    """Compute `Element.violation` of a coupling or prescribed motion.
+
+    Args:
+        mechanism: the mechanism.
+        coupled: all couplings and prescribed motions of the scene, the changed one included.
+        index: number of the changed one.
+        points, length, angle: arguments of `Element.violation`.
+    """
     found = 0.0
-    for time, frames, angles in moments:
+    for time, frames, angles in points:
         seen = residuals(mechanism, coupled, frames, time, angles)
         allowed = 0.0
         for (joint, coordinate), slope in seen.slopes[index].items():
             ends = mechanism.joint_equations(joint)
             jacobian = ends.coordinates[coordinate].jacobian(frames[ends.first], frames[ends.second])
-            allowed += abs(slope) * float(_allowed(ends, jacobian, length, angle)[0])
+            allowed += abs(slope) * float(_allowed_residuals(ends, jacobian, length, angle)[0])
         found = max(found, abs(float(seen.phi[index])) / allowed)
     return found
 
 
-def _begun(scene: Scene, mechanism: Mechanism, motions: tuple[PrescribedMotion, ...] | None = None) -> Scene:
-    """A scene of another mechanism or with other motions, begun as near to its start as it can be."""
+def _with_constraints(
+    scene: Scene, mechanism: Mechanism, motions: tuple[PrescribedMotion, ...] | None = None
+) -> Scene:
+    """Return the scene with another mechanism or other motions.
+
+    The initial state is the state nearest to that of the given scene that satisfies the new constraints.
+    """
     own = scene.motions if motions is None else motions
     other = replace(scene, mechanism=mechanism, motions=own, initial_state=None)
     return replace(other, initial_state=assemble(other, initial_state(scene)))

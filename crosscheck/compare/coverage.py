@@ -1,16 +1,19 @@
-"""Coverage: which elements of a scene its run tests, as code coverage does for lines.
+"""Coverage analysis: which elements of a scene (masses, joints, springs, ...) a run tests.
 
-Engines that agree on a run tell nothing of what the run does not depend on: the mass of a body in free fall,
-a spring that stays at rest, a hinge that does not turn. Each element is therefore changed by 10 % and the
-scene run with it: how far that run parts from the scene's own is held against the tolerance of trajectories,
-and against what both may be off by themselves.
+A run may not depend on an element: the mass of a body in free fall, a spring that stays at rest, a hinge that
+does not turn. Agreement of the engines then shows nothing about this element. In: a scene and the tolerance
+of its trajectories. Out: for each element, how much a change of 10 % would move the bodies, relative to the
+difference that a comparison of engines would detect.
 
-Changes of parameters run in code that is compiled once, until they show; those of bodies of a tree are not
-run where the accelerations that they cause show. Changes of constraints have equations of their own, and
-are run only where nothing else tells: poses that violate the changed constraints by more than they could
-within the tolerance are the poses of no run of the changed scene, nor are those along which a changed joint
-of a tree does not carry the reactions; where it does, or where the changed equations give the same
-accelerations all along the run, it is theirs too.
+The scene is simulated again with each element changed. Most simulations are avoided:
+
+- Changes of parameters use code that is compiled once. The simulation ends as soon as the change is visible.
+- Changes of bodies in mechanisms without loops: a bound from the accelerations may suffice
+(`joint_loads.py`). - Changes of constraints need new code, so other evidence is tried first. The change is
+visible if the poses
+  of the original run violate the changed constraints by more than the tolerance allows, or if a displaced
+  joint does not support the reactions. The change is invisible if a displaced joint supports the reactions,
+  or if the changed equations give the same accelerations along the run.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crosscheck.compare.changes import CHANGE, Element, Moment, elements
+from crosscheck.compare.changes import CHANGE, Element, TimePoint, elements
 from crosscheck.compare.check import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Check, reach
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
@@ -37,7 +40,7 @@ from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.runs.simulate import CompiledScene, simulate
 from newton_euler.scalars import Array
 
-MOMENTS = 16
+TIME_POINTS = 16
 """Number of times of the run at which changed constraints are evaluated."""
 
 SURELY_UNSEEN, SURELY_SEEN = 0.1, 10.0
@@ -50,13 +53,14 @@ RUN_FRACTIONS = (1 / 64, 1 / 16, 1 / 4, 1)
 
 @dataclass(frozen=True)
 class Covered:
-    """Coverage of an element: how much a change of it shows in a run.
+    """Coverage of an element: how much its change would move the bodies in a run.
 
     Attributes:
         element: kind and name, such as "mass of body 'crank'".
-        effect: by how much a change of 10 % changes the motion, in units of what engines may differ by: at
-            least, where it shows; infinite where the scene does not run to its end with it, 0 if shared.
-        shared: see `Element`: controllers that are called at a period, and the computers of digital laws.
+        effect: change of the motion if the element is changed by 10 %, divided by the difference between
+            engines that a comparison would detect. A lower bound if it is above 1; infinite if the scene
+            cannot be simulated with the change; 0 if `shared`.
+        shared: True for digital controllers, whose code is the same in all engines, see `Element`.
     """
 
     element: str
@@ -65,13 +69,17 @@ class Covered:
 
     @property
     def tested(self) -> bool:
-        """True if a change of 10 % in one engine would be seen, and is not the same in all of them."""
+        """True if a change of 10 % in one engine would be detected by a comparison of engines."""
         return self.effect > 1.0 and not self.shared
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of all elements of a scene."""
+    """Coverage of all elements of a scene.
+
+    Attributes:
+        elements: the elements.
+    """
 
     elements: tuple[Covered, ...]
 
@@ -81,7 +89,7 @@ class Coverage:
         return tuple(covered for covered in self.elements if not covered.tested)
 
     def summary(self) -> list[dict[str, object]]:
-        """All elements, for JSON; an infinite share is null."""
+        """All elements, for JSON; an infinite effect is null."""
         return [
             {
                 "element": each.element,
@@ -98,9 +106,12 @@ class Coverage:
 
 
 def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Check]) -> Coverage | None:
-    """Work out what compared runs cover, until the shortest ends, to the least tolerance of trajectories.
+    """Compute the coverage of runs that were compared; None if no trajectories were compared.
 
-    None where no trajectories were compared.
+    Args:
+        scene: the scene that was simulated.
+        runs: run of each engine. Coverage is computed up to the end of the shortest run.
+        rows: all checks; the tolerance is the smallest one of the trajectories.
 
     Raises:
         NewtonEulerError: for a scene that newton_euler does not run.
@@ -117,123 +128,139 @@ def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Check]
 
 
 def covered_by(scene: Scene, length: float, angle: float, end: int | None = None) -> Coverage:
-    """Work out the coverage of a scene's run.
+    """Compute the coverage of a scene's run.
 
     Args:
-        scene: what is run.
-        length, angle: tolerances of trajectories, m and rad.
-        end: how many of the output times count; all if None.
+        scene: the scene.
+        length, angle: tolerances of positions and orientations of trajectories, m and rad.
+        end: number of output times that are considered; all if None.
 
     Raises:
         NewtonEulerError: for a scene that cannot be run.
     """
-    found = tuple(elements(scene))
-    runs = _Runs(scene, found, length, angle, end)
-    return Coverage(tuple(Covered(element.name, runs.effect(element), element.shared) for element in found))
+    changes = tuple(elements(scene))
+    runs = _ChangedRuns(scene, changes, length, angle, end)
+    return Coverage(tuple(Covered(change.name, runs.effect(change), change.shared) for change in changes))
 
 
-class _Runs:
-    """The run of a scene, and of the scene with changes."""
+class _ChangedRuns:
+    """Runs of a scene with changed elements, compared with the run of the scene itself."""
 
     def __init__(
-        self, scene: Scene, found: Sequence[Element], length: float, angle: float, end: int | None
+        self, scene: Scene, changes: Sequence[Element], length: float, angle: float, end: int | None
     ) -> None:
-        self._elements, self._settings = found, native_method(scene, refined=False)
+        """Simulate the scene itself; the arguments are those of `covered_by`, and all elements."""
+        self._elements, self._settings = changes, native_method(scene, refined=False)
         if "velocities" not in scene.outputs:
             scene = replace(scene, outputs=scene.outputs | {"velocities"})
         run, finer = (_run_or_partial(each, scene) for each in (native_run, native_refined))
         self.run = run if end is None else run.first(end)
-        # states with the work or without it, as those that code has been made for
+        # Keep the energy output if the scene has it, so that compiled code of the scene can be used again
         wanted = scene.outputs & {"velocities", "energy"}
         self._scene = _until(replace(scene, outputs=wanted), self.run.time[-1])
+        # Detectable differences: the tolerance plus the integration errors of both runs, as in comparisons
         units = max(1.0, reach(scene, self.run.position)), 1.0
-        own = (float(np.max(apart(self.run, finer))) for apart in (positions_apart, orientations_apart))
-        # both of two engines may be off by their own errors, as in comparisons
+        changes_if_refined = (
+            float(np.max(difference(self.run, finer))) for difference in (positions_apart, orientations_apart)
+        )
         self._length, self._angle = (
-            tolerance + 2.0 * min(OWN_ERROR * error, UNRESOLVED * unit)
-            for tolerance, error, unit in zip((length, angle), own, units, strict=True)
+            tolerance + 2.0 * min(OWN_ERROR * change, UNRESOLVED * unit)
+            for tolerance, change, unit in zip((length, angle), changes_if_refined, units, strict=True)
         )
 
-    def _of(self, scene: Scene) -> Trajectory | None:
-        """The run to its end of a scene with other parameters; None where there is none."""
-        return _run(lambda: self._parametrized.with_scene(scene).simulate(**self._settings))
+    def _simulate_parameters(self, scene: Scene) -> Trajectory | None:
+        """Simulate a scene with other parameter values; None if the run does not complete."""
+        return _completed_run(lambda: self._parametrized.with_scene(scene).simulate(**self._settings))
 
     @cached_property
     def _parametrized(self) -> CompiledScene:
-        """The code of all changes of parameters."""
+        """Compiled code of the scene with all changed parameters as inputs."""
         names = dict.fromkeys(name for element in self._elements for name in element.parameters or ())
         return CompiledScene(self._scene, parameters=tuple(names))
 
     @cached_property
     def _states(self) -> list[tuple[float, State]]:
-        rows = np.unique(np.linspace(0, len(self.run.time) - 1, MOMENTS).astype(int))
+        """Times, s, and states of the run at `TIME_POINTS` times."""
+        rows = np.unique(np.linspace(0, len(self.run.time) - 1, TIME_POINTS).astype(int))
         return [(float(self.run.time[row]), self.run.state(row)) for row in rows]
 
     @cached_property
-    def _moments(self) -> list[Moment]:
-        return [Moment(time, state.frames(), state.angles) for time, state in self._states]
+    def _time_points(self) -> list[TimePoint]:
+        """Times and poses of the run at `TIME_POINTS` times."""
+        return [TimePoint(time, state.frames(), state.angles) for time, state in self._states]
 
     @cached_property
-    def _parts(self) -> list[Scene]:
-        """The scene until shares of its run."""
+    def _shorter_scenes(self) -> list[Scene]:
+        """The scene with shorter durations, see `RUN_FRACTIONS`, and with the full one."""
         count = len(self.run.time)
-        ends = sorted({max(2, round(share * count)) for share in RUN_FRACTIONS if count > 1} | {count})
+        ends = sorted({max(2, round(part * count)) for part in RUN_FRACTIONS if count > 1} | {count})
         return [_until(self._scene, self.run.time[end - 1]) for end in ends]
 
     def effect(self, element: Element) -> float:
-        """See `Covered.effect`."""
+        """Compute `Covered.effect` of an element."""
         if element.shared:
             return 0.0
         if element.parameters is not None:
-            found = 0.0
-            if element.body is not None and self._loads is not None:
-                found = self._loads.share_of_body(*element.body, CHANGE, self._length, self._angle)
-                if found > SURELY_SEEN:
-                    return found
-            for part in self._parts:
-                found = self._apart(self._of(element.changed(part)))
-                if found > 1.0:
-                    break
-            return found
-        violated = element.violated(self._moments, self._length, self._angle)
-        if violated > 1.0:
-            return violated
+            return self._parameter_effect(element)
+        # Poses of the run under the changed constraints
+        violation = element.violation(self._time_points, self._length, self._angle)
+        if violation > 1.0:
+            return violation
+        # Reactions of the run at the displaced joint
         if element.displaced is not None and self._loads is not None:
-            least, most = self._loads.parting(element.displaced)
+            lower, upper = self._loads.motion_change(element.displaced)
             units = self._length, self._angle * self._scene.mechanism.longest
-            if least > SURELY_SEEN * max(units):
-                return least / max(units)
-            if max(violated, most / min(units)) < SURELY_UNSEEN:
-                return max(violated, most / min(units))
+            if lower > SURELY_SEEN * max(units):
+                return lower / max(units)
+            if max(violation, upper / min(units)) < SURELY_UNSEEN:
+                return max(violation, upper / min(units))
+        # Accelerations along the run with the changed equations
         try:
             changed = element.changed(self._scene)
         except AssemblyError:
-            return np.inf  # with the change it cannot even begin
+            return np.inf  # the changed mechanism cannot be assembled
         if self._has_same_motion(changed):
             return 0.0
-        return self._apart(_run(lambda: simulate(changed, **self._settings)))
+        # A simulation
+        return self._difference(_completed_run(lambda: simulate(changed, **self._settings)))
+
+    def _parameter_effect(self, element: Element) -> float:
+        """Compute `Covered.effect` of an element whose parameters change."""
+        found = 0.0
+        if element.body is not None and self._loads is not None:
+            found = self._loads.body_effect(*element.body, CHANGE, self._length, self._angle)
+            if found > SURELY_SEEN:
+                return found
+        for shorter in self._shorter_scenes:
+            found = self._difference(self._simulate_parameters(element.changed(shorter)))
+            if found > 1.0:
+                break
+        return found
 
     @cached_property
     def _loads(self) -> JointLoads | None:
-        """Reactions at the moments; None where there are none, or no function of the states."""
+        """Reactions along the run; None if they cannot be computed from states, as with digital control."""
         if not self._scene.sampled:
             with suppress(NewtonEulerError):
                 return JointLoads(self._scene, self._states)
         return None
 
-    def _apart(self, run: Trajectory | None) -> float:
-        """Measure a run's distance from the scene's own, in what engines may differ by; infinite for none."""
+    def _difference(self, run: Trajectory | None) -> float:
+        """Measure the largest difference of a run from the scene's own run, in detectable differences.
+
+        Infinite for None, a run that did not complete.
+        """
         if run is None:
             return np.inf
         gaps = positions_apart(self.run, run) / self._length, orientations_apart(self.run, run) / self._angle
         return float(np.max(gaps))
 
     def _has_same_motion(self, changed: Scene) -> bool:
-        """True if accelerations along the run are the same under the equations of a changed scene."""
+        """Return True if the equations of a changed scene give the same accelerations along the run."""
         if changed.sampled:
-            return False  # their forces are no function of the states
+            return False  # forces of sampled controllers do not follow from states
         own, other = Relative(self._scene), Relative(changed)
-        with np.errstate(all="ignore"):  # numbers are compared
+        with np.errstate(all="ignore"):  # results that are not finite compare as different
             try:
                 return all(
                     _is_same(
@@ -250,7 +277,7 @@ Motion = tuple[Array, Array, Array]
 
 
 def _motion(system: System, state: State) -> Motion:
-    """Evaluate a system at the state that it can be in next to a given one."""
+    """Evaluate a system at the coordinates of a state; the poses differ if the system cannot represent it."""
     found = system.evaluate(*system.coordinates(state))
     own = found.state
     return (
@@ -261,7 +288,7 @@ def _motion(system: System, state: State) -> Motion:
 
 
 def _is_same(own: Motion, other: Motion, scene: Scene) -> bool:
-    """True if two motions are one but for round-off."""
+    """Return True if two motions differ by round-off only; `scene` gives size and gravity as scales."""
     floors = max(1.0, scene.mechanism.size), 0.0, float(np.max(np.abs(scene.gravity)))
     return all(
         bool(np.max(np.abs(x - y)) <= ROUND_OFF * max(floor, float(np.max(np.abs(x)))))
@@ -270,7 +297,7 @@ def _is_same(own: Motion, other: Motion, scene: Scene) -> bool:
 
 
 def _run_or_partial(engine: Callable[[Scene], Trajectory], scene: Scene) -> Trajectory:
-    """Run the scene; return the partial run if the engine stops after the start."""
+    """Simulate a scene; return the partial run if the engine stops after the start."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NearlyRedundantWarning)
@@ -282,14 +309,14 @@ def _run_or_partial(engine: Callable[[Scene], Trajectory], scene: Scene) -> Traj
 
 
 def _until(scene: Scene, end: float) -> Scene:
-    """The scene until one of its output times, s."""
+    """Return the scene with a shorter duration: one of its output times, s."""
     return scene if end == scene.duration else replace(scene, duration=end)
 
 
-def _run(simulated: Callable[[], Trajectory]) -> Trajectory | None:
-    """A run to its end; None where there is none."""
+def _completed_run(simulation: Callable[[], Trajectory]) -> Trajectory | None:
+    """Execute a simulation; return None if it does not complete."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NearlyRedundantWarning)  # told of the scene itself
+        warnings.simplefilter("ignore", NearlyRedundantWarning)  # the user got it for the scene itself
         with suppress(StoppedError, SingularityError):
-            return simulated()
+            return simulation()
     return None

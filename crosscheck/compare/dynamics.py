@@ -1,4 +1,8 @@
-"""Level "dynamics": actuator forces, energies, inertia and force that independent velocities see."""
+"""Level "dynamics": actuator forces, energies, effective inertia and effective force of two engines.
+
+Effective inertia and force are the mass matrix and the force vector projected onto the velocities that the
+constraints allow. They do not depend on an engine's choice of coordinates (`free_motion` in `samples.py`).
+"""
 
 from __future__ import annotations
 
@@ -12,17 +16,21 @@ from crosscheck.compare.check import Check, round_off
 from crosscheck.compare.samples import Samples, States
 from newton_euler.scalars import Array
 
-Blamed = Callable[[bool], Cause | None]
-"""Function that finds the cause of a difference; its argument tells whether forces can be the cause."""
+CauseFinder = Callable[[bool], Cause | None]
+"""Function that finds the cause of a difference. The argument is True if a force can be the cause."""
 
 
 def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
-    """Actuator forces, energies, and the free motion's inertia and force; its basis is the states'.
+    """Compare actuator forces, energies, effective inertia and effective force of two engines.
 
-    Tolerances are round-off magnified by the condition of the constraints, which independent velocities
-    come from; the effective force holds accelerations across them, whose round-off the mass matrix magnifies.
-    What fails is blamed on the joint that is actuated, or on the body or term whose equations of
-    motion are violated.
+    Tolerances are round-off times the condition number of the constraints. For the effective force, which
+    contains accelerations, the tolerance is also multiplied by the condition number of the mass matrix. A
+    failing check is attributed to the actuated joint, or to the body or term whose equations of motion are
+    violated.
+
+    Args:
+        pair: names of the two engines.
+        first, second: their equations at the same states.
     """
     states = first.states
 
@@ -34,32 +42,44 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
         units = _actuator_units(first)
         gap = np.abs(first.stack("actuator_force") - second.stack("actuator_force")) / units
         joint = states.scene.control[int(np.argmax(gap.max(axis=0)))].joint
-        share = round_off(max(first.condition, second.condition), states.noise)
+        tolerance = round_off(max(first.condition, second.condition), states.noise)
 
-        def of_actuator(forces: bool) -> Cause:
+        def actuator_cause(forces: bool) -> Cause:
+            """Return the cause if it is at the actuated joint, for its detail, else the joint alone."""
             found = cause(forces)
             return found if found and found.where == joint else Cause(joint)
 
-        yield _row(pair, states, "actuator force, rel", gap, 1.0, share, of_actuator)
+        yield _row(pair, states, "actuator force, rel", gap, 1.0, tolerance, actuator_cause)
     yield from motion_rows(pair, first, second, cause)
 
 
-def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Blamed) -> Iterator[Check]:
-    """Energies, and the free motion's inertia and force, of two systems with the same bodies."""
+def motion_rows(
+    pair: tuple[str, str], first: Samples, second: Samples, cause: CauseFinder
+) -> Iterator[Check]:
+    """Compare energies, effective inertia and effective force of two engines, or of two models.
+
+    Args:
+        pair: names of the two.
+        first, second: their equations at the same states.
+        cause: called if a check fails, to find the body, joint or term that it is attributed to.
+    """
     states = first.states
     condition = max(first.condition, second.condition)
-    share = round_off(condition, states.noise)
+    tolerance = round_off(condition, states.noise)
     for name in ("kinetic_energy", "potential_energy"):
         one, two = first.stack(name), second.stack(name)
         unit = max(states.energy, float(np.abs(one).max()))
-        yield _row(pair, states, f"{name.replace('_', ' ')}, rel", np.abs(one - two), unit, share, cause)
+        quantity = f"{name.replace('_', ' ')}, rel"
+        yield _row(pair, states, quantity, np.abs(one - two), unit, tolerance, cause)
     if not all(basis.shape[1] for basis in states.bases):
         return  # nothing can move
-    inertia, other = ([mass for mass, _ in samples.free_motions] for samples in (first, second))
-    force, push = ([force for _, force in samples.free_motions] for samples in (first, second))
-    yield _row(pair, states, "effective inertia, rel", *_apart(inertia, other, 0.0), share, cause)
-    looser = round_off(condition * states.mass_condition, states.noise)
-    yield _row(pair, states, "effective force, rel", *_apart(force, push, states.energy), looser, cause)
+    one_inertia, two_inertia = ([inertia for inertia, _ in each.free_motions] for each in (first, second))
+    one_force, two_force = ([force for _, force in each.free_motions] for each in (first, second))
+    gap, unit = _largest_differences(one_inertia, two_inertia, 0.0)
+    yield _row(pair, states, "effective inertia, rel", gap, unit, tolerance, cause)
+    tolerance = round_off(condition * states.mass_condition, states.noise)
+    gap, unit = _largest_differences(one_force, two_force, states.energy)
+    yield _row(pair, states, "effective force, rel", gap, unit, tolerance, cause)
 
 
 def _row(
@@ -69,9 +89,12 @@ def _row(
     gap: Array,
     unit: float,
     tolerance: float,
-    cause: Blamed,
+    cause: CauseFinder,
 ) -> Check:
-    """`gap` has a first axis of states; the cause is asked for where it fails."""
+    """Make the check of the largest of the differences `gap`, whose first axis is the states.
+
+    The value is `gap` divided by `unit`. If the check fails, it is attributed to the `cause`.
+    """
     worst = gap.reshape(len(states.all), -1).max(axis=1)
     value = float(worst.max()) / unit
     found = Cause(states.name(int(np.argmax(worst))))
@@ -81,17 +104,26 @@ def _row(
     return Check("dynamics", quantity, pair, value, tolerance, found.where, detail=found.detail)
 
 
-def _apart(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:
-    """The largest difference at each state (n,), and the largest of the first, `floor` at least.
+def _largest_differences(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:
+    """Compute the largest difference at each of n states, and the unit that differences are divided by.
 
-    States with more freedoms than others have larger arrays.
+    Args:
+        one, two: arrays of two engines, one per state. Their shapes vary with the degrees of freedom.
+        floor: smallest unit.
+
+    Returns:
+        Differences (n,), and the unit: the largest absolute value in `one`, or `floor` if that is larger.
     """
     gap = [float(np.max(np.abs(x - y))) for x, y in zip(one, two, strict=True)]
     return np.array(gap), max(floor, *(float(np.max(np.abs(x))) for x in one))
 
 
 def _actuator_units(samples: Samples) -> Array:
-    """(a,) what actuator forces are relative to: the largest force, at the mechanism's size for torques."""
+    """Return the units (a,) that differences of actuator forces are divided by, N or N m.
+
+    The unit is the largest force in the mechanism (times the mechanism's size for a torque), or the largest
+    value of the actuator itself if that is larger.
+    """
     scene, scales = samples.states.scene, samples.scales
     units = []
     for law in scene.control:

@@ -1,4 +1,4 @@
-"""The energy balance of a run, and what energies are compared with."""
+"""Energy balance of a run, and the unit that differences of energies are divided by."""
 
 from __future__ import annotations
 
@@ -13,23 +13,27 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 RANDOM_RATE = 1.0
-"""1/s: speeds of `random_states` are of the order of 1 rad/s and one size of the mechanism a second."""
+"""Order of magnitude of the velocities of random states, 1/s: 1 rad/s and one mechanism size per second."""
 
 
 class Balance(NamedTuple):
-    """Energy less its start less the work that was done on the mechanism."""
+    """Energy balance of a run.
+
+    Attributes:
+        residual: (n,) change of the energy since the start, minus the work done on the mechanism, J, at n
+            output times.
+        exchanged: sum of the largest change of the energy and the largest kinetic energy, J.
+    """
 
     residual: Array
-    """(n,) J."""
     exchanged: float
-    """The largest change of the energy and the largest kinetic energy together, J."""
 
 
 def energy_scale(scene: Scene, states: list[State]) -> float:
-    """The energy, J, that differences are relative to at least: none is worth more than round-off.
+    """Return the smallest unit of energy differences, J.
 
-    The largest of the kinetic energy at the given states, of the mechanism's weight lifted by its
-    size, and of its mass at `RANDOM_RATE`.
+    It is the largest of three energies: the kinetic energy at the given states, the mechanism's weight times
+    its size, and the kinetic energy (times two) of the mechanism's mass at one size per second.
     """
     size = scene.mechanism.size
     mass = sum(body.mass for body in scene.mechanism.bodies[1:])
@@ -42,8 +46,8 @@ def energy_scale(scene: Scene, states: list[State]) -> float:
 def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
     """Compute the energy balance error of a run: the change of its energy less the work done on it.
 
-    The work is what the engine integrated beside the motion, `Trajectory.work`. None if the run holds
-    no energies, or no work where the scene has something that may do work.
+    The work is the engine's own integral, `Trajectory.work`. None if the run does not contain energies, or if
+    it does not contain the work although elements of the scene may do work.
     """
     if run.kinetic_energy is None or run.potential_energy is None:
         return None

@@ -1,9 +1,11 @@
 """Comparison of engines, level by level, from the model itself to whole runs.
 
-Each `Check` compares one quantity of a pair of engines (or of one engine). Levels of equations use each
-engine's rigid equations of motion at consistent states, so that a difference comes from the models; later
-levels use runs. Relative differences are relative to the largest values over all states, since the values at
-one state may be round-off: a mechanism at rest, in equilibrium or in free fall has nothing else.
+In: a scene, the engines and their runs. Out: checks. Each `Check` compares one quantity of a pair of engines,
+or tests one engine. The first four levels use each engine's equations of motion with rigid constraints, at
+states that satisfy the constraints; a difference there comes from the models. The later levels use runs.
+
+Relative differences are relative to the largest value over all states, since the value at a single state may
+be round-off: at rest, in equilibrium and in free fall many quantities vanish.
 
 A pair is compared up to the first level at which it differs; later levels would only repeat the difference.
 """
@@ -31,12 +33,13 @@ from newton_euler.reading.verify import verify
 from newton_euler.runs.assemble import initial_state
 
 Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Check]]
+"""Function that yields the checks of a level for two systems, given their names and samples."""
 
 EQUATION_LEVELS: tuple[Level, ...] = (model_rows, kinematics_rows, dynamics_rows, acceleration_rows)
-"""Functions of the levels before runs, in their order."""
+"""Functions of the four levels that compare equations, in their order."""
 
 EngineSamples = dict[str, list[Samples]]
-"""The rigid systems of each engine at the same states, by the engine's name."""
+"""By engine name: the engine's equations of motion (one `Samples` per formulation) at the same states."""
 
 
 def compare_pair(
@@ -45,48 +48,61 @@ def compare_pair(
     second: Sequence[Samples],
     levels: Sequence[Level] = EQUATION_LEVELS,
 ) -> Iterator[Check]:
-    """Levels of equations of two engines, up to the first that disagrees.
+    """Compare the equations of two engines, up to the first level at which they differ.
 
-    An engine with several rigid systems (formulations) enters with the one that is worst for
-    its tolerance.
+    Args:
+        pair: names of the two engines, for the checks.
+        first, second: equations of the two engines, one item per formulation. If there are several, a check
+            shows the formulations that are closest to failing.
+        levels: functions of the levels, in their order.
     """
     for level in levels:
-        found: dict[str, Check] = {}
-        for x, y in product(first, second):
-            for row in level(pair, x, y):
-                known = found.setdefault(row.quantity, row)
-                if not row.tolerance_ratio <= known.tolerance_ratio:
-                    found[row.quantity] = row
-        yield from found.values()
-        if not all(row.agrees for row in found.values()):
+        worst: dict[str, Check] = {}
+        for one, two in product(first, second):
+            for row in level(pair, one, two):
+                _keep_worst(worst, row)
+        yield from worst.values()
+        if not all(row.agrees for row in worst.values()):
             return
 
 
-def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Check]:
-    """Levels of equations of every pair of engines and of the systems of each engine.
+def _keep_worst(worst: dict[str, Check], row: Check) -> None:
+    """Put a check into `worst`, by quantity, unless that has one closer to failing; NaN counts as failing."""
+    known = worst.setdefault(row.quantity, row)
+    if not row.tolerance_ratio <= known.tolerance_ratio:
+        worst[row.quantity] = row
 
-    Systems of one engine that part are compared with every other engine too, and have momentum balances of
-    their own, which tells the one that is wrong. An engine with soft constraints has a row for what they do
-    to its reactions at the first state, which is to be the initial one.
+
+def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Check]:
+    """Compare the equations of every pair of engines, and the formulations of each engine with each other.
+
+    Formulations that differ are also compared with every other engine, and each gets a check of its momentum
+    balance, so that the diagnosis can find the wrong one. An engine with soft constraints gets a check of
+    their effect on its reactions, if the first state is the initial state of the scene.
     """
     pairs = (
         compare_pair((a.name, b.name), samples[a.name], samples[b.name]) for a, b in combinations(engines, 2)
     )
-    return in_full([*pairs, *(_within(engine, engines, samples) for engine in engines)])
+    return in_full([*pairs, *(_compare_formulations(engine, engines, samples) for engine in engines)])
 
 
-def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Check]:
-    """The systems of one engine against each other, and what tells more of them if they part."""
-    parted = False
+def _compare_formulations(
+    engine: Engine, engines: Sequence[Engine], samples: EngineSamples
+) -> Iterator[Check]:
+    """Compare the formulations of one engine with each other; see `compare_equations`."""
+    differ = False
     for one, two in combinations(samples[engine.name], 2):
         for row in compare_pair((one.name, two.name), [one], [two]):
-            parted |= not row.agrees
+            differ |= not row.agrees
             yield row
-    for one in samples[engine.name] if parted else ():
-        yield momentum_row(one.name, one)
-        for other in engines:
-            if other is not engine:
-                yield from compare_pair((one.name, other.name), [one], samples[other.name])
+    if differ:
+        for formulation in samples[engine.name]:
+            yield momentum_row(formulation.name, formulation)
+            for other in engines:
+                if other is not engine:
+                    pair = (formulation.name, other.name)
+                    yield from compare_pair(pair, [formulation], samples[other.name])
+    # The effect of soft constraints
     rigid = samples[engine.name][0]
     if engine.evaluate_soft_constraints is not None and rigid.states.all[0] is initial_state(
         rigid.states.scene
@@ -95,12 +111,15 @@ def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -
 
 
 def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
-    """The engines' rigid systems at the states."""
-    return {e.name: [Samples(system, states) for system in e.systems(states.scene)] for e in engines}
+    """Return the equations of motion of all engines at some states."""
+    return {
+        engine.name: [Samples(system, states) for system in engine.systems(states.scene)]
+        for engine in engines
+    }
 
 
 def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) -> list[Check]:
-    """All levels in their order; arguments as of `stages`."""
+    """Return the checks of all levels in the order of levels. The arguments are those of `stages`."""
     rows: list[Check] = []
     for stage in stages(scene, engines, runs, states).values():
         rows += stage(rows)
@@ -110,22 +129,25 @@ def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) ->
 def stages(
     scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, until: float | None = None
 ) -> dict[str, Callable[[Sequence[Check]], Iterator[Check]]]:
-    """Parts of the comparison by what they do, one after the other; each is given the rows of those before.
+    """Return the stages of the comparison, by a text for progress messages, in the order of execution.
+
+    Each stage is a function that yields checks. Its argument is all checks of the stages before.
 
     Args:
-        scene: what is compared.
-        engines: those that can express it.
-        runs: by engine, as far as they came.
-        states: number of random consistent states for the levels that need no run.
-        until: s, the time up to which runs are those of the file that the scene was read from; None if they
-            are to the end, and for scenes that are not from a file.
+        scene: scene that is compared.
+        engines: engines that can represent the scene.
+        runs: run of each engine; partial if the engine stopped.
+        states: number of random states at which equations are compared.
+        until: time, s, at which the first element of the model file that is not simulated (such as a contact)
+            would act. Runs are then also compared up to this time. None if no such element acts.
     """
     start = States(scene, (initial_state(scene),))
 
     @cache
     def samples() -> EngineSamples:
+        """Evaluate the equations once, for all stages."""
         others = random_states(scene, states)
-        # constraints that lose rank at the start do not determine its accelerations
+        # Leave out a singular initial state, at which the constraints do not determine accelerations
         compared = others if others and start.is_singular else [*start.all, *others]
         return sampled(engines, States(scene, tuple(compared)))
 
@@ -133,15 +155,15 @@ def stages(
         yield from compare_equations(engines, samples())
 
     def trajectories(rows: Sequence[Check]) -> Iterator[Check]:
-        ran = [engine for engine in engines if engine.name in runs]
+        engines_with_run = [engine for engine in engines if engine.name in runs]
         try:
             energy = samples()[engines[0].name][0].states.energy
-        except AssemblyError:
-            energy = start.energy  # runs may be compared where random states cannot be had
-        parted = {row.between for row in rows if not row.agrees}
-        yield from compare_runs(scene, ran, runs, energy, parted)
+        except AssemblyError:  # no random states could be found; runs can be compared without
+            energy = start.energy
+        differing = {row.between for row in rows if not row.agrees}
+        yield from compare_runs(scene, engines_with_run, runs, energy, differing)
         if until is not None:
-            yield from compare_runs_until(until, scene, ran, runs, energy, parted)
+            yield from compare_runs_until(until, scene, engines_with_run, runs, energy, differing)
 
     def momentum(_: Sequence[Check]) -> Iterator[Check]:
         yield from (momentum_row(engine.name, samples()[engine.name][0]) for engine in engines)
@@ -154,23 +176,25 @@ def stages(
 
 
 def in_order(rows: Iterable[Check]) -> list[Check]:
-    """Rows by their levels."""
+    """Sort checks by level; within a level they keep their order."""
     return sorted(rows, key=lambda row: LEVELS.index(row.level))
 
 
 def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iterator[Check]:
-    """Figures of `newton_euler.reading.verify` for each engine; none for a scene that is from no file.
+    """Compare each engine's equations with the model file that the scene was imported from.
 
-    Of the scene as the file says and with controls at random the one that is worst for its tolerance.
+    The report has reference models of the file, computed by MuJoCo or Pinocchio: one with the controls of the
+    file, and one with random controls. Of the two, a check shows the one closer to failing.
+
+    Args:
+        engines: engines that can represent the scene.
+        report: import report; None for a scene that is not from a model file, which has no such checks.
     """
     if report is None:
         return
     for engine in engines:
-        found: dict[str, Check] = {}
+        worst: dict[str, Check] = {}
         for reference, scene in report.references:
             for quantity, value, tolerance, where in verify(reference, engine.systems(scene)[0]):
-                row = Check(READING, quantity, (engine.name, FILE), value, tolerance, where)
-                known = found.setdefault(quantity, row)
-                if not row.tolerance_ratio <= known.tolerance_ratio:
-                    found[quantity] = row
-        yield from found.values()
+                _keep_worst(worst, Check(READING, quantity, (engine.name, FILE), value, tolerance, where))
+        yield from worst.values()

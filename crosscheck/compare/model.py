@@ -1,4 +1,7 @@
-"""Level "model": the engines' own models, body by body and joint by joint."""
+"""Level "model": masses, inertias and joints as each engine's own model has them.
+
+The checks compare the models of two engines, body by body and joint by joint.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,12 @@ from newton_euler.scalars import Array
 
 
 def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
-    """Masses, centers of mass, inertias and frames of bodies; kinds, axes and points of joints."""
+    """Compare mass properties and frames of bodies, and kinds, axes and points of joints, of two engines.
+
+    Args:
+        pair: names of the two engines.
+        first, second: their equations.
+    """
     scene = first.states.scene
     a, b = first.mass_properties, second.mass_properties
     names, joints = scene.mechanism.body_names[1:], scene.mechanism.joint_names
@@ -27,12 +35,14 @@ def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
         values: Sequence[tuple[Array, Array]] = (),
         unit: str = "",
     ) -> Check:
+        """Make the check of the largest of the differences `gap`, with both values as detail if it fails."""
         worst = int(np.argmax(gap))
         value, detail = float(gap[worst]), ""
         if values and value > tolerance:
             detail = both_values(pair, *values[worst], unit)
         return Check("model", quantity, pair, value, tolerance, names[worst], detail=detail)
 
+    # Bodies, without the ground
     mass = np.abs(a.mass - b.mass)[1:] / np.abs(a.mass[1:])
     inertia = np.abs(a.inertia - b.inertia)[1:].max(axis=(1, 2)) / np.abs(a.inertia[1:]).max(axis=(1, 2))
     center = np.abs(a.center_of_mass - b.center_of_mass)[1:].max(axis=1)
@@ -46,33 +56,35 @@ def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
     yield row("inertia, rel", inertia, ROUND_OFF, names, inertias, "kg m^2")
     turned = angle_between(first.initial_orientations, second.initial_orientations)[1:]
     yield row("body frame, rad", turned, ROUND_OFF, names)
+    # Joints; an engine may lack a joint
     pairs = [(first.joints.get(joint), second.joints.get(joint)) for joint in joints]
-    yield row("joint kinds, differing", np.array([_differs(*both) for both in pairs]), 0.5, joints)
-    turned = np.array([_turned(*both) for both in pairs])
+    yield row("joint kinds, differing", np.array([_kinds_differ(*both) for both in pairs]), 0.5, joints)
+    turned = np.array([_axis_angle(*both) for both in pairs])
     axes = [(x.axes, y.axes) if x and y else (NOWHERE, NOWHERE) for x, y in pairs]
     yield row("joint axes, rad", turned, ROUND_OFF, joints, axes)
     points = [(x.points, y.points) if x and y else (NOWHERE, NOWHERE) for x, y in pairs]
-    yield row("joint points, m", np.array([_apart(*both) for both in pairs]), length, joints, points, "m")
+    distances = np.array([_point_distance(*both) for both in pairs])
+    yield row("joint points, m", distances, length, joints, points, "m")
 
 
-def _differs(a: JointGeometry | None, b: JointGeometry | None) -> float:
-    """1 where two joints allow other motions or one of them is missing, else 0."""
+def _kinds_differ(a: JointGeometry | None, b: JointGeometry | None) -> float:
+    """Return 1 if two joints allow different motions or if one of them is missing, else 0."""
     if a is None or b is None:
         return float(a is not b)
     return float(a.kinds != b.kinds)
 
 
-def _turned(a: JointGeometry | None, b: JointGeometry | None) -> float:
-    """The largest angle between axes of the same motion, rad."""
+def _axis_angle(a: JointGeometry | None, b: JointGeometry | None) -> float:
+    """Return the largest angle between corresponding axes of two joints, rad; 0 if their kinds differ."""
     if a is None or b is None or a.kinds != b.kinds:
         return 0.0
-    # of unit vectors, exact to round-off where they are close: chord = 2 sin(angle / 2)
+    # chord = 2 sin(angle / 2) of unit vectors is accurate for small angles, unlike the arc cosine
     chords = np.linalg.norm(a.axes - b.axes, axis=1)
     return float(np.max(2.0 * np.arcsin(np.clip(0.5 * chords, 0.0, 1.0)), initial=0.0))
 
 
-def _apart(a: JointGeometry | None, b: JointGeometry | None) -> float:
-    """The largest distance between points that both have, m."""
+def _point_distance(a: JointGeometry | None, b: JointGeometry | None) -> float:
+    """Return the largest distance between corresponding points of two joints, m; 0 if their kinds differ."""
     if a is None or b is None or a.kinds != b.kinds:
         return 0.0
     return float(np.nanmax(np.linalg.norm(a.points - b.points, axis=1), initial=0.0))

@@ -1,7 +1,8 @@
-"""Momentum balance, a check at the level "energy": Newton's and Euler's equations of each body.
+"""Momentum balance of one engine: residuals of Newton's and Euler's equations of each body.
 
-Masses, inertias and what acts on the bodies are the scene's, by its numbers. Everything else is an engine's
-own answer, so that neither another engine nor its own equations of motion are asked.
+Accelerations, reactions and actuator forces come from the engine. Masses, inertias and applied forces are
+computed from the scene. The balance therefore tests an engine without another engine, and without the
+engine's own equations of motion. The check belongs to the level "energy".
 """
 
 from __future__ import annotations
@@ -18,13 +19,17 @@ from newton_euler.scalars import Array, cross
 
 
 def momentum_row(name: str, samples: Samples) -> Check:
-    """The largest rate of momentum that no force accounts for, at any state; where is the body.
+    """Make the check of the largest residual of the balance over all bodies and states.
 
-    Relative to the largest force, and as exact as reactions are.
+    The residual is divided by the largest force. The tolerance is that of reactions.
+
+    Args:
+        name: name of the engine or formulation.
+        samples: its equations at a number of states.
     """
-    gap = np.abs(momentum_residuals(samples)).max(axis=(0, 2))
-    worst = int(np.argmax(gap))
-    value = float(gap[worst]) / samples.scales.force
+    residuals = np.abs(momentum_residuals(samples)).max(axis=(0, 2))
+    worst = int(np.argmax(residuals))
+    value = float(residuals[worst]) / samples.scales.force
     states = samples.states
     tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
     body = samples.states.scene.mechanism.body_names[1 + worst]
@@ -32,13 +37,21 @@ def momentum_row(name: str, samples: Samples) -> Check:
 
 
 def momentum_residuals(samples: Samples) -> Array:
-    """(n, b - 1, 6) of the bodies that move: N, world frame, and N m over the size, body frame."""
+    """Compute residuals (n, b - 1, 6) of Newton's and Euler's equations of the moving bodies at n states, N.
+
+    The first three are of forces, in the world frame. The last three are of torques divided by the
+    mechanism's size, in the body frame.
+    """
     scene = samples.states.scene
     return np.array([_residual(scene, evaluation) for evaluation in samples.evaluations])
 
 
 def _residual(scene: Scene, found: Evaluation) -> Array:
-    """(b - 1, 6): m a - f of each body that moves, and J' domega' + omega' x J' omega' - n' over the size."""
+    """Compute residuals (b - 1, 6) of the moving bodies at one state, N, as `momentum_residuals`.
+
+    They are m a - f, and (J' domega'/dt + omega' x J' omega' - n') / size with inertia J', angular velocity
+    omega' and torque n' in the body frame.
+    """
     mechanism = scene.mechanism
     applied = Wrenches(mechanism, found.state)
     applied.add_forces(scene, found.actuator_force)
@@ -59,13 +72,17 @@ def _residual(scene: Scene, found: Evaluation) -> Array:
 
 
 def _reaction_wrenches(mechanism: Mechanism, found: Evaluation) -> Array:
-    """(b, 6) force, world, and torque about the center of mass, body frame, by the joints on each body."""
+    """Sum the joint reactions on each body, (b, 6).
+
+    Forces are in the world frame, N. Torques are about the center of mass, in the body frame, N m.
+    """
     frames = found.state.frames()
     wrenches = np.zeros((len(frames), 6))
     for k, equations in enumerate(mechanism.equations):
         force, torque = found.reaction_force[k], found.reaction_torque[k]
         second = frames[equations.second]
         pose = mechanism.bodies[equations.second].pose
+        # Reactions act on the second body at the joint point, and on the first body with the opposite sign
         arm = pose.point_to_body(equations.joint.reaction_point)
         point = second.position + second.rotation @ arm
         for body, sign in ((equations.first, -1.0), (equations.second, 1.0)):

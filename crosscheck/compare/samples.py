@@ -1,4 +1,13 @@
-"""Systems at consistent states: what the levels before runs compare, each worked out when first asked for."""
+"""Equations of motion of an engine at given states, in forms that can be compared between engines.
+
+`States` are states of a scene that satisfy the constraints, with the scene's own constraints there. `Samples`
+is one system (the equations of motion of an engine, in one formulation) at these states: poses, velocities,
+accelerations, reactions, and the equations projected onto the velocities that the constraints allow. The
+levels "model" to "accelerations and reactions" compare the samples of two engines. All attributes are
+computed when they are first used.
+
+Shapes: b bodies, j joints, n states, d degrees of freedom, nv velocities of a system.
+"""
 
 from __future__ import annotations
 
@@ -25,24 +34,28 @@ from newton_euler.scalars import Array
 
 @contextmanager
 def solved(system: System, what: str) -> Iterator[None]:
-    """Linear algebra of what a system gives.
+    """Convert an error of linear algebra in the block into a `CrosscheckError` that names the system.
+
+    Args:
+        system: system whose equations are solved.
+        what: result that cannot be computed, for the message.
 
     Raises:
-        CrosscheckError: naming the system, for numbers that are not finite and what LAPACK gives up.
+        CrosscheckError: for a matrix that is not finite, or that LAPACK cannot decompose.
     """
     try:
         yield
     except np.linalg.LinAlgError as error:
-        raise CrosscheckError(f"{system.name}: {what} cannot be worked out: {error}") from error
+        raise CrosscheckError(f"{system.name}: {what} cannot be computed: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """Consistent states of a scene, the initial one first.
+    """States of a scene that satisfy its constraints, and newton_euler's constraints at these states.
 
     Attributes:
-        scene: the description that engines are compared on.
-        all: the states.
+        scene: scene that engines are compared on.
+        all: the states; the first one is the initial state unless that is singular.
     """
 
     scene: Scene
@@ -50,57 +63,60 @@ class States:
 
     @cached_property
     def units(self) -> Array:
-        """(6 b,) see `body_units`: the scene's for all systems."""
+        """(6 b,) units of body velocities, see `body_units`."""
         return body_units(self.scene)
 
     @cached_property
     def _system(self) -> Relative:
+        """newton_euler's equations of motion in joint coordinates."""
         return Relative(self.scene)
 
     @cached_property
     def _coordinates(self) -> list[tuple[Array, Array]]:
+        """Coordinates q and velocities v of `_system` at each state."""
         return [self._system.coordinates(state) for state in self.all]
 
     @cached_property
     def _admissible(self) -> list[tuple[Array, float]]:
+        """Basis of the allowed velocities and condition number of the constraints at each state."""
         with solved(self._system, "independent velocities"):
             return [admissible_basis(self._system, q, self.units) for q, _ in self._coordinates]
 
     @property
     def bases(self) -> list[Array]:
-        """(6 b, d) for each state: the independent velocities of "dynamics", see `admissible_basis`."""
+        """(6 b, d) at each state: basis of the body velocities that the constraints allow."""
         return [basis for basis, _ in self._admissible]
 
     @property
     def condition(self) -> float:
-        """The largest of all states, of the scene's independent constraints."""
+        """Largest condition number of the scene's independent constraints over all states."""
         return max(condition for _, condition in self._admissible)
 
     @property
     def is_singular(self) -> bool:
-        """True if constraints lose rank at the first state: nothing determines all accelerations there."""
+        """True if the constraints lose rank at the first state: its accelerations are not unique."""
         q, _ = self._coordinates[0]
         with solved(self._system, "the rank of constraints"):
             return rank(dimensionless_jacobian(self._system, q)) < constraint_rank(self._system)
 
     @cached_property
-    def opening(self) -> float:
-        """See `_opening`: a state may be given with fewer digits than engines work with."""
-        return _opening(self._system, self._coordinates)
+    def closure_error(self) -> float:
+        """Largest constraint residual of the states, sizes or rad: states may be given with few digits."""
+        return _closure_error(self._system, self._coordinates)
 
     @cached_property
     def mass_condition(self) -> float:
-        """The largest of all states, of the tree's mass matrix with unit diagonal.
+        """Largest condition number of the mass matrix in joint coordinates over all states.
 
-        Factorizing it loses as many digits as after the best choice of units (N. J. Higham, Accuracy and
-        Stability of Numerical Algorithms, 2nd ed., 2002, section 10.1.1).
+        The matrix is scaled to a unit diagonal, so that the number does not depend on units (N. J. Higham,
+        Accuracy and Stability of Numerical Algorithms, 2nd ed., 2002, section 10.1.1).
         """
         with solved(self._system, "the condition of the mass matrix"):
             return max(_equilibrated(self._system.mass_and_force(q, v)[0]) for q, v in self._coordinates)
 
     @property
     def redundancy(self) -> float:
-        """The largest singular value of the scene's constraints that was taken as redundant."""
+        """Largest singular value of the scene's constraints that is treated as redundant."""
         return mobility(self.scene).residual
 
     @cached_property
@@ -111,23 +127,28 @@ class States:
 
     @cached_property
     def undetermined(self) -> list[Array]:
-        """Undetermined reactions at each state, see `newton_euler.equations.undetermined`."""
-        with solved(self._system, "reactions that nothing determines"):
+        """(6 j, r) at each state: combinations of reactions that redundant constraints leave undetermined."""
+        with solved(self._system, "undetermined reactions"):
             return [undetermined(self.scene, state) for state in self.all]
 
     @cached_property
     def energy(self) -> float:
-        """J, see `energy_scale`."""
+        """Smallest unit of energy differences, J, see `energy_scale`."""
         return energy_scale(self.scene, list(self.all))
 
     def name(self, index: int) -> str:
-        """Name a state for people."""
+        """Name the state with an index, for messages."""
         return "the initial state" if index == 0 else f"random state {index}"
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """One system at a number of states."""
+    """Equations of motion of one engine at a number of states.
+
+    Attributes:
+        system: the equations, with rigid constraints.
+        states: the states.
+    """
 
     system: System
     states: States
@@ -149,14 +170,14 @@ class Samples:
 
     @cached_property
     def initial_orientations(self) -> Array:
-        """(b, 4) of the bodies' frames where all coordinates are zero, by the system's own kinematics."""
+        """(b, 4) quaternions of the bodies at zero coordinates, by the system's own kinematics."""
         mechanism = self.system.mechanism
         q, v = self.system.coordinates(State.initial(mechanism))
         return self.system.state(q, v).quaternion
 
     @cached_property
     def coordinates(self) -> list[tuple[Array, Array]]:
-        """q and v at each state."""
+        """Coordinates q and velocities v (nv,) of the system at each state."""
         return [self.system.coordinates(state) for state in self.states.all]
 
     @cached_property
@@ -165,14 +186,14 @@ class Samples:
         return [self.system.state(q, v) for q, v in self.coordinates]
 
     @property
-    def closes(self) -> bool:
-        """True if the system has constraints in addition to its choice of coordinates."""
+    def has_constraints(self) -> bool:
+        """True if the system has constraint equations, for example of loops cut open by joint coordinates."""
         return len(self.system.phi_units) > 0
 
     @cached_property
-    def opening(self) -> float:
-        """See `_opening`."""
-        return _opening(self.system, self.coordinates)
+    def closure_error(self) -> float:
+        """Largest constraint residual of the system over all states, sizes of the mechanism or rad."""
+        return _closure_error(self.system, self.coordinates)
 
     @cached_property
     def evaluations(self) -> list[Evaluation]:
@@ -188,44 +209,49 @@ class Samples:
 
     @cached_property
     def coordinate_accelerations(self) -> tuple[Array, Array]:
-        """Linear and angular accelerations (n, b, 3) of all bodies by the accelerations of the coordinates.
+        """Linear and angular accelerations (n, b, 3) of all bodies that follow from coordinate accelerations.
 
-        They are the rates of the body velocities that the system's own kinematics gives along its velocities
-        and its accelerations, by central differences of fourth order: those of `evaluations` come from the
-        equations of bodies and hold whatever the accelerations of the coordinates are.
+        The body velocities are differentiated along the motion of the coordinates, by central differences of
+        fourth order. The accelerations in `evaluations` come from the equations of bodies instead, so they
+        would not show an error in the coordinate accelerations.
         """
         found = []
         for (q, v), state, vdot in zip(self.coordinates, self.motions, self.accelerations, strict=True):
+            # A time step in which bodies move by `RATE_STEP`
             size = self.states.scene.mechanism.size
             speeds = [np.abs(state.linear_velocity).max() / size, np.abs(state.angular_velocity).max()]
             step = RATE_STEP / max(RANDOM_RATE, *speeds)
             rates = np.zeros((2, len(state.linear_velocity), 3))
             for factor, weight in RATE_STENCIL:
-                at = factor * step
-                moved = self.system.state(self.system.retract(q, at * v), v + at * vdot)
+                time = factor * step
+                moved = self.system.state(self.system.retract(q, time * v), v + time * vdot)
                 rates += weight / step * np.array([moved.linear_velocity, moved.angular_velocity])
             found.append(rates)
         linear, angular = np.moveaxis(np.array(found), 1, 0)
         return linear, angular
 
     @cached_property
-    def _bases(self) -> list[tuple[Array, float]]:
+    def _admissible(self) -> list[tuple[Array, float]]:
+        """Basis of the allowed velocities and condition number of the constraints at each state."""
         with solved(self.system, "independent velocities"):
             return [admissible_basis(self.system, q, self.states.units) for q, _ in self.coordinates]
 
     @property
     def bases(self) -> list[Array]:
-        """(6 b, d) at each state, see `admissible_basis`."""
-        return [basis for basis, _ in self._bases]
+        """(6 b, d) at each state: basis of the body velocities that the system's constraints allow."""
+        return [basis for basis, _ in self._admissible]
 
     @cached_property
     def condition(self) -> float:
         """Largest condition number of the constraints over all states."""
-        return max(condition for _, condition in self._bases)
+        return max(condition for _, condition in self._admissible)
 
     @cached_property
     def free_motions(self) -> list[tuple[Array, Array]]:
-        """Inertia (d, d) and force (d,) at each state, see `free_motion`, for the bases of the states."""
+        """Effective inertia (d, d) and force (d,) at each state, see `free_motion`.
+
+        The basis is that of the scene's constraints (`States.bases`), so that engines can be compared.
+        """
         found = zip(self.coordinates, self.evaluations, self.accelerations, self.states.bases, strict=True)
         with solved(self.system, "effective inertia and force"):
             return [
@@ -234,7 +260,11 @@ class Samples:
             ]
 
     def stack(self, name: str) -> Array:
-        """(n, bodies or joints, ...) array of that name, of the motions or else of the evaluations."""
+        """Return a quantity at all states as one array (n, b or j, ...).
+
+        Args:
+            name: name of an attribute of `State` (taken from `motions`) or of `Evaluation`.
+        """
         if name not in self._stacks:
             sources = self.motions if hasattr(self.motions[0], name) else self.evaluations
             self._stacks[name] = np.array([getattr(source, name) for source in sources])
@@ -242,12 +272,12 @@ class Samples:
 
     @cached_property
     def _stacks(self) -> dict[str, Array]:
-        """Arrays by name."""
+        """Arrays that `stack` has built, by name."""
         return {}
 
     @cached_property
     def scales(self) -> Scales:
-        """Scales of differences from these samples."""
+        """Units that differences from these samples are divided by."""
         return Scales(self)
 
 
@@ -269,11 +299,19 @@ def body_units(scene: Scene) -> Array:
 
 
 def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, float]:
-    """Orthonormal (6 b, d) body velocities that the constraints leave free, and their condition.
+    """Compute the body velocities that the constraints allow, and the condition number of the constraints.
 
-    Velocities are divided by `body_units`, so that all rows are in 1/s. The projector onto them
-    is the constraint Jacobian in a form that depends on no choice of coordinates or rows. The condition is
-    that of the independent constraint rows, 1 without constraints.
+    The projector onto the basis represents the constraint Jacobian independently of coordinates and of the
+    choice of constraint equations.
+
+    Args:
+        system: equations of motion.
+        q: coordinates of the system.
+        units: (6 b,) units of body velocities, see `body_units`.
+
+    Returns:
+        An orthonormal basis (6 b, d) of the allowed body velocities divided by `units`, 1/s; and the
+        condition number of the independent constraint equations, 1 without constraints.
     """
     jacobian = with_zero_rows(dimensionless_jacobian(system, q), rows_left_out(system))
     transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
@@ -288,52 +326,64 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
 def free_motion(
     system: System, q: Array, v: Array, evaluation: Evaluation, vdot: Array, basis: Array, units: Array
 ) -> tuple[Array, Array]:
-    """Inertia (d, d), kg m^2, and force (d,), N m, that independent velocities see.
+    """Compute effective inertia (d, d), kg m^2, and effective force (d,), N m, of the allowed motions.
 
-    With the columns W of `basis` as velocities of all bodies, V = U W y with the units U of
-    `body_units`, the equations of motion M vdot = f + J^T lambda become
+    The allowed body velocities are V = U W y, with the columns W of `basis`, the units U and d independent
+    velocities y. The equations of motion M vdot = f + J^T lambda become
 
         (Y^T M Y) dy/dt = Y^T (f - M v_p),   T Y = U W,   J Y = 0
 
-    where T is the system's velocity transformation and v_p is any acceleration of its coordinates under
-    which the bodies accelerate across W alone, as the constraints make them at this velocity. Both sides
-    are the same for all coordinates (J. Garcia de Jalon, E. Bayo, Kinematic and Dynamic Simulation of
-    Multibody Systems, 1994, section 5.2), and hold nothing that was solved for.
+    T is the system's velocity transformation. v_p is an acceleration of the coordinates that satisfies the
+    constraints and accelerates the bodies perpendicularly to W only. The effective inertia Y^T M Y and force
+    Y^T (f - M v_p) do not depend on the choice of coordinates (J. Garcia de Jalon, E. Bayo, Kinematic and
+    Dynamic Simulation of Multibody Systems, 1994, section 5.2).
+
+    Args:
+        system: equations of motion.
+        q, v: coordinates and velocities of the system.
+        evaluation: accelerations of bodies at this state.
+        vdot: (nv,) accelerations of the coordinates.
+        basis: (6 b, d) basis of the allowed body velocities, divided by `units`.
+        units: (6 b,) units of body velocities, see `body_units`.
     """
     transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
     mass, force = system.mass_and_force(q, v)
     mass = mass * system.velocity_units
     accelerations = np.hstack([evaluation.linear_acceleration, evaluation.angular_acceleration]).ravel()
-    along = basis.T @ (accelerations / units)
-    if len(mass) < system.nv:  # Cartesian: T qddot are the accelerations, because Gdot pdot = 0
+    along = basis.T @ (accelerations / units)  # dy/dt
+    if len(mass) < system.nv:
+        # Cartesian coordinates: the mass matrix is that of body velocities, with angular ones in body frames.
+        # Body accelerations are T qddot, because Gdot pdot = 0 for Euler parameters p
         motion = _least_squares(transformation, np.column_stack([basis, accelerations / units]))
         velocities, acceleration = motion[:, :-1], motion[:, -1]
         onto = _on_wrenches(evaluation.state, units[:, None] * basis)
     else:
         jacobian = dimensionless_jacobian(system, q)
-        rows = np.concatenate([transformation, jacobian])  # T is silent on halves of bodies
+        # The constraints are needed as well: T does not contain the motion of halves of cut bodies
+        rows = np.concatenate([transformation, jacobian])
         right = np.concatenate([basis, np.zeros((len(jacobian), basis.shape[1]))])
         velocities = _least_squares(rows, right)
         acceleration = vdot / system.velocity_units
         onto = system.velocity_units[:, None] * velocities
-    across = acceleration - velocities @ along
+    across = acceleration - velocities @ along  # v_p
     return onto.T @ mass @ velocities, onto.T @ (force - mass @ across)
 
 
-def _opening(system: System, coordinates: list[tuple[Array, Array]]) -> float:
-    """Measure a system's own constraint residuals at some states, in sizes or rad."""
+def _closure_error(system: System, coordinates: list[tuple[Array, Array]]) -> float:
+    """Compute a system's largest constraint residual at some states, sizes of the mechanism or rad."""
     units = system.phi_units
     return max(float(np.max(np.abs(system.phi(q)) / units, initial=0.0)) for q, _ in coordinates)
 
 
 def _least_squares(matrix: Array, right: Array) -> Array:
+    """Solve a least squares problem with several right-hand sides; raises `LinAlgError` if not finite."""
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        raise np.linalg.LinAlgError("a matrix is not finite")  # LAPACK might go on for ever
+        raise np.linalg.LinAlgError("a matrix is not finite")  # LAPACK may never return for such a matrix
     return np.asarray(np.linalg.lstsq(matrix, right)[0])
 
 
 def _equilibrated(mass: Array) -> float:
-    """Condition of a mass matrix scaled to a unit diagonal."""
+    """Compute the condition number of a mass matrix (nv, nv) after scaling it to a unit diagonal."""
     if not len(mass):
         return 1.0
     if not np.isfinite(mass).all() or not np.all(np.diag(mass) > 0.0):
@@ -343,18 +393,26 @@ def _equilibrated(mass: Array) -> float:
 
 
 def _on_wrenches(state: State, velocities: Array) -> Array:
-    """Velocities of all bodies (6 b, d) against forces, world, and torques, body, of those that move."""
-    turned = velocities.reshape(len(state.position), 6, -1).copy()
-    for body, frame in zip(turned, state.frames(), strict=True):
+    """Express angular velocities in body frames, as Cartesian equations have torques, and drop the ground.
+
+    Args:
+        state: state with the body frames.
+        velocities: (6 b, d) velocities of all bodies, linear and angular, in the world frame.
+
+    Returns:
+        (6 (b - 1), d) velocities of the moving bodies.
+    """
+    in_body_frames = velocities.reshape(len(state.position), 6, -1).copy()
+    for body, frame in zip(in_body_frames, state.frames(), strict=True):
         body[3:] = frame.rotation.T @ body[3:]
-    return turned[1:].reshape(-1, velocities.shape[1])
+    return in_body_frames[1:].reshape(-1, velocities.shape[1])
 
 
 class Scales:
-    """Scales of differences at a number of states: the largest values there, with physical floors.
+    """Units that relative differences are divided by: the largest values at all states, with lower bounds.
 
-    Angular quantities count at the mechanism's size, so that a ball's torque, which vanishes, is held
-    against its force.
+    Angular quantities are multiplied by the mechanism's size and share the unit of linear ones. The torque of
+    a ball joint, for example, which is zero, is compared relative to the joint's force.
     """
 
     def __init__(self, samples: Samples) -> None:
@@ -363,24 +421,25 @@ class Scales:
         self.size = self._scene.mechanism.size
 
     def _norms(self, name: str) -> Array:
+        """Norms (n, b or j) of a vector quantity at all states."""
         return np.asarray(np.linalg.norm(self._samples.stack(name), axis=-1))
 
     @cached_property
     def velocity(self) -> float:
-        """m/s, at least the size at `RANDOM_RATE`."""
+        """Unit of velocities, m/s; at least the mechanism's size times `RANDOM_RATE`."""
         rates = [self._norms("linear_velocity"), self.size * self._norms("angular_velocity")]
         return float(np.max(rates, initial=self.size * RANDOM_RATE))
 
     @cached_property
     def acceleration(self) -> float:
-        """m/s^2, at least gravity and the centripetal one of the velocity at the size."""
+        """Unit of accelerations, m/s^2; at least gravity, and velocity^2 / size."""
         floor = max(float(np.linalg.norm(self._scene.gravity)), self.velocity**2 / self.size)
         rates = [self._norms("linear_acceleration"), self.size * self._norms("angular_acceleration")]
         return float(np.max(rates, initial=floor))
 
     @cached_property
     def force(self) -> float:
-        """N, at least the largest inertia force and the energy of `energy_scale` over the size."""
+        """Unit of forces, N; at least the largest inertia force, and `States.energy` divided by the size."""
         bodies = self._scene.mechanism.bodies
         mass = np.array([body.mass for body in bodies])
         moment = np.array([np.linalg.norm(body.inertia, ord=2) for body in bodies])

@@ -1,4 +1,8 @@
-"""Singular configurations that a run starts in or passes, where a mechanism could change its branch."""
+"""Singular configurations that a run starts in or passes.
+
+In a singular configuration the constraints lose rank: the mechanism gains freedoms there, and could continue
+on another branch of motion. In: a scene and its run. Out: the times, and the bodies that gain freedoms.
+"""
 
 from __future__ import annotations
 
@@ -20,37 +24,41 @@ from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
 
-SINGULAR = 1e-3
-"""Smallest singular value of the constraints next to a singular configuration, divided by the largest one
-along the run. A four-bar with bars of 0.5 and 1 m that misses the configuration by 1e-7 m comes to 3.5e-4,
-one that misses it by 1e-6 m to 1.1e-3."""
+SINGULAR_RATIO = 1e-3
+"""Largest singularity margin of a configuration that is reported, divided by the largest margin along the
+run. The margin is the smallest singular value of the constraints. A four-bar with bars of 0.5 and 1 m that
+misses
+a singular configuration by 1e-7 m has a ratio of 3.5e-4; if it misses it by 1e-6 m, 1.1e-3."""
 
-EVALUATIONS = 600
+EVALUATION_BUDGET = 600
 """Number of outputs at which the constraints of a run are evaluated, times the number of velocities."""
 
-FEWEST_OUTPUTS = 30
+MIN_EVALUATED_OUTPUTS = 30
+"""Smallest number of outputs at which the constraints of a run are evaluated."""
 
-MOST_ELEMENTS = 2000
-"""Elements of the constraint Jacobian of the largest mechanism that is searched, which takes about 2 s."""
+MAX_JACOBIAN_ELEMENTS = 2000
+"""Largest number of elements of the constraint Jacobian of a mechanism that is searched; it takes about 2
+s."""
 
-DIP = 0.5
-"""Smallest singular value at an output, divided by the larger one at its neighbors, below which the run is
-repeated with closer outputs. At a crossing between outputs it is a third or less."""
+DIP_RATIO = 0.5
+"""Largest margin at a local minimum, divided by the larger margin of its neighbors, at which the run is
+repeated
+with closer outputs. At a crossing between outputs the ratio is a third or less."""
 
-CLOSER = 32
-"""Factor by which outputs of the repeated run are closer."""
+REFINEMENT = 32
+"""Factor on the number of outputs of the repeated run."""
 
-NARROWER = 4
-"""Factor by which the three outputs move together from which the vertex is computed anew."""
+NARROWING = 4
+"""Factor by which the interval around the minimum shrinks in each iteration."""
 
-MOST_CLOSER = 100_000
-"""Number of outputs of the repeated run, at most."""
+MAX_REFINED_OUTPUTS = 100_000
+"""Largest number of outputs of the repeated run."""
 
-GAINED = 10.0
-"""Other singular values that vanish with the smallest one are at most so many times as large beside it."""
+GAINED_RATIO = 10.0
+"""Largest ratio of another singular value to the smallest one at which both belong to gained freedoms."""
 
-LARGE_SHARE = 0.3
-"""Motion of a body in the freedoms that are gained, divided by the largest one, from which it is named."""
+NAMED_MOTION_FRACTION = 0.3
+"""Smallest motion of a body in the gained freedoms, divided by the largest motion, at which it is named."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +66,10 @@ class SingularConfigurations:
     """Singular configurations of a run.
 
     Attributes:
-        times: (k,) s, at which the run is in a singular configuration or next to it; 0 is the start.
-        distance: smallest singular value of the constraints at the first time, divided by the largest one
-            along the run.
-        freedoms: number of freedoms that the mechanism gains there.
+        times: times, s, at which the run is in a singular configuration or close to it; 0 is the start.
+        distance: smallest singular value of the constraints at the first of these times, divided by the
+            largest such value along the run.
+        freedoms: number of freedoms that the mechanism gains at the first time.
         bodies: names of the bodies that these freedoms move.
     """
 
@@ -84,10 +92,14 @@ class SingularConfigurations:
 def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfigurations | None:
     """Find the singular configurations that a run starts in or passes; None if there are none.
 
-    The smallest singular value of the independent constraints is evaluated at some outputs. Near a singular
-    configuration its square is a parabola of time, with a vertex at 0. Where it dips, the run is repeated
-    with closer outputs, and the time of the vertex computed from three of them. The value there is that of
-    the run's configuration at this time. If the repeated run stops before, it is that of the output.
+    The margin, the smallest singular value of the independent constraints, is evaluated at some outputs. Near
+    a singular configuration the square of the margin is a parabola of time whose minimum is 0. At a local
+    minimum the run is repeated with closer outputs, and the time of the minimum is computed from parabolas
+    through three outputs. If the repeated run stops before that time, the output with the minimum is used.
+
+    Args:
+        scene: the scene.
+        run: its run in one engine.
 
     Raises:
         CrosscheckError: for a mechanism that is too large to search.
@@ -96,9 +108,9 @@ def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfi
     count = constraint_rank(system)
     if not count:
         return None
-    if count * system.nv > MOST_ELEMENTS:
+    if count * system.nv > MAX_JACOBIAN_ELEMENTS:
         size = f"{count} independent constraints of {system.nv} velocities are {count * system.nv} elements"
-        raise CrosscheckError(f"left out, as {size}; at most {MOST_ELEMENTS} are searched")
+        raise CrosscheckError(f"left out, as {size}; at most {MAX_JACOBIAN_ELEMENTS} are searched")
 
     def margin(q: Array) -> float:
         return float(_spectrum(system, q, count)[0][-1])
@@ -106,37 +118,41 @@ def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfi
     def margins_at(run: Trajectory, outputs: Sequence[int]) -> list[float]:
         return [margin(system.coordinates(run.state(k))[0]) for k in outputs]
 
-    number = max(FEWEST_OUTPUTS, EVALUATIONS // system.nv)
+    # The margin along the run
+    number = max(MIN_EVALUATED_OUTPUTS, EVALUATION_BUDGET // system.nv)
     outputs = np.unique(np.linspace(0, len(run.time) - 1, number).astype(int)).tolist()
     margins = margins_at(run, outputs)
     largest = max(margins)
+    # The start, and all local minima that are deep enough, as times and configurations
     candidates = [(float(run.time[0]), system.coordinates(run.state(0))[0])]
     closer: Trajectory | None = None
     for k in range(1, len(outputs) - 1):
-        if margins[k] > min(margins[k - 1], DIP * max(margins[k - 1], margins[k + 1]), margins[k + 1]):
+        if margins[k] > min(margins[k - 1], DIP_RATIO * max(margins[k - 1], margins[k + 1]), margins[k + 1]):
             continue
-        closer = closer or _closer(scene, len(run.time))
-        if closer.time[-1] < run.time[outputs[k + 1]]:  # it stopped before
+        closer = closer or _repeat_with_closer_outputs(scene, len(run.time))
+        if closer.time[-1] < run.time[outputs[k + 1]]:  # the repeated run stopped before
             candidates.append((float(run.time[outputs[k]]), system.coordinates(run.state(outputs[k]))[0]))
             continue
-        time = _vertex(run.time[outputs[k - 1 : k + 2]], margins[k - 1 : k + 2])
-        apart = min(CLOSER * (outputs[k + 1] - outputs[k - 1]), len(closer.time) - 1)
-        while apart > 1:
-            apart = max(1, apart // NARROWER)
-            middle = int(np.clip(np.searchsorted(closer.time, time), apart, len(closer.time) - 1 - apart))
-            near = [middle - apart, middle, middle + apart]
-            time = _vertex(closer.time[near], margins_at(closer, near))
+        time = _time_of_minimum(run.time[outputs[k - 1 : k + 2]], margins[k - 1 : k + 2])
+        spacing = min(REFINEMENT * (outputs[k + 1] - outputs[k - 1]), len(closer.time) - 1)
+        while spacing > 1:
+            spacing = max(1, spacing // NARROWING)
+            middle = int(np.clip(np.searchsorted(closer.time, time), spacing, len(closer.time) - 1 - spacing))
+            near = [middle - spacing, middle, middle + spacing]
+            time = _time_of_minimum(closer.time[near], margins_at(closer, near))
         candidates.append((time, _configuration(system, closer, time)))
-    found = [(time, q) for time, q in candidates if margin(q) < SINGULAR * largest]
+    found = [(time, q) for time, q in candidates if margin(q) < SINGULAR_RATIO * largest]
     if not found:
         return None
+    # The freedoms gained at the first one, and the bodies that they move
     _, q = found[0]
     values, directions = _spectrum(system, q, count)
-    gained = int(np.sum(values < max(GAINED * values[-1], SINGULAR * largest)))
-    turned = directions[count - gained :] / system.velocity_units
-    motion = np.abs(system.velocity_transformation(q) @ turned.T / body_units(scene)[:, None])
-    share = np.max(motion.reshape(len(scene.mechanism.bodies), -1), axis=1)
-    names = np.array(scene.mechanism.body_names)[share > LARGE_SHARE * np.max(share)]
+    gained = int(np.sum(values < max(GAINED_RATIO * values[-1], SINGULAR_RATIO * largest)))
+    gained_velocities = directions[count - gained :] / system.velocity_units
+    motion = np.abs(system.velocity_transformation(q) @ gained_velocities.T / body_units(scene)[:, None])
+    largest_motion = np.max(motion.reshape(len(scene.mechanism.bodies), -1), axis=1)
+    is_named = largest_motion > NAMED_MOTION_FRACTION * np.max(largest_motion)
+    names = np.array(scene.mechanism.body_names)[is_named]
     return SingularConfigurations(
         tuple(time for time, _ in found), margin(q) / largest, gained, tuple(names.tolist())
     )
@@ -149,10 +165,10 @@ def _spectrum(system: Relative, q: Array, count: int) -> tuple[Array, Array]:
 
 
 def _configuration(system: Relative, run: Trajectory, time: float) -> Array:
-    """Compute the configuration of a run between two outputs, (nq,).
+    """Compute the configuration (nq,) of a run at a time, s, between two outputs.
 
-    The nearest output is moved by its velocity and by the acceleration between its neighbors, and its loops
-    are closed. If they do not close, the result is the nearest output.
+    The configuration is extrapolated from the nearest output, by its velocity and by the acceleration between
+    its neighbors. Then its loops are closed. If they cannot be closed, the nearest output is returned.
     """
     nearest = int(np.argmin(np.abs(run.time - time)))
     before, after = max(nearest - 1, 0), min(nearest + 1, len(run.time) - 1)
@@ -166,9 +182,14 @@ def _configuration(system: Relative, run: Trajectory, time: float) -> Array:
         return q
 
 
-def _closer(scene: Scene, outputs: int) -> Trajectory:
-    """Repeat a run with closer outputs, as far as it comes."""
-    factor = max(1, min(CLOSER, MOST_CLOSER // outputs))
+def _repeat_with_closer_outputs(scene: Scene, outputs: int) -> Trajectory:
+    """Simulate a scene again with closer outputs; the run is partial if it stops.
+
+    Args:
+        scene: the scene.
+        outputs: number of outputs of the original run.
+    """
+    factor = max(1, min(REFINEMENT, MAX_REFINED_OUTPUTS // outputs))
     finer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset(["velocities"]))
     try:
         return simulate(finer, **native_method(finer, refined=False))
@@ -178,8 +199,11 @@ def _closer(scene: Scene, outputs: int) -> Trajectory:
         return error.partial
 
 
-def _vertex(times: Array, values: Sequence[float]) -> float:
-    """Compute the time of the vertex of the parabola through three squares, within the three times."""
+def _time_of_minimum(times: Array, values: Sequence[float]) -> float:
+    """Compute the time, s, of the minimum of the parabola through three squared values.
+
+    The result is limited to the interval of the three times. It is the middle time if there is no minimum.
+    """
     a, b, _ = np.polyfit(times - times[1], np.square(values), 2)
     if a <= 0.0:
         return float(times[1])

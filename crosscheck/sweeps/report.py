@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crosscheck.compare.activity import MOST_ACTING, what_acted
+from crosscheck.compare.activity import MAX_NAMED, what_acted
 from crosscheck.report.outcome import Outcome
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
@@ -145,9 +145,9 @@ class Findings:
         names = list(dict.fromkeys(what_acted(entry) for each in self.checked for entry in each.acting))
         if not names:
             return ""
-        more = f" and {len(names) - MOST_ACTING} more" if len(names) > MOST_ACTING else ""
+        more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
         runs = sum(bool(each.acting) for each in self.checked)
-        return f"not simulated: {', '.join(names[:MOST_ACTING])}{more}, in {runs} of {len(self.checked)} runs"
+        return f"not simulated: {', '.join(names[:MAX_NAMED])}{more}, in {runs} of {len(self.checked)} runs"
 
     @cached_property
     def notes(self) -> list[str]:

@@ -97,7 +97,7 @@ def test_coarse_outputs_alone_invent_no_passage(monkeypatch):
     scene = near_miss(1e-3, 3.64, 0.13)
     motion = simulate(scene)
     monkeypatch.setattr(
-        "crosscheck.compare.singularity._closer", lambda *_: motion.first(1)
+        "crosscheck.compare.singularity._repeat_with_closer_outputs", lambda *_: motion.first(1)
     )  # it stops at once
     assert find_singular_configurations(scene, motion) is None
 
@@ -123,7 +123,7 @@ def test_a_start_in_one_is_in_the_default_output(tmp_path, monkeypatch, capsys):
 def test_a_mechanism_that_is_too_large_to_search_is_named_as_such(tmp_path, monkeypatch, capsys):
     """Two independent constraints of three velocities."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("crosscheck.compare.singularity.MOST_ELEMENTS", 5)
+    monkeypatch.setattr("crosscheck.compare.singularity.MAX_JACOBIAN_ELEMENTS", 5)
     (tmp_path / "flat.xml").write_text(FLAT.format(length=0.1))
     status, out, _ = run(capsys, "run", "flat.xml", "--set", "duration=0.1", "--set", "key=qpos0")
     (line,) = (each for each in " ".join(out.split()).split("searching singular configurations: ")[1:])

@@ -144,7 +144,7 @@ def differences(states: SharedStates) -> Iterator[Difference]:
     yield Difference("inertia, rel", np.array(inertias), ROUND_OFF, names, of_bodies("inertia", "kg m^2"))
     if joints := [aligned.joint_names.get(name, name) for name in aligned.both[1].mechanism.joint_names]:
         lengths, angles, freedoms = joint_differences(states)
-        share = round_off(states.condition, states.noise) + states.condition * states.opening
+        share = round_off(states.condition, states.noise) + states.condition * states.closure_error
         far = max(reach(first, state.position) for state in states.all)
         of_axes, of_points = (lambda k: _axes(aligned, joints[k])), (lambda k: _points(aligned, joints[k]))
         yield Difference("joint constraint violation, rad", angles, share, joints, of_axes)

@@ -36,7 +36,7 @@ def test_a_displaced_joint_parts_motions_by_what_it_does_not_carry(chain):
     joints = [element for element in elements(scene) if element.displaced is not None]
     assert len(joints) == 4
     for element in joints:
-        least, most = loads.parting(element.displaced)
+        least, most = loads.motion_change(element.displaced)
         assert 1e-5 < least < parted(chain, element) < most, element.name
 
 
@@ -45,7 +45,7 @@ def test_a_body_parts_motions_by_its_share(chain):
     bodies = [element for element in elements(scene) if element.body is not None]
     assert len(bodies) == 8
     for element in bodies:
-        least = loads.share_of_body(*element.body, CHANGE, 1.0, np.inf)
+        least = loads.body_effect(*element.body, CHANGE, 1.0, np.inf)
         assert 1e-6 < least < parted(chain, element), element.name
 
 
@@ -57,4 +57,4 @@ def test_a_joint_of_a_loop_parts_by_nothing_for_certain():
     loads = JointLoads(scene, [(0.0, state), (0.1, state)])
     joints = [element.displaced for element in elements(scene) if element.displaced is not None]
     assert joints
-    assert all(loads.parting(joint)[0] == 0.0 for joint in joints)
+    assert all(loads.motion_change(joint)[0] == 0.0 for joint in joints)
