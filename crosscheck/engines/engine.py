@@ -1,4 +1,12 @@
-"""Registry of the engines: how each one simulates a scene, and how accurate its runs are expected to be."""
+"""Registry of the engines: how each one simulates a scene, and how accurate its runs are expected to be.
+
+An `Engine` bundles the functions of one simulator; `ENGINES` has newton_euler, MuJoCo and Pinocchio by name.
+This file also chooses the settings of each run: integrator, tolerances and step. newton_euler and Pinocchio
+are integrated with adaptive steps (DOP853, or Radau for stiff scenes), MuJoCo with a fixed step.
+
+A refined run has half the step or a hundred times tighter tolerances; its difference from the usual run
+measures the integration error.
+"""
 
 from __future__ import annotations
 
@@ -27,59 +35,68 @@ EXACT_RTOL, EXACT_ATOL = 1e-13, 1e-15
 """Tolerances of runs for reference values of twelve digits; tighter ones only add round-off."""
 
 MIN_MUJOCO_STEPS = 500
-"""Smallest number of steps of a run in MuJoCo. Steps of 1 ms are too long for a machine that reaches 1000
-rad/s after 50 ms."""
+"""Smallest number of steps of a run in MuJoCo, for short runs of fast machines: MuJoCo's default step of 1 ms
+is
+too long for a machine that reaches 1000 rad/s after 50 ms."""
 
 MAX_HALVINGS = 4
-"""Largest number of halvings of MuJoCo's step if a run diverges. After them `IMPLICIT`, a method of order 1,
-runs at the smallest step."""
+"""Largest number of halvings of MuJoCo's step if a run diverges. If it still diverges, `IMPLICIT` is used
+with
+the smallest step."""
 
 MAX_RK4_STEPS = 100_000
-"""Largest number of steps of MuJoCo's RK4 that stability or accuracy may ask for; they take some seconds. If
-the stability of stiff dampers, which are explicit in RK4, asks for more, `IMPLICIT` is used instead."""
+"""Largest number of steps of MuJoCo's RK4, which take some seconds. If stability would require more steps,
+for
+example because of stiff dampers, `IMPLICIT` is used instead."""
 
 IMPLICIT: Final = "implicitfast"
+"""Name of MuJoCo's implicit integrator, a method of order 1."""
 
-NATIVE_STEP_BUDGET, PYTHON_STEP_BUDGET = 100_000, 60
-"""Largest numbers of steps that DOP853 may need for stability; beyond them Radau runs instead, see
-`crosscheck.engines.stiffness`. In native code so many steps take some seconds. If Python evaluates the
-equations, so many steps (or one per output, if there are more outputs) cost about as much as Radau. DOP853
-took 4 to 7 times as many steps on damped trackers and servo-driven arms, with 13 evaluations each. Radau took
-500 to 900 steps for a second of an arm's motion, with 7 evaluations each."""
+NATIVE_STEP_BUDGET = 100_000
+"""Largest number of steps that DOP853 may need for stability in native code, which take some seconds. If it
+needs more, Radau is used, see `crosscheck.engines.stiffness`."""
+
+PYTHON_STEP_BUDGET = 60
+"""The same number if Python evaluates the equations. The budget is at least one step per output.
+
+With so many steps DOP853 costs about as much as Radau. DOP853 took 4 to 7 times as many steps on damped
+trackers and servo-driven arms, with 13 evaluations each. Radau took 500 to 900 steps for a second of an arm's
+motion, with 7 evaluations each."""
 
 NATIVE_MAX_STEPS, PYTHON_MAX_STEPS = 200_000, 10_000
-"""Largest numbers of steps of an adaptive run, which otherwise could last for hours."""
+"""Largest numbers of steps of adaptive runs in native code and in Python, so that none lasts for hours."""
 
 STIFF_RTOL, STIFF_ATOL = 1e-8, 1e-10
-"""Tolerances of Radau. Since its order is 5, tolerances a hundred times tighter need ten times as many
+"""Tolerances of Radau, a method of order 5: a hundred times tighter tolerances need about ten times as many
 steps."""
 
 STIFF_REFINEMENT = 0.1
 """Factor on the tolerances of Radau in refined runs."""
 
 LOOSER_TOLERANCE_FACTOR = 5.0
-"""Factor on the tolerances if a refined run in Python stops: accelerations of nearly singular loops and of
-stiff machines have too few digits for tighter tolerances."""
+"""Factor on the tolerances of a refined run in Python that stops. Accelerations of nearly singular loops and
+of
+stiff machines may have too few accurate digits for the usual tolerances of refined runs."""
 
 
 @dataclass(frozen=True)
 class Engine:
-    """An engine.
+    """A simulator, with the functions that comparisons need and its expected errors.
 
     Attributes:
         name: name in files and options.
-        simulate: simulates a scene at crosscheck's default settings for the engine.
-        refined: simulates a scene at half the step or a hundredth of the tolerance. The change measures
-            errors that exceed the three expected errors below.
-        systems: returns the equations of motion with rigid constraints, for the levels before trajectories.
-        trajectory_error: expected error of a run, relative to the mechanism's reach and in rad.
-        drift: expected constraint violation of a run, relative to the mechanism's reach and in rad.
+        simulate: simulates a scene with crosscheck's default settings for the engine.
+        refined: simulates a scene with half the step or a hundredth of the tolerance.
+        systems: returns the engine's equations of motion with rigid constraints, one per formulation.
+        trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad.
+        drift: expected constraint violation, relative to the mechanism's reach (lengths) or in rad.
         energy_error: expected energy balance error, relative to the largest energy.
-        package: name of the engine's package, whose version is recorded.
-        exact: simulates a scene as accurately as possible, for reference values; `refined` if None.
+        package: name of the engine's Python package, whose version is recorded.
+        exact: simulates a scene as accurately as possible, for reference values; `refined` is used if None.
         evaluate_soft_constraints: evaluates the initial state with the engine's soft constraints; None if its
             constraints are rigid.
-        refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` if None.
+        refined_in_full: as `refined`, but always with reactions and actuator forces; `refined` is used if
+            None.
     """
 
     name: str
@@ -96,29 +113,40 @@ class Engine:
 
 
 def native_method(scene: Scene, refined: bool) -> dict[str, Any]:
-    """Choose integrator, tolerances and largest number of steps for runs in native code."""
+    """Choose the options of `newton_euler.simulate` for a scene: integrator, tolerances and number of steps.
+
+    Args:
+        scene: the scene.
+        refined: True for a refined run.
+    """
     return {"most_steps": NATIVE_MAX_STEPS} | _by_stiffness(scene, NATIVE_STEP_BUDGET, refined)
 
 
 def python_method(scene: Scene, refined: bool) -> dict[str, Any]:
-    """Choose integrator, tolerances and largest number of steps for runs whose equations Python evaluates."""
+    """Choose the same options as `native_method` for runs whose equations are evaluated in Python."""
     steps = max(PYTHON_STEP_BUDGET, len(scene.times))
     return {"most_steps": PYTHON_MAX_STEPS} | _by_stiffness(scene, steps, refined)
 
 
 def _by_stiffness(scene: Scene, stability_steps: int, refined: bool) -> dict[str, Any]:
-    """Choose Radau if the stability of DOP853 needs more than `stability_steps` steps, and the tolerances."""
+    """Choose integrator and tolerances: Radau if stability requires more DOP853 steps than allowed.
+
+    Args:
+        scene: the scene.
+        stability_steps: largest number of DOP853 steps that stability may require.
+        refined: True for a refined run.
+    """
     from crosscheck.engines.stiffness import explicit_steps
 
     if explicit_steps(scene) > stability_steps:
-        share = STIFF_REFINEMENT if refined else 1.0
-        return {"integrator": "Radau", "rtol": share * STIFF_RTOL, "atol": share * STIFF_ATOL}
+        factor = STIFF_REFINEMENT if refined else 1.0
+        return {"integrator": "Radau", "rtol": factor * STIFF_RTOL, "atol": factor * STIFF_ATOL}
     return {"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {}
 
 
 @lru_cache(maxsize=1)
 def native_run(scene: Scene) -> Trajectory:
-    """Simulate a scene in newton_euler; the last run is cached, since several comparisons use it."""
+    """Simulate a scene in newton_euler with default settings; the last run is cached for other uses."""
     from newton_euler import simulate
 
     return simulate(scene, **native_method(scene, refined=False))
@@ -133,19 +161,21 @@ def native_refined(scene: Scene) -> Trajectory:
 
 
 def _newton_euler_exact(scene: Scene) -> Trajectory:
+    """Simulate a scene in newton_euler at the tightest useful tolerances."""
     from newton_euler import simulate
 
     return simulate(scene, rtol=EXACT_RTOL, atol=EXACT_ATOL)
 
 
 def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
+    """Return newton_euler's equations of motion in all formulations."""
     from newton_euler.compiled.formulations import FORMULATIONS, formulate
 
     return tuple(formulate(scene, name) for name in FORMULATIONS)
 
 
-def _way(scene: Scene) -> Trajectory | None:
-    """Return newton_euler's run, or its part before it stopped: the expected path of other engines."""
+def _expected_run(scene: Scene) -> Trajectory | None:
+    """Return newton_euler's run, partial if it stopped; MuJoCo's step is chosen along this run."""
     try:
         return native_run(scene)
     except StoppedError as error:
@@ -170,17 +200,17 @@ def _mujoco_run(scene: Scene) -> Trajectory:
     from mjcf.errors import DivergenceError
     from mjcf.simulate import default_timestep
 
-    # The candidate steps
+    # The candidate steps: the default step, divided by whole numbers. 1 - 1e-9 allows for round-off of `ceil`
     step = default_timestep(scene)
     step /= max(1.0, np.ceil(MIN_MUJOCO_STEPS * step / scene.duration * (1.0 - 1e-9)))
-    way = _way(scene)
-    modes = modes_of_run(scene, way)
+    expected = _expected_run(scene)
+    modes = modes_of_run(scene, expected)
     halvings = max(MAX_HALVINGS, int(np.log2(max(1.0, MAX_RK4_STEPS * step / scene.duration))))
     steps = [step * 0.5**k for k in range(halvings + 1)]
     # The first stable step at which RK4 does not diverge; else the implicit method
     for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: MAX_HALVINGS + 1]:
         with suppress(DivergenceError):
-            return _resolved(scene, mjcf.simulate(scene, timestep=tried), way)
+            return _halve_until_accurate(scene, mjcf.simulate(scene, timestep=tried), expected)
     try:
         return mjcf.simulate(scene, timestep=steps[MAX_HALVINGS], integrator=IMPLICIT)
     except DivergenceError as error:
@@ -197,15 +227,21 @@ def _mujoco_run(scene: Scene) -> Trajectory:
         raise cause from error
 
 
-def _resolved(scene: Scene, run: Trajectory, way: Trajectory | None) -> Trajectory:
-    """Halve the step of MuJoCo's RK4 while the run is far from `way` and each half changes it as much."""
+def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | None) -> Trajectory:
+    """Halve the step of MuJoCo's RK4 while its run is far from the expected run and halving changes it.
+
+    Args:
+        scene: the scene.
+        run: MuJoCo's run.
+        expected: newton_euler's run; `run` is returned unchanged if it is missing or partial.
+    """
     import mjcf
     from mjcf.errors import DivergenceError
 
-    if way is None or len(way.time) != len(run.time):
+    if expected is None or len(expected.time) != len(run.time):
         return run
     size = scene.mechanism.size
-    while distance(run, way, length=size) > UNRESOLVED:
+    while distance(run, expected, length=size) > UNRESOLVED:
         half = 0.5 * run.settings["timestep"]
         if scene.duration > half * MAX_RK4_STEPS:
             break
@@ -220,29 +256,34 @@ def _resolved(scene: Scene, run: Trajectory, way: Trajectory | None) -> Trajecto
 
 
 def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:
+    """Simulate a scene in MuJoCo with half the step; `in_full` also with reactions and actuator forces."""
     import mjcf
 
     settings = _mujoco_run(scene).settings
     step, integrator = 0.5 * settings["timestep"], settings["integrator"]
-    wanted = scene if in_full else _motion_of(scene)
+    wanted = scene if in_full else _without_forces(scene)
     return mjcf.simulate(wanted, timestep=step, integrator=integrator)
 
 
-def _motion_of(scene: Scene) -> Scene:
-    """Return the scene without reactions and actuator forces, which refined runs need for reference values
-    only."""
+def _without_forces(scene: Scene) -> Scene:
+    """Return the scene without the outputs of reactions and actuator forces.
+
+    Comparisons do not need them in refined runs, except for scenes of the library with reference values.
+    """
     if scene.name in REFERENCE_QUANTITIES:
         return scene
     return replace(scene, outputs=scene.outputs - {"reactions", "actuation"})
 
 
 def _mujoco_systems(scene: Scene) -> tuple[System, ...]:
+    """Return MuJoCo's equations of motion with rigid constraints."""
     from mjcf.rigid import RigidMuJoCo
 
     return (RigidMuJoCo(scene),)
 
 
 def _mujoco_soft(scene: Scene) -> Evaluation:
+    """Evaluate the initial state of a scene with MuJoCo's soft constraints."""
     from mjcf.soft import SoftMuJoCo
 
     soft = SoftMuJoCo(scene)
@@ -250,15 +291,17 @@ def _mujoco_soft(scene: Scene) -> Evaluation:
 
 
 def _pinocchio_run(scene: Scene) -> Trajectory:
+    """Simulate a scene in Pinocchio with default settings."""
     import urdf
 
     return urdf.simulate(scene, **python_method(scene, refined=False))
 
 
 def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
+    """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops."""
     import urdf
 
-    wanted = scene if in_full else _motion_of(scene)
+    wanted = scene if in_full else _without_forces(scene)
     method = python_method(scene, refined=True)
     try:
         return urdf.simulate(wanted, **method)
@@ -268,11 +311,13 @@ def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
+    """Return Pinocchio's equations of motion."""
     from urdf.dynamics import PinocchioSystem
 
     return (PinocchioSystem(scene),)
 
 
+# The registry. Where errors depend on the mechanism, refined runs measure them
 ENGINES: dict[str, Engine] = {
     engine.name: engine
     for engine in (
@@ -288,8 +333,8 @@ ENGINES: dict[str, Engine] = {
             package="numpy",
             exact=_newton_euler_exact,
         ),
-        # RK4 at a fixed step; its constraints are springs with a time constant of two steps, and what
-        # that does to a run depends on the mechanism
+        # RK4 at a fixed step; its constraints are springs with a time constant of two steps, whose effect on
+        # a run depends on the mechanism
         Engine(
             "mujoco",
             _mujoco_run,
@@ -302,7 +347,7 @@ ENGINES: dict[str, Engine] = {
             evaluate_soft_constraints=_mujoco_soft,
             refined_in_full=partial(_mujoco_refined, in_full=True),
         ),
-        # as newton_euler, from Python
+        # As newton_euler, with equations evaluated in Python
         Engine(
             "pinocchio",
             _pinocchio_run,

@@ -1,4 +1,7 @@
-"""Runs of all engines: each engine is tried even if another one fails, and failures are collected."""
+"""Runs of all engines: every engine simulates the scene even if another engine fails; failures are collected.
+
+In: a scene and engines. Out: the run of each engine, and a `Stop` with the reason for each failure.
+"""
 
 from __future__ import annotations
 
@@ -45,17 +48,22 @@ class Stop:
 
 
 def stops_text(stops: Iterable[Stop]) -> str:
-    """Report the parts that did not complete; parts with the same reason are grouped."""
-    parts = dict[str, list[str]]()
+    """Format the parts that did not complete, with their reasons; parts with the same reason are grouped."""
+    parts_by_reason = dict[str, list[str]]()
     for stop in stops:
-        parts.setdefault(stop.reason, []).append(stop.what)
-    return "; ".join(f"{', '.join(whats)}: {reason}" for reason, whats in parts.items())
+        parts_by_reason.setdefault(stop.reason, []).append(stop.what)
+    return "; ".join(f"{', '.join(parts)}: {reason}" for reason, parts in parts_by_reason.items())
 
 
 def run_engines(
     scene: Scene, engines: Sequence[Engine], progress: Callable[[str], None]
 ) -> tuple[dict[str, Trajectory], list[Stop]]:
     """Simulate a scene in all engines.
+
+    Args:
+        scene: the scene.
+        engines: engines that can represent the scene.
+        progress: shows a message to the user before each run.
 
     Returns:
         The run of each engine (partial if the engine stopped), and a `Stop` for each engine that stopped.
@@ -81,7 +89,12 @@ def run_engines(
 
 @contextmanager
 def collecting_errors(what: str, stops: list[Stop]) -> Iterator[None]:
-    """Convert an error of the block into one of the `stops`."""
+    """Convert an error of the block into a `Stop`, and append it to `stops`.
+
+    Args:
+        what: name of the part of the crosscheck that the block executes.
+        stops: list that is appended to.
+    """
     try:
         yield
     except Exception as error:  # results of other parts are kept whatever the error is
@@ -89,8 +102,7 @@ def collecting_errors(what: str, stops: list[Stop]) -> Iterator[None]:
 
 
 def _check_finite(scene: Scene, run: Trajectory) -> None:
-    """Raise `IntegrationError` for a run with values that are not finite, with the partial run before
-    them."""
+    """Raise `IntegrationError`, with the partial run, at the first value that is not finite."""
     arrays = {name: values for name, values in run.arrays().items() if values.dtype.kind == "f"}
     try:
         check_finite(scene.times, arrays)

@@ -1,10 +1,11 @@
-"""Method and step for a scene, by how fast its motions die out or swing.
+"""Stiffness of a scene: eigenvalues of its linearized motions, and the steps that they require.
 
-An explicit method is stable as long as its step times the fastest rate of decay stays below a number of its
-own, 6.3 for DOP853 (measured on models with damped joints of little inertia, whose runs take just as many
-steps as that says). Above some number of such steps the implicit Radau is quicker, though each of its steps
-needs a Jacobian. A fixed step cannot adapt: RK4's has to be stable everywhere on the way, by its stability
-function. E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, section IV.2.
+An explicit method is stable while step x fastest decay rate stays below a number. For DOP853 that number is
+6.3, measured on models with damped joints of little inertia. If this requires many steps, the implicit method
+Radau is faster, although each of its steps needs a Jacobian. The fixed step of RK4 must be stable along the
+whole run, by the stability function of RK4. `engine.py` uses both results to choose methods and steps.
+
+E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, section IV.2.
 """
 
 from __future__ import annotations
@@ -23,45 +24,51 @@ from newton_euler.runs.simulate import compile_scene
 from newton_euler.scalars import Array
 
 DOP853_STABILITY = 6.3
-"""Largest stable product of DOP853's step and a rate of decay."""
+"""Largest stable product of DOP853's step, s, and a decay rate, 1/s."""
 
 DIFFERENCE_STEP = 1e-7
-"""Relative step of numerical differentiation, and in m, rad and their rates."""
+"""Step of numerical differentiation: relative to a coordinate or velocity, or absolute if that is below 1."""
 
 EXTREME_EIGENVALUES = 12
 """Number of eigenvalues of largest magnitude that are computed for large scenes; they decide on stability."""
 
 MAX_RESTARTS = 30
-"""Largest number of restarts of their iteration; eigenvalues that have not converged are ignored."""
+"""Largest number of restarts of Arnoldi's iteration; eigenvalues that have not converged are ignored."""
 
 EXAMINED_STATES = 8
-"""Number of states of a run, evenly spread, whose motions are examined."""
+"""Number of states of a run, evenly distributed, at which eigenvalues are computed."""
 
 MAX_DENSE_SIZE = 150
-"""Largest number of coordinates and velocities of scenes whose eigenvalues are all computed, within a
-second."""
+"""Largest number of coordinates and velocities for which all eigenvalues are computed, within a second."""
 
 MAX_GROWTH = 100.0
-"""Largest exponent of the growth of a motion in one step; a larger one is not a question of stability."""
+"""Upper limit of the exponent of physical growth in one step, so that the exponential does not overflow."""
 
 GROWTH_ROUND_OFF = 1e-6
-"""Growth in one step that is round-off, since numerical derivatives have half of the digits."""
+"""Relative growth in one step that is round-off: numerical derivatives have half of the digits."""
 
 
 def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
-    """Eigenvalues, 1/s, of the motions of a scene linearized at times, s, and states; of all together.
+    """Compute eigenvalues, 1/s, of the motions of a scene, linearized at some states.
 
-    Of the derivative of (qdot, vdot) by (q, v), taken by central differences of the compiled equations, which
-    costs next to nothing: all eigenvalues of `MAX_DENSE_SIZE` coordinates and velocities, of more the
-        `EXTREME_EIGENVALUES` ones.
-    None where it cannot be told: differences say nothing near a singularity.
+    The matrix is the derivative of (qdot, vdot) with respect to (q, v), by central differences of the
+    compiled equations. If it has more than `MAX_DENSE_SIZE` rows, only the `EXTREME_EIGENVALUES` largest
+    eigenvalues are computed. States near a singular configuration are skipped, because differences are
+    inaccurate there.
+
+    Args:
+        scene: the scene.
+        states: times, s, and states.
+
+    Returns:
+        The eigenvalues at all states in one complex array; empty if all states are skipped.
     """
     compiled = compile_scene(scene)
     derivative, n = compiled.function("derivative"), compiled.size
     found: list[Array] = []
     for time, state in states:
         x = compiled.packed(*compiled.system.coordinates(state), time)
-        if not derivative(x)[-1] > NEAR_PIVOT_RATIO:
+        if not derivative(x)[-1] > NEAR_PIVOT_RATIO:  # the last output is the pivot ratio
             continue
         units = np.maximum(1.0, np.abs(x[:n]))
 
@@ -93,24 +100,29 @@ def _extreme_eigenvalues(product: Callable[[Array], Array], n: int) -> Array:
         values = eigs(matrix, EXTREME_EIGENVALUES, v0=start, maxiter=MAX_RESTARTS, return_eigenvectors=False)
     except ArpackNoConvergence as error:
         values = error.eigenvalues
-    except ArpackError:  # of numbers that are not finite
+    except ArpackError:  # the matrix is not finite
         return np.zeros(0)
     return values[np.isfinite(values)]
 
 
 @lru_cache(maxsize=1)
 def fastest_decay(scene: Scene) -> float:
-    """The fastest rate, 1/s, at which motions of a scene die out at its start; 0 where it cannot be told."""
+    """Return the fastest decay rate, 1/s, of the motions at the start of a scene; 0 if it is not known."""
     return max(0.0, -float(np.min(modes(scene, [(0.0, initial_state(scene))]).real, initial=0.0)))
 
 
 def explicit_steps(scene: Scene) -> float:
-    """Count the steps that stability alone would cost DOP853 over a scene's duration."""
+    """Return the number of steps that DOP853 needs for stability over the duration of a scene."""
     return fastest_decay(scene) * scene.duration / DOP853_STABILITY
 
 
 def modes_of_run(scene: Scene, run: Trajectory | None) -> Array:
-    """Eigenvalues, 1/s, of the motions at the start and along a run, see `modes`."""
+    """Compute eigenvalues, 1/s, of the motions at the start and along a run, see `modes`.
+
+    Args:
+        scene: the scene.
+        run: run of the scene, with velocities; None for the start only.
+    """
     states = [(0.0, initial_state(scene))]
     if run is not None and run.linear_velocity is not None:
         rows = np.unique(np.linspace(0, len(run.time) - 1, EXAMINED_STATES).round().astype(int))
@@ -119,8 +131,14 @@ def modes_of_run(scene: Scene, run: Trajectory | None) -> Array:
 
 
 def is_stable_in_rk4(modes: Array, step: float) -> bool:
-    """True if no motion grows faster in RK4 at a step, s, than it does."""
+    """Return True if RK4 is stable at a step, s: no motion grows faster numerically than physically.
+
+    Args:
+        modes: eigenvalues, 1/s, see `modes`.
+        step: step, s.
+    """
     z = step * modes
+    # The stability function of RK4: numerical growth per step
     growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
-    # an undamped motion's real part is round-off of either sign
+    # Physical growth is at least 1: the real part of an undamped motion may be round-off below 0
     return bool(np.all(np.abs(growth) <= (1.0 + GROWTH_ROUND_OFF) * np.exp(np.clip(z.real, 0.0, MAX_GROWTH))))
