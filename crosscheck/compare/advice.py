@@ -1,15 +1,17 @@
-"""Advice on a crosscheck: MuJoCo's step and softness for an error, and which joints make reactions unique.
+"""Advice on a crosscheck: MuJoCo's step for a wanted error, and joints without redundant constraints.
 
-A planar loop of four hinges, built in space, has three rows too many: what they hold is held already. With
-a ball in place of one hinge and a cylindrical joint in place of another, nothing is held twice and the
-motion is the same.
+In: the runs and checks of a crosscheck. Out: sentences of advice.
+
+Redundant constraints leave joint reactions undetermined. A planar four-bar linkage with four parallel hinges,
+for example, has three redundant constraints in space. With a ball joint in place of one hinge and a
+cylindrical joint in place of another, no constraint is redundant and the motion is the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +32,8 @@ from newton_euler.model.trajectory import Trajectory, distance
 from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
 
-WANTED = 1e-6
-"""m and rad, the error that advice is for."""
+WANTED_ERROR = 1e-6
+"""Error of a run, m and rad, that the advised step of MuJoCo is for."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,8 @@ class Advice:
     """One piece of advice.
 
     Attributes:
-        topic: "mujoco", "softness" or "redundancy".
-        text: a sentence or two with the numbers that it is made of.
+        topic: "mujoco" (its step), "softness" (of its constraints) or "redundancy" (of constraints).
+        text: one or two sentences, with the measured numbers.
     """
 
     topic: str
@@ -53,15 +55,15 @@ class Advice:
 def advise(
     scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Check]
 ) -> tuple[Advice, ...]:
-    """Give advice on what was measured; none where nothing is to be done.
+    """Give advice on MuJoCo's settings and on redundant constraints; empty if there is none.
 
-    Runs in which nothing moves are no ground for any: what they are off says nothing about a motion.
+    Runs in which nothing moves give no advice on settings, since their errors do not represent a motion.
 
     Args:
-        scene: what was run.
-        engines: that ran.
-        runs: by engine.
-        rows: the compared figures.
+        scene: scene that was simulated.
+        engines: engines that were compared.
+        runs: runs by engine.
+        rows: all checks.
     """
     moving = not nothing_moves_in_rigid_runs(scene, engines, runs)
     of_runs = soft_advice(scene, engines, runs, rows) if moving else ()
@@ -71,96 +73,116 @@ def advise(
 # MuJoCo's step and softness
 
 NAME = "mujoco"
+"""Name of the engine that the advice is on."""
 
 MAX_EXTRAPOLATION = 4.0
-"""Largest ratio of an advised step to the longer of two measured steps; a measured order holds only
-nearby."""
+"""Largest ratio of an advised step to the step of the run: a measured order is valid near that step only."""
 
 PLAUSIBLE_ORDERS = (0.5, 4.5)
-"""Range of measured orders that are used for advice."""
+"""Range of measured orders of convergence that are used for advice."""
 
 STEP_MARGIN = 0.9
-"""Factor on the advised step, since the order is not measured exactly."""
+"""Safety factor on the advised step, since the measured order is not exact."""
 
 
 def soft_advice(
     scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Check]
 ) -> Iterator[Advice]:
-    """Advise on MuJoCo's step and constraint softness, if MuJoCo ran together with an engine of rigid
-    constraints.
+    """Advise on MuJoCo's step and on the softness of its constraints.
 
-    MuJoCo's error is the distance to the closest other run. Softness is mentioned only if the scene has
-    constraints.
+    There is no advice without a run of another engine, or if the equations of the engines differ. MuJoCo's
+    error is the distance to the closest other run. Softness is mentioned if trajectories differ and the scene
+    has soft constraints in MuJoCo.
+
+    Args:
+        scene, engines, runs, rows: see `advise`.
     """
-    before = [row for row in rows if not row.level.startswith(("trajectories", "drift", "energy"))]
-    if NAME not in runs or len(runs) < 2 or not before or not all(row.agrees for row in before):
+    of_equations = [row for row in rows if not row.level.startswith(("trajectories", "drift", "energy"))]
+    if NAME not in runs or len(runs) < 2 or not of_equations:
         return
+    if not all(row.agrees for row in of_equations):
+        return
+    # MuJoCo's error at its step, and at half the step
     errors = {name: distance(runs[NAME], run) for name, run in runs.items() if name != NAME}
     other = min(errors, key=lambda name: errors[name])
     engine = next(engine for engine in engines if engine.name == NAME)
     try:
-        error, finer = errors[other], distance(engine.refined(scene), runs[other])
+        error, refined_error = errors[other], distance(engine.refined(scene), runs[other])
     except NewtonEulerError:
         return
-    if min(error, finer) == 0.0:
+    if min(error, refined_error) == 0.0:
         return
-    apart = any(row.level == "trajectories" and NAME in row.between and not row.agrees for row in rows)
-    if apart and has_equalities(scene):
+    differ = any(row.level == "trajectories" and NAME in row.between and not row.agrees for row in rows)
+    if differ and has_equalities(scene):
         yield Advice(
             "softness",
             "MuJoCo's constraints are soft, the model is the same: made rigid they agree in all that was "
             f"compared before the runs, and half the step takes MuJoCo's distance to {other} from "
-            f"{error:.2g} to {finer:.2g} (m, rad)",
+            f"{error:.2g} to {refined_error:.2g} (m, rad)",
         )
-    yield _step_advice(scene, runs, error, finer)
+    yield _step_advice(scene, runs, error, refined_error)
 
 
-def _step_advice(scene: Scene, runs: Mapping[str, Trajectory], error: float, finer: float) -> Advice:
-    """The step for the wanted error, by errors at the step that was taken and at half of it."""
+def _step_advice(scene: Scene, runs: Mapping[str, Trajectory], error: float, refined_error: float) -> Advice:
+    """Advise the step of MuJoCo for `WANTED_ERROR`, extrapolated from two measured errors.
+
+    Args:
+        scene: the scene.
+        runs: runs by engine, with MuJoCo's.
+        error: MuJoCo's error at the step of its run, m or rad.
+        refined_error: MuJoCo's error at half the step, m or rad.
+    """
+    # The order of convergence
     settings = runs[NAME].settings
-    step, order = float(settings["timestep"]), float(np.log2(error / finer))
-    measured = f"at {step:.4g} s it is {error:.2g}, at half of that {finer:.2g}, an order of {order:.2g}"
+    step, order = float(settings["timestep"]), float(np.log2(error / refined_error))
+    measured = (
+        f"at {step:.4g} s it is {error:.2g}, at half of that {refined_error:.2g}, an order of {order:.2g}"
+    )
     if not PLAUSIBLE_ORDERS[0] <= order <= PLAUSIBLE_ORDERS[1]:
         return Advice(NAME, f"its error does not follow its step, so that none can be advised: {measured}")
-    wanted = STEP_MARGIN * step * (WANTED / error) ** (1.0 / order)
-    wanted = fitting(scene, min(wanted, MAX_EXTRAPOLATION * step))
-    if wanted > step and settings["integrator"] == "RK4":
+    # The step, rounded to a decimal number and checked for stability
+    advised = STEP_MARGIN * step * (WANTED_ERROR / error) ** (1.0 / order)
+    advised = rounded_step(scene, min(advised, MAX_EXTRAPOLATION * step))
+    if advised > step and settings["integrator"] == "RK4":
         modes = modes_of_run(scene, runs.get("newton_euler"))
-        wanted = wanted if is_stable_in_rk4(modes, wanted) else step
-    relation = "is enough for" if wanted >= step else "is needed for"
-    held = ""
+        advised = advised if is_stable_in_rk4(modes, advised) else step
+    # The sentence; with settings of constraints, since MuJoCo's default ones are much softer
+    relation = "is enough for" if advised >= step else "is needed for"
+    constraints = ""
     if has_equalities(scene):
-        solimp = " ".join(f"{value:g}" for value in settings["solimp"])  # MuJoCo's default gives way far more
-        held = f', solref "{2.0 * wanted:.12g} 1" and solimp "{solimp}" of all equalities'
+        solimp = " ".join(f"{value:g}" for value in settings["solimp"])
+        constraints = f', solref "{2.0 * advised:.12g} 1" and solimp "{solimp}" of all equalities'
     return Advice(
         NAME,
-        f"{settings['integrator']} with timestep {wanted:.12g} s{held} {relation} an error of {WANTED:g} "
-        f"(m, rad): {measured}",
+        f"{settings['integrator']} with timestep {advised:.12g} s{constraints} {relation} an error of "
+        f"{WANTED_ERROR:g} (m, rad): {measured}",
     )
 
 
 def has_equalities(scene: Scene) -> bool:
-    """True if MuJoCo has soft constraints in a scene: loops, gears, screws or prescribed motions."""
+    """Return True if a scene has soft constraints in MuJoCo: loops, gears, screws or prescribed motions."""
     return bool(SpanningTree(scene.mechanism).cuts or couplings(scene))
 
 
-def fitting(scene: Scene, step: float) -> float:
-    """The largest step, s, of at most `step` that is a whole part of the time between outputs and samples.
+def rounded_step(scene: Scene, step: float) -> float:
+    """Return the largest step, s, not above `step`, that divides the output period and can be written down.
 
-    Divided by twos and fives, so that it can be written down.
+    The period is divided by an integer that is a product of twos and fives, so the step is a short decimal
+    number. With digital control, MuJoCo's default step is divided instead.
     """
     from mjcf.simulate import default_timestep
 
     period = default_timestep(scene)
     if not scene.sampled and scene.output_period <= scene.duration:
         period = scene.output_period
-    number = max(1, int(np.ceil(period / step * (1.0 - 1e-9))))
-    while _without(_without(number, 2), 5) != 1:
+    number = max(1, int(np.ceil(period / step * (1.0 - 1e-9))))  # 1e-9 allows for round-off
+    while _without_factor(_without_factor(number, 2), 5) != 1:
         number += 1
     return period / number
 
 
-def _without(number: int, prime: int) -> int:
+def _without_factor(number: int, prime: int) -> int:
+    """Divide a number by a prime as often as possible."""
     while number % prime == 0:
         number //= prime
     return number
@@ -174,60 +196,81 @@ SOFTER: dict[str, tuple[type[Joint], ...]] = {
     "universal": (Spherical,),
     "fixed": (Spherical,),
 }
-"""Kinds that hold less, and need no direction that the joint does not have."""
+"""Kinds of joints with more freedom that can replace a joint of each kind, with the same point and axis."""
 
 MAX_CHANGED_JOINTS = 20
-"""Largest number of joints at which changes are tried, first those to which no other element refers."""
+"""Largest number of joints that are changed, beginning with joints to which no other element refers."""
 
 RANDOM_STATES = 1
-"""Number of random states, besides the initial one, at which a change is tried."""
+"""Number of random states, besides the initial one, at which redundant constraints are counted."""
+
+
+class Change(NamedTuple):
+    """A mechanism with the same motions, in which one joint is replaced or left out.
+
+    Attributes:
+        redundant: number of its redundant constraint equations.
+        text: description of the change.
+        mechanism: the changed mechanism.
+    """
+
+    redundant: int
+    text: str
+    mechanism: Mechanism
 
 
 def redundancy_advice(scene: Scene) -> Iterator[Advice]:
-    """Advise on joints that make constraints redundant, by trying joints with more freedom."""
+    """Advise which joints to replace by joints with more freedom, so that no constraint is redundant.
+
+    Joints are replaced one after the other; each time the change that leaves the fewest redundant constraints
+    is taken.
+    """
     states = [initial_state(scene), *random_states(scene, RANDOM_STATES)]
-    redundant = _redundant(scene.mechanism, states)
+    redundant = _count_redundant(scene.mechanism, states)
     if redundant == 0:
         return
-    driven = _driven(scene)
+    # Joints that may be changed: those with constraints and without couplings, unreferenced ones first
+    referenced = _referenced_joints(scene)
     coupled = {joint for coupling in couplings(scene) for joint, _ in coupling.factors}
     joints = zip(scene.mechanism.joints, scene.mechanism.equations, strict=True)
-    holding = [joint for joint, equations in joints if equations.count and joint.name not in coupled]
-    holding.sort(key=lambda joint: (joint.name in driven, joint.actuated))
-    names = [joint.name for joint in holding[:MAX_CHANGED_JOINTS]]
-    mechanism, steps, left = scene.mechanism, list[str](), redundant
+    candidates = [joint for joint, equations in joints if equations.count and joint.name not in coupled]
+    candidates.sort(key=lambda joint: (joint.name in referenced, joint.actuated))
+    names = [joint.name for joint in candidates[:MAX_CHANGED_JOINTS]]
+    # The best change, repeatedly
+    mechanism, texts, left = scene.mechanism, list[str](), redundant
     while left:
-        changes = _changes(mechanism, left, names, driven, states)
-        best = min(changes, key=lambda change: change[0], default=(left, "", mechanism))
-        if best[0] >= left:
+        changes = _changes(mechanism, left, names, referenced, states)
+        best = min(changes, key=lambda change: change.redundant, default=Change(left, "", mechanism))
+        if best.redundant >= left:
             break
-        left = best[0]
-        steps.append(best[1])
-        mechanism = best[2]
-    if not steps:
+        left = best.redundant
+        texts.append(best.text)
+        mechanism = best.mechanism
+    if not texts:
         return
-    rows = "constraint" if redundant == 1 else "constraints"
+    noun = "constraint" if redundant == 1 else "constraints"
     rest = f"then {left} of them {'is' if left == 1 else 'are'} left"
     if left == 0:
         rest = "then all reactions are determined"
     yield Advice(
         "redundancy",
-        f"{redundant} redundant {rows}; the motion is the same with {', '.join(steps)}: {rest}",
+        f"{redundant} redundant {noun}; the motion is the same with {', '.join(texts)}: {rest}",
     )
 
 
-def _redundant(mechanism: Mechanism, states: list[State]) -> int:
-    """Count the constraint rows that are redundant in all of the states."""
+def _count_redundant(mechanism: Mechanism, states: list[State]) -> int:
+    """Count the constraint equations that are redundant in all of the states."""
     scene = Scene("tried", mechanism, 1.0, 1.0)
     return min(undetermined(scene, state).shape[1] for state in states)
 
 
-def _rows(mechanism: Mechanism) -> int:
+def _count_constraints(mechanism: Mechanism) -> int:
+    """Count the constraint equations of all joints."""
     return sum(equations.count for equations in mechanism.equations)
 
 
-def _driven(scene: Scene) -> set[str]:
-    """Joints with a coordinate that a force, law, motion or armature refers to."""
+def _referenced_joints(scene: Scene) -> set[str]:
+    """Return names of joints that are actuated, or that a force, controller, motion or armature refers to."""
     named = {law.joint for law in scene.control} | {motion.joint for motion in scene.motions}
     named |= {armature.joint for armature in scene.armatures}
     named |= {str(getattr(force, "joint", "")) for force in scene.forces}
@@ -235,41 +278,52 @@ def _driven(scene: Scene) -> set[str]:
 
 
 def _changes(
-    mechanism: Mechanism, redundant: int, names: list[str], driven: set[str], states: list[State]
-) -> Iterator[tuple[int, str, Mechanism]]:
-    """Yield mechanisms with the same motions and one joint less or of another kind.
+    mechanism: Mechanism, redundant: int, names: list[str], referenced: set[str], states: list[State]
+) -> Iterator[Change]:
+    """Yield all changes of one joint that keep the motions of a mechanism.
 
-    Each with the number of its redundant rows and what was done; the given one has `redundant` rows.
+    Args:
+        mechanism: the mechanism.
+        redundant: number of its redundant constraint equations.
+        names: names of the joints that may be changed.
+        referenced: names of joints whose coordinates must be kept.
+        states: states at which redundant constraints are counted.
     """
-    rank = _rows(mechanism) - redundant
+    rank = _count_constraints(mechanism) - redundant
     joints = {joint.name: joint for joint in mechanism.joints}
     for name in names:
         if name not in joints:
             continue
         joint = joints[name]
-        for what, other in _options(joint, name in driven):
+        for text, other in _replacements(joint, name in referenced):
             changed = [other if j is joint else j for j in mechanism.joints]
             kept = [j for j in changed if j is not None]
             try:
                 tried = Mechanism(mechanism.bodies, kept, mechanism.couplings)
-                left = _redundant(tried, states)
-                if _rows(tried) - left == rank:
-                    yield left, what, tried
-            except NewtonEulerError:  # a body that nothing holds any more
+                left = _count_redundant(tried, states)
+                if _count_constraints(tried) - left == rank:
+                    yield Change(left, text, tried)
+            except NewtonEulerError:  # a body is not connected any more
                 continue
 
 
-def _options(joint: Joint, driven: bool) -> Iterator[tuple[str, Joint | None]]:
-    """List the joints that may replace a joint; one that is driven keeps its hinge or slide."""
-    if not driven:
+def _replacements(joint: Joint, referenced: bool) -> Iterator[tuple[str, Joint | None]]:
+    """Yield joints that may replace a joint, with a description; None to leave the joint out.
+
+    Args:
+        joint: the joint.
+        referenced: True if the coordinates of the joint must be kept.
+    """
+    if not referenced:
         yield f"joint {joint.name!r} left out", None
     for kind in SOFTER.get(joint.kind, ()):
-        softer = _as(joint, kind)
-        if not driven or set(joint.coordinate_kinds) <= set(softer.coordinate_kinds):
+        softer = _of_kind(joint, kind)
+        if not referenced or set(joint.coordinate_kinds) <= set(softer.coordinate_kinds):
             yield f"a {kind.kind} joint for the {joint.kind} {joint.name!r}", softer
 
 
-def _as(joint: Any, kind: type[Joint]) -> Joint:
+def _of_kind(joint: Any, kind: type[Joint]) -> Joint:
+    """Return a joint of another kind with the same name, bodies, points and axis."""
     axis = {"axis": joint.axis} if "axis" in kind.axis_names else {}
     return kind(
         joint.name, joint.first, joint.second, joint.point, point_on_second=joint.point_on_second, **axis

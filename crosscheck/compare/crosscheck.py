@@ -1,4 +1,9 @@
-"""One crosscheck: a scene through several engines, compared, written to a folder."""
+"""A crosscheck: one scene is simulated in several engines, and the engines are compared.
+
+`crosscheck` executes all stages: runs, checks, diagnosis, coverage and advice. Its result is a `Crosscheck`,
+which also has the verdict in words and a summary for JSON. The command `crosscheck run` and the Python
+function `crosscheck.check` call this module; `crosscheck/report` makes tables and pages of the result.
+"""
 
 from __future__ import annotations
 
@@ -38,15 +43,16 @@ MIN_SAMPLED_VELOCITIES = 200
 """Smallest total number of velocities of the random states at which equations are compared."""
 
 MIN_RANDOM_STATES, MAX_RANDOM_STATES = 4, 20
-"""Range of the number of random states; small mechanisms need more states, since each samples few joints."""
+"""Range of the number of random states. Small mechanisms use more states: each state tests few joints."""
 
 COVERAGE_OMITTED = "it is left out, the verdict does not depend on it"
-"""Note on a coverage analysis that takes too long."""
+"""Note on a coverage analysis that exceeds its time limit."""
 
 MISREAD = "the scene does not match the file: no engine was run, and nothing else was compared"
-"""Note on a crosscheck that ends after the verification of the imported scene."""
+"""Note on a crosscheck that ends because the imported scene differs from its model file."""
 
 Progress = Callable[[str], None]
+"""Function that shows a message to the user before each stage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,22 +60,22 @@ class Crosscheck:
     """Result of a crosscheck.
 
     Attributes:
-        source: the name or the file that the scene was loaded from; empty if it was made in Python.
-        options: of the scene, as they were set.
-        scene: what was run.
-        engines: those that can express the scene, in the order asked for.
-        left_out: engines that cannot express the scene, and why.
-        trajectories: by engine, as far as they came; none of an engine that came nowhere.
-        checks: all checks.
-        measured: checks that are known from elsewhere, as the engines give them.
-        wall_time: s, of everything.
-        mapping: what became of the elements of a model file; None for a scene of this package's own.
-        advice: what to do about what was measured, where that was asked for.
-        unfinished: engines that stopped, and parts of the comparison that did not come to their end.
-        coverage: elements that the compared runs test; None where no trajectories were compared, and where
-            `notes` say why it is not known.
-        notes: what else there is to say, a line each: what beside the comparison did not come to its end.
-        run_errors: by engine its run's distance from the finest, see `measure_run_errors`.
+        source: name or file that the scene was loaded from; empty if it was made in Python.
+        options: options of the scene or file that the user set.
+        scene: scene that was simulated.
+        engines: engines that can represent the scene, in the requested order.
+        left_out: engines that cannot represent the scene, with the reason.
+        trajectories: run of each engine; partial if the engine stopped, missing if it has no run at all.
+        checks: all checks, except those against reference values.
+        measured: checks against reference values, for scenes of the library that have some.
+        wall_time: total wall time, s.
+        mapping: import report of the model file: how each element was imported. None for other scenes.
+        advice: advice on engine settings and redundant constraints, if it was requested.
+        unfinished: engines that stopped, and parts of the comparison that did not complete.
+        coverage: elements of the scene that the runs test; None if trajectories were not compared, or if the
+            analysis did not complete (then `notes` has the reason).
+        notes: one line for each additional analysis that did not complete.
+        run_errors: error of each engine's run, m or rad, see `measure_run_errors`.
         singular: singular configurations of the first engine's run; None if there are none.
         own_run: judgement of the run that the file's own engine makes with the settings of the file; None for
             scenes of this package and for files without an engine of their own.
@@ -95,12 +101,12 @@ class Crosscheck:
 
     @property
     def title(self) -> str:
-        """The scene's name, with the options that were set."""
+        """Name of the scene, with the options that the user set."""
         return titled(self.scene.name, non_default_options(self.options))
 
     @property
     def nothing_moves(self) -> bool:
-        """True if nothing moves in the runs, so that trajectories and energies test nothing."""
+        """True if nothing moves in the runs, so that checks of runs test nothing."""
         return nothing_moves_in_rigid_runs(self.scene, self.engines, self.trajectories)
 
     @property
@@ -110,14 +116,14 @@ class Crosscheck:
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome; one that says more against agreement comes before one that says less."""
+        """Outcome of the comparison; if several apply, the most severe one."""
         if self.unfinished:
             return Outcome.UNFINISHED
         if self.differs:
             return Outcome.DISAGREE
         if self.left_out:
-            return Outcome.NOT_COMPARED if self._alone else Outcome.AGREE_OF_SOME_ENGINES
-        if self._alone:
+            return Outcome.NOT_COMPARED if self._single_engine else Outcome.AGREE_OF_SOME_ENGINES
+        if self._single_engine:
             return Outcome.ONE_ENGINE_ALONE
         if self.acting:
             return Outcome.AGREE_ON_A_REDUCED_MODEL
@@ -127,33 +133,33 @@ class Crosscheck:
 
     @property
     def agrees(self) -> bool:
-        """True for AGREE alone: all checks passed, and all that acted in the file was simulated."""
+        """True for the outcome AGREE only: all checks passed, and all elements that act were simulated."""
         return self.outcome is Outcome.AGREE
 
     @property
     def untested(self) -> bool:
-        """True if the motion is known to test none of the elements."""
+        """True if the coverage analysis found that the motion tests no element of the scene."""
         covered = self.coverage
         return covered is not None and len(covered.untested) == len(covered.elements)
 
     @property
     def acting(self) -> list[ImportedElement]:
-        """Elements of the file that acted and were not simulated as the file has them, in order of time."""
+        """Elements of the file that are not simulated but would have acted, in order of time."""
         return self.mapping.acting if self.mapping else []
 
     @property
     def until(self) -> float | None:
-        """s, the first time at which the model that was run is not the file's; None if it always is."""
+        """Time, s, at which the first such element would have acted; None if there is none."""
         return self.acting[0].since if self.acting else None
 
     @property
     def misread(self) -> bool:
-        """True if the scene is not what the file says, whichever engine evaluates it."""
+        """True if the equations of all engines differ from the model file, so the import is wrong."""
         return _misread(self.engines, self.checks)
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
-        """Who differs, at the first level at which any engine does, and then without it."""
+        """Outliers, at the first level with a difference and then among the remaining engines."""
         return _diagnosed(self.scene, self.engines, self.checks, self.measured, self.unfinished)
 
     @property
@@ -164,41 +170,43 @@ class Crosscheck:
 
     @property
     def verdict(self) -> str:
-        """Verdict in one line: agreement, or the outlier and the first failing check, and what did not
-        complete."""
-        word, found = self._judgment()
+        """Verdict in one line: agreement, or the outlier with the first failing check; and failures."""
+        word, result = self._judgment()
         for name, reason in self.left_out.items():
-            found += f"; {name} left out: {reason}"
+            result += f"; {name} left out: {reason}"
         if self.left_out:
             names = ",".join(engine.name for engine in self.engines)
-            found += f"; to do without, name the others (--engines {names})"
+            result += f"; to do without, name the others (--engines {names})"
         if self.unfinished:
             stopped = {stop.what for stop in self.unfinished}
-            ended = [name for name in self.trajectories if name not in stopped]
+            completed = [name for name in self.trajectories if name not in stopped]
             others = ""
-            if 0 < len(ended) < len(self.engines) and not self.diagnosis:
-                others = f"; {' and '.join(ended)} ran to the end"
-            return f"{self.outcome}: {stops_text(self.unfinished)}{others}; as far as compared {found}"
-        return f"{word}: {found}"
+            if 0 < len(completed) < len(self.engines) and not self.diagnosis:
+                others = f"; {' and '.join(completed)} ran to the end"
+            return f"{self.outcome}: {stops_text(self.unfinished)}{others}; as far as compared {result}"
+        return f"{word}: {result}"
 
     def _judgment(self) -> tuple[str, str]:
         """Outcome and text of the verdict, without left-out engines and stopped parts."""
         names = ", ".join(engine.name for engine in self.engines)
-        if self.left_out and self._alone:
-            found = f"nothing could be compared on {self.title}, ran {names} alone; its own checks"
-            return self.outcome, f"{found} {self._own_checks}"
-        if self._alone:
-            found = f"ran {names} on {self.title}: nothing to compare it with; its own checks"
-            found += f" {self._own_checks}"
-            return self.outcome, "; ".join(filter(None, [found, self._reduced]))
+        # A single engine
+        if self.left_out and self._single_engine:
+            text = f"nothing could be compared on {self.title}, ran {names} alone; its own checks"
+            return self.outcome, f"{text} {self._own_checks}"
+        if self._single_engine:
+            text = f"ran {names} on {self.title}: nothing to compare it with; its own checks"
+            text += f" {self._own_checks}"
+            return self.outcome, "; ".join(filter(None, [text, self._reduced]))
+        # Engines that differ
         if self.diagnosis:
             first, *others = self.diagnosis
-            said = [f"{first.who}; {first.place}", first.fault_text]
-            said += [f"then {other.who}, {other.place}" for other in others]
+            parts = [f"{first.who}; {first.place}", first.fault_text]
+            parts += [f"then {other.who}, {other.place}" for other in others]
             if self._reduced and not self.misread:
-                said.append(self._reduced)
-            differ = "; ".join(filter(None, said))
-            return f"{Outcome.DISAGREE}{self._of_engines}", f"{differ} ({self._failed})"
+                parts.append(self._reduced)
+            text = "; ".join(filter(None, parts))
+            return f"{Outcome.DISAGREE}{self._of_engines}", f"{text} ({self._failed})"
+        # Engines that agree
         agree = f"{names} agree on {self.title} in all {len(self.judged)} checks{self._qualifications}"
         if self._reduced:
             agree = f"{self._reduced}; {agree}"
@@ -207,13 +215,12 @@ class Crosscheck:
 
     @property
     def _reduced(self) -> str:
-        """Text on elements that would have acted and were not simulated, and on the time until the first
-        acts."""
+        """Text on the elements in `acting`, and on the time until the first one acts; empty without any."""
         return reduction(self.acting) if self.acting else ""
 
     @property
-    def _alone(self) -> bool:
-        """True if a single engine ran, so that it has only its own checks."""
+    def _single_engine(self) -> bool:
+        """True if there is only one engine, and nothing that it was compared with differs."""
         compared = any(len(row.between) > 1 for row in self.checks if not row.agrees)
         return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
 
@@ -230,37 +237,37 @@ class Crosscheck:
 
     @property
     def judged(self) -> tuple[Check, ...]:
-        """Checks that decide the outcome; the verdict counts these."""
+        """Checks that decide the outcome; the verdict states their number."""
         return tuple(row for row in self.checks if row.judged)
 
     @property
     def _failed(self) -> str:
-        """Number of failing checks as text."""
+        """Number of failing checks, or else of failing reference values, as text."""
         failed = sum(not row.agrees for row in self.checks)
         if failed:
             return f"{failed} of {len(self.judged)} checks fail"
-        wrong = sum(not measured.agrees for measured in self.measured)
-        return f"{wrong} of {len(self.measured)} reference values fail"
+        failed_references = sum(not measured.agrees for measured in self.measured)
+        return f"{failed_references} of {len(self.measured)} reference values fail"
 
     @property
     def _qualifications(self) -> str:
         """Qualifications of an agreement: reference values, checks that are not judged, coverage."""
-        said = f", and the reference in all {len(self.measured)}" if self.measured else ""
-        said += not_judged(self.checks)
-        said += "; nothing moves" if self.nothing_moves else ""
+        text = f", and the reference in all {len(self.measured)}" if self.measured else ""
+        text += not_judged(self.checks)
+        text += "; nothing moves" if self.nothing_moves else ""
         if self.coverage:
-            said += f"; {self.coverage}"
+            text += f"; {self.coverage}"
         elif len(self.engines) > 1:
-            said += "; what the motion covers is not known"
+            text += "; what the motion covers is not known"
         references = self.mapping.references if self.mapping else []
         if references and not any(reference.tells for reference, _ in references):
-            said += "; motions are not verified against the file: no state tells them"
+            text += "; motions are not verified against the file: no state tells them"
         if self.mapping and (counts := self.mapping.counts()):
-            said += f"; of what can act in the file {counts}"
-        return said
+            text += f"; of what can act in the file {counts}"
+        return text
 
     def summary(self) -> dict[str, Any]:
-        """All figures, versions, settings and wall times, for JSON."""
+        """All checks, versions, settings and wall times, for JSON."""
         packages = sorted({"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)})
         return {
             "scene": self.scene.name,
@@ -275,7 +282,7 @@ class Crosscheck:
             "versions": versions(packages),
             "diagnosis": [diagnosis.summary() for diagnosis in self.diagnosis],
             "unfinished": [asdict(stop) for stop in self.unfinished],
-            "engines": {engine.name: self._ran(engine.name) for engine in self.engines},
+            "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
             "left_out": self.left_out,
             "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
             "findings": [asdict(each) for each in self.mapping.findings] if self.mapping else None,
@@ -293,8 +300,8 @@ class Crosscheck:
             "own_run": self.own_run.summary() if self.own_run else None,
         }
 
-    def _ran(self, name: str) -> dict[str, Any]:
-        """Return settings and counts of an engine's run, for JSON."""
+    def _run_summary(self, name: str) -> dict[str, Any]:
+        """Return settings, wall time and error of an engine's run, for JSON."""
         if name not in self.trajectories:
             return {"settings": {}, "wall_time": None, "error": None}
         run = self.trajectories[name]
@@ -310,103 +317,124 @@ def crosscheck(
     mapping: ImportReport | None = None,
     advised: bool = False,
 ) -> Crosscheck:
-    """Run a scene through the engines and compare them; `progress` is told each stage.
+    """Simulate a scene in the engines and compare them.
 
-    What can be compared is compared, whatever stops or fails. Advice takes runs of its own, and is worked out
-    if `advised` is set and all came to an end.
+    If an engine stops or a part of the comparison fails, everything else is still compared.
+
+    Args:
+        scene: scene to simulate, with the outputs velocities, reactions and violation.
+        engines: engines to compare.
+        progress: shows a message to the user before each stage.
+        source: name or file that the scene was loaded from; empty if it was made in Python.
+        options: options of the scene or file that the user set.
+        mapping: import report of a model file; None for other scenes.
+        advised: True to compute advice, which needs more runs, if all engines completed.
 
     Raises:
-        CrosscheckError: for a scene without the outputs that are compared, and where nothing can be: no
-            engine runs and no check is had.
-        NewtonEulerError: for a scene that no engine can express.
+        CrosscheckError: for a scene without the required outputs, or if no engine runs and no check could be
+            made.
+        NewtonEulerError: for a scene that no engine can represent.
     """
     for output in ("velocities", "reactions", "violation"):
         if output not in scene.outputs:
             raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
-    able, left_out = _able(scene, engines)
+    usable, left_out = _usable_engines(scene, engines)
+    # Compare the equations with the model file; end here if the import is wrong
     rows: list[Check] = []
-    unread: list[Stop] = []
+    file_stops: list[Stop] = []
     what = "comparing with the file"
-    with collecting_errors(what, unread), limited(what, SHORTER_RUN_ADVICE, progress):
-        for row in finite(reading_rows(able, mapping)):
-            rows.append(row)  # not all at once: those before an error are kept
-    if _misread(able, rows):
-        took = time.perf_counter() - start
-        noted = (MISREAD,)
+    with collecting_errors(what, file_stops), limited(what, SHORTER_RUN_ADVICE, progress):
+        for row in finite(reading_rows(usable, mapping)):
+            rows.append(row)  # one by one, to keep the checks before an error
+    if _misread(usable, rows):
         return Crosscheck(
-            source, options, scene, tuple(able), left_out, {}, tuple(rows), (), took, mapping, notes=noted
+            source=source,
+            options=options,
+            scene=scene,
+            engines=tuple(usable),
+            left_out=left_out,
+            trajectories={},
+            checks=tuple(rows),
+            measured=(),
+            wall_time=time.perf_counter() - start,
+            mapping=mapping,
+            notes=(MISREAD,),
         )
-    runs, stops = run_engines(scene, able, progress)
+    # Simulate the scene in all engines
+    runs, stops = run_engines(scene, usable, progress)
     stopped = {stop.what for stop in stops}
-    stops += unread
-    beside: list[Stop] = []
+    stops += file_stops
+    # Find elements of the file that are not simulated but would act in the run
+    note_stops: list[Stop] = []  # failures that do not affect the verdict
     if mapping and runs:
         what = "watching what was left out"
-        unseen, mapping = mapping, mapping.unwatched()  # which counts if watching stops
-        with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
-            mapping = watched(scene, unseen, next(iter(runs.values())))
+        imported, mapping = mapping, mapping.unwatched()  # kept if the search fails
+        with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
+            mapping = watched(scene, imported, next(iter(runs.values())))
+    # Judge the run that the file's own engine makes with the settings of the file
     own_run: Judgement | None = None
     if mapping and mapping.simulation and runs:
         what = "judging the file's own run"
         acting = [Event(entry.since or 0.0, what_acted(entry)) for entry in mapping.acting]
-        with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
+        with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
             own_run = judge(mapping.simulation, acting)
     until = mapping.acting[0].since if mapping and mapping.acting else None
-    # runs of a motion that the scene does not determine say nothing about each other
+    # Compare equations and runs; runs are not comparable if the scene does not determine its motion
     comparable = {} if any(stop.undetermined for stop in stops) else runs
-    for what, stage in stages(scene, able, comparable, _random_states(scene), until).items():
+    for what, stage in stages(scene, usable, comparable, _random_states(scene), until).items():
         with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
             for row in finite(stage(tuple(rows))):
                 rows.append(row)
     if not (rows or runs):
         raise CrosscheckError(stops_text(stops))
     rows = in_order(rows)
+    # Compare with reference values
     measured: list[ReferenceCheck] = []
     known = known_of(source, options)
-    for engine in able if known else ():
+    for engine in usable if known else ():
         if engine.name not in stopped:
             what = f"{engine.name}: reference values"
             with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
-    found: Coverage | None = None
+    # Additional analyses: coverage, singular configurations, advice, and errors of runs
+    covered: Coverage | None = None
     what = "working out what the motion covers"
-    with collecting_errors(what, beside), limited(what, COVERAGE_OMITTED, progress, "coverage_time"):
-        found = coverage(scene, comparable, rows)
+    with collecting_errors(what, note_stops), limited(what, COVERAGE_OMITTED, progress, "coverage_time"):
+        covered = coverage(scene, comparable, rows)
     singular: SingularConfigurations | None = None
     what = "searching singular configurations"
-    with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
+    with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
         singular = find_singular_configurations(scene, next(iter(runs.values()))) if runs else None
     advice: tuple[Advice, ...] = ()
     if advised and not stops:
         what = "working out advice"
-        with collecting_errors(what, beside), limited(what, "there is none", progress):
-            advice = advise(scene, able, runs, rows)
+        with collecting_errors(what, note_stops), limited(what, "there is none", progress):
+            advice = advise(scene, usable, runs, rows)
     run_errors: dict[str, float] = {}
-    outlier = {diagnosis.outlier for diagnosis in _diagnosed(scene, able, rows, measured, stops)}
+    outliers = {diagnosis.outlier for diagnosis in _diagnosed(scene, usable, rows, measured, stops)}
     what = "measuring each engine's error"
-    with collecting_errors(what, beside), limited(what, SHORTER_RUN_ADVICE, progress):
-        run_errors = measure_run_errors(
-            scene, [engine for engine in able if engine.name not in outlier], comparable
-        )
+    with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
+        trusted = [engine for engine in usable if engine.name not in outliers]
+        run_errors = measure_run_errors(scene, trusted, comparable)
     return Crosscheck(
-        source,
-        options,
-        scene,
-        tuple(able),
-        left_out,
-        runs,
-        tuple(rows),
-        tuple(measured),
-        time.perf_counter() - start,
-        mapping,
-        advice,
-        tuple(stops),
-        found,
-        tuple(map(str, beside)),
-        run_errors,
-        singular,
-        own_run,
+        source=source,
+        options=options,
+        scene=scene,
+        engines=tuple(usable),
+        left_out=left_out,
+        trajectories=runs,
+        checks=tuple(rows),
+        measured=tuple(measured),
+        wall_time=time.perf_counter() - start,
+        mapping=mapping,
+        advice=advice,
+        unfinished=tuple(stops),
+        coverage=covered,
+        notes=tuple(map(str, note_stops)),
+        run_errors=run_errors,
+        singular=singular,
+        own_run=own_run,
     )
 
 
@@ -417,7 +445,7 @@ def _diagnosed(
     measured: Sequence[ReferenceCheck],
     stops: Sequence[Stop],
 ) -> tuple[Diagnosis, ...]:
-    """Return who differs, see `Crosscheck.diagnosis`; engines that stopped explain nothing by softness."""
+    """Make the diagnosis, see `Crosscheck.diagnosis`; stopped engines do not count as soft."""
     stopped = {stop.what for stop in stops}
     soft = [each.name for each in engines if each.evaluate_soft_constraints and each.name not in stopped]
     names = [each.name for each in engines]
@@ -425,44 +453,45 @@ def _diagnosed(
 
 
 def _misread(engines: Sequence[Engine], rows: Sequence[Check]) -> bool:
-    """Return True if every engine's equations of a scene differ from those of the file it was read from."""
-    wrong = {row.between[0] for row in rows if row.level == READING and not row.agrees}
-    return bool(engines) and wrong >= {engine.name for engine in engines}
+    """Return True if the equations of every engine differ from those of the model file."""
+    differing = {row.between[0] for row in rows if row.level == READING and not row.agrees}
+    return bool(engines) and differing >= {engine.name for engine in engines}
 
 
 def _random_states(scene: Scene) -> int:
-    """Number of random consistent states at which the engines' equations are compared."""
-    return max(
-        MIN_RANDOM_STATES,
-        min(MAX_RANDOM_STATES, -(-MIN_SAMPLED_VELOCITIES // max(1, SpanningTree(scene.mechanism).nv))),
-    )
+    """Return the number of random states at which equations are compared."""
+    velocities = max(1, SpanningTree(scene.mechanism).nv)
+    states = -(-MIN_SAMPLED_VELOCITIES // velocities)  # rounded up
+    return max(MIN_RANDOM_STATES, min(MAX_RANDOM_STATES, states))
 
 
-def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[str, str]]:
-    """The engines that can express a scene, and why the others cannot.
+def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[str, str]]:
+    """Find the engines that can represent a scene.
 
-    Those that can make their finer run at most once, for all that it is compared with; where it stops, they
-    say whose it was. Their equations of a scene are made once, too.
+    Returns:
+        These engines, and the reason for each other engine. The refined run and the equations of each engine
+        are cached, since several checks use them.
 
     Raises:
-        NewtonEulerError: the first engine's own where none can.
+        NewtonEulerError: the error of the first engine, if no engine can represent the scene.
     """
-    able, errors = [], {}
+    usable, errors = [], {}
     for engine in engines:
-        one = replace(engine, refined=lru_cache(_named(engine)), systems=lru_cache(engine.systems))
+        refined = lru_cache(_naming_refined_run(engine))
+        cached = replace(engine, refined=refined, systems=lru_cache(engine.systems))
         try:
-            one.systems(scene)
+            cached.systems(scene)
         except NewtonEulerError as error:
             errors[engine.name] = error
         else:
-            able.append(one)
-    if not able:
+            usable.append(cached)
+    if not usable:
         raise errors[engines[0].name]
-    return able, {name: str(error) for name, error in errors.items()}
+    return usable, {name: str(error) for name, error in errors.items()}
 
 
-def _named(engine: Engine) -> Callable[[Scene], Trajectory]:
-    """The engine's finer run, with errors that name it."""
+def _naming_refined_run(engine: Engine) -> Callable[[Scene], Trajectory]:
+    """Return the engine's function for refined runs, with errors that name the engine and the purpose."""
 
     def refined(scene: Scene) -> Trajectory:
         name = f"{engine.name}, in a finer run for comparison"

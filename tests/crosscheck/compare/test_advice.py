@@ -15,7 +15,7 @@ from mechanisms import GRAVITY, ball_loop, pendulum, planar_four_bar
 
 import mjcf
 import newton_euler
-from crosscheck.compare.advice import WANTED, Advice, fitting, redundancy_advice, soft_advice
+from crosscheck.compare.advice import WANTED_ERROR, Advice, redundancy_advice, rounded_step, soft_advice
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.runs import nothing_moves_in_rigid_runs
@@ -73,10 +73,10 @@ def test_the_advised_step_of_mujoco_reaches_the_error(loop: Scene, runs: dict[st
     assert [float(x) for x in solimp.split()] == list(SOLIMP)
     followed = mjcf.simulate(loop, float(step), integrator, [float(x) for x in solref])
     # a factor 2: the order of two steps does not hold exactly for a third, and 0.9 of the step is taken
-    assert distance(followed, runs["newton_euler"]) < 2.0 * WANTED
+    assert distance(followed, runs["newton_euler"]) < 2.0 * WANTED_ERROR
     # and it is not short for nothing: four times as long a step misses the error
-    longer = fitting(loop, 4.0 * float(step))
-    assert distance(mjcf.simulate(loop, longer), runs["newton_euler"]) > WANTED
+    longer = rounded_step(loop, 4.0 * float(step))
+    assert distance(mjcf.simulate(loop, longer), runs["newton_euler"]) > WANTED_ERROR
 
 
 OWN_FILE = """
@@ -123,8 +123,8 @@ def test_the_advice_holds_in_the_file_that_it_is_given_for(tmp_path: Path) -> No
         gap = plain_mujoco(text, scene) - runs["newton_euler"].position[:, 1:]
         return float(np.max(np.linalg.norm(gap, axis=-1)))
 
-    assert error(stepped.replace("<connect", f'{stiff} solimp="{solimp}"')) < WANTED
-    assert error(stepped.replace("<connect", stiff)) > 10.0 * WANTED  # MuJoCo's own solimp
+    assert error(stepped.replace("<connect", f'{stiff} solimp="{solimp}"')) < WANTED_ERROR
+    assert error(stepped.replace("<connect", stiff)) > 10.0 * WANTED_ERROR  # MuJoCo's own solimp
 
 
 def test_mujoco_needs_rigid_company_and_the_same_model(loop: Scene, runs: dict[str, Trajectory]) -> None:
@@ -159,9 +159,9 @@ def test_nothing_is_soft_without_equalities() -> None:
 
 
 def test_steps_can_be_written_down(loop: Scene) -> None:
-    assert fitting(loop, 0.3) == 0.05
-    assert fitting(loop, 0.05 / 6.5) == 0.05 / 8
-    assert fitting(loop, 0.05 / 21) == 0.05 / 25
+    assert rounded_step(loop, 0.3) == 0.05
+    assert rounded_step(loop, 0.05 / 6.5) == 0.05 / 8
+    assert rounded_step(loop, 0.05 / 21) == 0.05 / 25
 
 
 SOFTER: dict[str, Callable[..., Any]] = {"cylindrical": Cylindrical, "spherical": Spherical}
