@@ -1,4 +1,8 @@
-"""Compares engines on closed-loop mechanisms: scenes, comparison, recordings, figures."""
+"""crosscheck: simulate a closed-loop mechanism in several dynamics engines, and compare the results.
+
+The public names are `check` and its `Verdict` with its `Outcome`, `sweep` and its `Sweep` (Monte Carlo and
+design-of-experiments studies), and the base class of errors, `CrosscheckError`.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +14,10 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name: str) -> Any:
-        """Import what is exported when it is asked for.
+        """Import a public name when it is first used.
 
-        The command line sets the threads of BLAS before it imports NumPy.
+        The command line has to set the number of BLAS threads before NumPy is imported, so importing this
+        package must not import NumPy.
         """
         if name not in __all__:
             raise AttributeError(f"module 'crosscheck' has no attribute {name!r}")

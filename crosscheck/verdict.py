@@ -1,4 +1,8 @@
-"""Crosschecks from Python: `crosscheck.check(model)` and what it found."""
+"""Python interface of crosschecks: `crosscheck.check(model)` returns a `Verdict`.
+
+A crosscheck simulates one model in several engines and compares them. The `Verdict` has the outcome, all
+checks, the trajectories and the report; the command `crosscheck run` prints the same report.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +38,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The result of a crosscheck.
+    """Result of a crosscheck: outcome, checks, trajectories and report.
 
     Attributes:
-        crosscheck: all of it.
+        crosscheck: the complete result.
 
     Examples:
         >>> def worst(of: Verdict) -> float:
@@ -55,32 +59,32 @@ class Verdict:
 
     @property
     def agrees(self) -> bool:
-        """True for the outcome `AGREE` alone: checks passed, and all that acted was simulated and tested."""
+        """True for the outcome `AGREE` only: all checks passed, and all elements that act were simulated."""
         return self.crosscheck.agrees
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome of the crosscheck, one of a closed set."""
+        """Outcome of the crosscheck, such as `AGREE` or `DISAGREE`."""
         return self.crosscheck.outcome
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """All checks: `judged` ones, and checks without a verdict."""
+        """All checks, also those that are not judged (they can neither pass nor fail)."""
         return self.crosscheck.checks
 
     @property
     def judged(self) -> tuple[Check, ...]:
-        """Checks that decide the outcome; the verdict reports their number."""
+        """Checks that decide the outcome; the text of the verdict states their number."""
         return self.crosscheck.judged
 
     @property
     def trajectories(self) -> Mapping[str, Trajectory]:
-        """The run of each engine, as far as it came."""
+        """Run of each engine, by the engine's name; partial if the engine stopped."""
         return self.crosscheck.trajectories
 
     @property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
-        """Engines that differ, at which level and where; empty if none does."""
+        """Outliers: the engines that are likely wrong, with level and place; empty if all engines agree."""
         return self.crosscheck.diagnosis
 
     @cached_property
@@ -100,21 +104,28 @@ class Verdict:
 
     @checked
     def assert_agrees(self, allow_reduced: bool = False) -> None:
-        """Raise `AssertionError`, with the verdict and the worst figure of each level, unless all agree.
+        """Raise `AssertionError`, with verdict and worst check of each level, unless all engines agree.
 
         Args:
-            allow_reduced: whether the model may be reduced: elements of its file may act without being
-                simulated (contacts, limits of joints, dry friction).
+            allow_reduced: True to accept a model of which some elements (contacts, joint limits, dry
+            friction)
+                would act but are not simulated.
+
+        Raises:
+            AssertionError: if an engine differs, stops or cannot represent the model.
         """
         if not self.outcome.passes(allow_reduced):
             raise AssertionError(str(self))
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write trajectories, figures and the recording, as `crosscheck run --output FOLDER`.
+        """Write trajectories, plots and the recording, as `crosscheck run --output FOLDER` does.
+
+        Args:
+            folder: folder to write to; it is created if it does not exist.
 
         Returns:
-            The files.
+            Paths of the written files.
 
         Raises:
             CrosscheckError: naming a path that cannot be written.
@@ -126,7 +137,7 @@ class Verdict:
         return write(self.crosscheck, self.report, path, recording, name)
 
     def show(self) -> None:
-        """Open the recording in the Rerun viewer, in a notebook below the cell."""
+        """Open a recording of the runs in the Rerun viewer; in a notebook, it appears below the cell."""
         from crosscheck.recording.log import log_run
         from crosscheck.recording.show import show
 
@@ -142,17 +153,20 @@ def check(
     progress: Callable[[str], None] = lambda stage: None,
     **options: str | float | Sequence[float] | Floats,
 ) -> Verdict:
-    """Run a model through the engines and compare them.
+    """Simulate a model in several engines and compare them.
 
     Args:
-        model: a scene of the library by name, a scene file, an MJCF, a URDF, a `Scene`, an `MjSpec` or an
-            `MjModel` of MuJoCo, or a `Model` of Pinocchio, alone or paired with its constraints, see
-            `urdf.read`.
-        engines: by name. One that cannot express the model is left out, and then they do not agree.
-        advice: whether to work out what to do about what is found, by more runs.
-        progress: is told each stage.
-        options: of the scene or the file, as `crosscheck list` shows them; `q`, a configuration, of a
-            `Model`.
+        model: name of a scene of the library, path of a scene file, MJCF or URDF, or an object: a `Scene`, an
+            `MjSpec` or `MjModel` of MuJoCo, or a `Model` of Pinocchio. A `Model` may be paired with its
+            constraints, see `urdf.read`.
+        engines: names of the engines. If an engine cannot represent the model, the outcome is not `AGREE`.
+        advice: True to compute advice on engine settings and redundant constraints, which takes more runs.
+        progress: function that is called with a message before each stage.
+        options: options of the scene or file, as `crosscheck list` shows them. For a `Model`, `q` is the
+            configuration from which the run starts.
+
+    Returns:
+        The verdict.
 
     Raises:
         CrosscheckError, NewtonEulerError: for a model, engine or option that does not exist or cannot be run.
@@ -170,6 +184,6 @@ def check(
 
 
 def _text(value: str | float | Sequence[float] | Floats) -> str:
-    """Return an option as a command takes it, numbers with all their digits."""
+    """Return an option as text, as on the command line: numbers with all digits, separated by commas."""
     numbers = items_of(value)
     return str(value) if numbers is None else ",".join(map(str, np.asarray(numbers).tolist()))

@@ -8,8 +8,8 @@ definition; the equations of the wrong element are violated:
 body
   whose frame is wrong.
 - Dynamics: accelerations and reactions of an engine violate Newton's and Euler's equations with the scene's
-  masses and forces. The equations of a single body are violated if its mass or inertia is wrong, those of all
-  bodies if gravity is, and those of the two bodies of a joint if a spring or a controller there is.
+  masses and forces. A wrong mass or inertia violates the equations of a single body, wrong gravity those of
+  all bodies, and a wrong spring or controller those of the two bodies of a joint.
 - Velocity terms: accelerations satisfy the equations of the bodies, but violate the constraints of the joint
   whose velocity-dependent term is wrong.
 """
@@ -206,8 +206,8 @@ class Cause(NamedTuple):
 def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause | None:
     """Find the body, the joint or gravity whose model is wrong in one of two engines.
 
-    A joint is found if a control law or spring there explains the residuals of Newton's and Euler's
-    equations, or if accelerations violate the constraints of the joint although these equations hold.
+    A joint is found in two cases: a control law or spring there explains the residuals of Newton's and
+    Euler's equations, or these equations hold but accelerations violate the constraints of the joint.
 
     Args:
         first, second: equations of the two engines at the same states.

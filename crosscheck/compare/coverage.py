@@ -10,10 +10,10 @@ The scene is simulated again with each element changed. Most simulations are avo
 - Changes of parameters use code that is compiled once. The simulation ends as soon as the change is visible.
 - Changes of bodies in mechanisms without loops: a bound from the accelerations may suffice
 (`joint_loads.py`). - Changes of constraints need new code, so other evidence is tried first. The change is
-visible if the poses
-  of the original run violate the changed constraints by more than the tolerance allows, or if a displaced
-  joint does not support the reactions. The change is invisible if a displaced joint supports the reactions,
-  or if the changed equations give the same accelerations along the run.
+visible in two cases: the
+  poses of the original run violate the changed constraints, or a displaced joint does not support the
+  reactions. The change is invisible if a displaced joint supports the reactions, or if the changed equations
+  give the same accelerations along the run.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ class JointLoads:
     directions is not supported by the displaced joint, so it would accelerate the mechanism.
 
     In a mechanism without loops, the joint accelerates along R by |R| / (u^T M u). M is the mass matrix of
-    all bodies. The body velocities u have the least kinetic energy of all motions in which the joint yields
-    along R at unit speed and the other joints move freely (Gauss's principle of least constraint).
+    all bodies. The body velocities u are those of a motion in which the joint yields along R at unit speed.
+    Of all such motions, u has the least kinetic energy (Gauss's principle of least constraint).
 
     Torques are divided by, and angular velocities multiplied by, the length of the longest body.
     """

@@ -39,7 +39,7 @@ EQUATION_LEVELS: tuple[Level, ...] = (model_rows, kinematics_rows, dynamics_rows
 """Functions of the four levels that compare equations, in their order."""
 
 EngineSamples = dict[str, list[Samples]]
-"""By engine name: the engine's equations of motion (one `Samples` per formulation) at the same states."""
+"""Equations of motion of each engine (one `Samples` per formulation) at the same states, by engine name."""
 
 
 def compare_pair(

@@ -49,8 +49,8 @@ def momentum_residuals(samples: Samples) -> Array:
 def _residual(scene: Scene, found: Evaluation) -> Array:
     """Compute residuals (b - 1, 6) of the moving bodies at one state, N, as `momentum_residuals`.
 
-    They are m a - f, and (J' domega'/dt + omega' x J' omega' - n') / size with inertia J', angular velocity
-    omega' and torque n' in the body frame.
+    They are m a - f, and (J' domega'/dt + omega' x J' omega' - n') / size. Inertia J', angular velocity
+    omega' and torque n' are in the body frame.
     """
     mechanism = scene.mechanism
     applied = Wrenches(mechanism, found.state)

@@ -1,8 +1,12 @@
-"""Figures of a scene's runs against those that are known, see `crosscheck.library.references`."""
+"""Comparison of an engine's runs with reference values: published or exact results of scenes of the library.
+
+In: a scene of the library, an engine and its run. Out: one `ReferenceCheck` for each reference value. The
+reference values are in `crosscheck/library/references`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -21,10 +25,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-ROUND_OFF = 1e-14
-"""Round-off of some thousand steps, relative to the largest value."""
-
-Run = Callable[[Scene], Trajectory]
+STEPS_ROUND_OFF = 1e-14
+"""Round-off of some thousand integration steps, relative to the largest value."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +43,21 @@ class ReferenceCheck(Check):
 
     @classmethod
     def of(cls, engine: str, known: ReferenceValue, result: float, own_error: float) -> ReferenceCheck:
-        """Make the check of a result whose engine has an error of `own_error`."""
-        allowed, where = known.uncertainty + own_error, f"{engine} at {known.time:g} s"
-        off = abs(result - known.value)
-        return cls(REFERENCE, known.quantity, (engine,), off, allowed, where, known=known, result=result)
+        """Make the check of one result.
+
+        Args:
+            engine: name of the engine.
+            known: the reference value.
+            result: value in the engine's most accurate run.
+            own_error: error of the engine; the tolerance is this plus the uncertainty of the reference.
+        """
+        tolerance, where = known.uncertainty + own_error, f"{engine} at {known.time:g} s"
+        error = abs(result - known.value)
+        return cls(REFERENCE, known.quantity, (engine,), error, tolerance, where, known=known, result=result)
 
     @property
     def engine(self) -> str:
+        """Name of the engine."""
         return self.between[0]
 
     def summary(self) -> dict[str, Any]:
@@ -58,7 +68,12 @@ class ReferenceCheck(Check):
 
 
 def known_of(source: str, options: Mapping[str, str | float]) -> list[ReferenceValue]:
-    """The reference values of a scene of the library under the options set; none for a scene file."""
+    """Return the reference values of a scene for given options; empty if the scene is not of the library.
+
+    Args:
+        source: name of the scene in the library, or the path of a file.
+        options: options that the user set.
+    """
     if source not in REFERENCE_QUANTITIES:
         return []
     chosen = {name: str(option.default) for name, option in options_of(SCENES[source]).items()}
@@ -73,20 +88,22 @@ def known_of(source: str, options: Mapping[str, str | float]) -> list[ReferenceV
 def measure(
     source: str, scene: Scene, engine: Engine, run: Trajectory, known: list[ReferenceValue]
 ) -> Iterator[ReferenceCheck]:
-    """All reference values of a scene as an engine gives them.
+    """Compare an engine with all reference values of a scene.
 
-    A check's own error is `OWN_ERROR` times what it changes until its time, at most, if tolerances are ten
-    or a hundred times or steps twice as coarse, and round-off; but no more than `UNRESOLVED` of its largest
-    value is excused.
+    The engine's own error is measured by two runs, the second with ten or a hundred times looser tolerances
+    or with twice the step. It is `OWN_ERROR` times the largest difference up to the time of the reference
+    value, at most `UNRESOLVED` times the largest value, plus round-off.
 
     Args:
-        source: the scene's name in the library.
-        run: the engine's run at its defaults.
-        known: as `known_of` gives them.
+        source: name of the scene in the library.
+        scene: the scene.
+        engine: the engine.
+        run: the engine's run with default settings.
+        known: reference values, see `known_of`.
 
     Raises:
-        CrosscheckError: for a check between the output times.
-        NewtonEulerError: of the engine's finer run, where it can make none.
+        CrosscheckError: for a reference value at a time that is no output time.
+        NewtonEulerError: if the engine's refined run fails.
     """
     fine, coarse = _two_runs(scene, engine, run)
     for entry in known:
@@ -97,7 +114,7 @@ def measure(
         values = _values(figure, fine)[: n + 1]
         change = float(np.max(np.abs(values - _values(figure, coarse)[: n + 1])))
         scale = float(np.max(np.abs(values)))
-        own_error = min(OWN_ERROR * change, UNRESOLVED * scale) + ROUND_OFF * scale
+        own_error = min(OWN_ERROR * change, UNRESOLVED * scale) + STEPS_ROUND_OFF * scale
         yield ReferenceCheck.of(engine.name, entry, float(values[n]), own_error)
 
 
@@ -108,10 +125,11 @@ def _values(figure: Quantity, run: Trajectory) -> Array:
 
 
 def _two_runs(scene: Scene, engine: Engine, run: Trajectory) -> tuple[Trajectory, Trajectory]:
-    """The engine's most exact run and the next, out of those that it can make.
+    """Return the engine's two most accurate runs, the more accurate one first.
 
-    Next to a singular configuration tolerances can be too tight for round-off. An engine that can make
-    none but its usual run has nothing to tell its own error by.
+    Near a singular configuration runs with tight tolerances may stop because of round-off; then the less
+    accurate ones are used. `run` is the run with default settings. If no other run completes, the error
+    cannot be measured, and the error of the refined run is raised.
     """
     if engine.exact is not None:
         with suppress(NewtonEulerError):

@@ -57,7 +57,7 @@ NATIVE_STEP_BUDGET = 100_000
 needs more, Radau is used, see `crosscheck.engines.stiffness`."""
 
 PYTHON_STEP_BUDGET = 60
-"""The same number if Python evaluates the equations. The budget is at least one step per output.
+"""Largest number of such steps if Python evaluates the equations; at least one step per output is allowed.
 
 With so many steps DOP853 costs about as much as Radau. DOP853 took 4 to 7 times as many steps on damped
 trackers and servo-driven arms, with 13 evaluations each. Radau took 500 to 900 steps for a second of an arm's
@@ -347,7 +347,7 @@ ENGINES: dict[str, Engine] = {
             evaluate_soft_constraints=_mujoco_soft,
             refined_in_full=partial(_mujoco_refined, in_full=True),
         ),
-        # As newton_euler, with equations evaluated in Python
+        # The same methods as newton_euler, with equations evaluated in Python
         Engine(
             "pinocchio",
             _pinocchio_run,

@@ -1,4 +1,11 @@
-"""Alignment of two models by names: bodies and joints paired, the second restated with the first's bodies."""
+"""Alignment of two models of one mechanism, so that they can be compared in the same states.
+
+In: two scenes, for example from an MJCF and a URDF of one robot. Out: `Aligned`: pairs of bodies, joints and
+joint coordinates, and the second model with the bodies (order, names, frames) of the first one.
+
+Bodies that are connected by `fixed` joints are merged first, since files differ in how they split a rigid
+body.
+"""
 
 from __future__ import annotations
 
@@ -23,32 +30,38 @@ from newton_euler.runs.assemble import initial_state, measured_coordinate
 from newton_euler.scalars import Array, cross
 
 Groups = Mapping[str, tuple[str, ...]]
-"""Names of bodies that are fixed to each other, by the name of the body that they are together."""
+"""Names of bodies that are rigidly connected, by the name of the merged body."""
 
 
 class Partner(NamedTuple):
-    """A joint coordinate of the second model."""
+    """Joint coordinate of one model that corresponds to a joint coordinate of the other model.
+
+    Attributes:
+        key: name of the joint, and number of the coordinate in the joint.
+        sense: -1 if the two coordinates have opposite signs, else 1.
+    """
 
     key: Key
     sense: float
-    """-1 where it counts the other way, else 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Two models of one mechanism, bodies that are fixed to each other merged.
+    """Two aligned models of one mechanism.
 
     Attributes:
-        first: the first model.
-        second: the second, its bodies as of the first: their order, names and frames, so that a state of one
-            is a state of the other as far as centers of mass agree. Joints are its own. None if a body has
-            no partner.
-        alone: names of bodies that only the first or only the second model has.
-        names: the first's name of each body that both have, by the second's.
-        joints: the second's name of each joint of the first that both have.
-        coordinates: the second's of each joint coordinate of the first that both have.
-        centers: (b, 3) the second's center of mass from the first's, in the first's body frame, m.
-        notes: what is not the same by name, in words.
+        first: the first model, with merged bodies.
+        second: the second model, with merged bodies in the order, names and frames of the first model. A
+        state
+            of the first model is then a state of the second one if centers of mass agree. Joints keep their
+            names. None if a body has no partner.
+        alone: names of bodies without partner, in the first and in the second model.
+        names: name of each paired body in the first model, by its name in the second.
+        joints: name of each paired joint in the second model, by its name in the first.
+        coordinates: partner of each paired joint coordinate, by its key in the first model.
+        centers: (b, 3) positions of the second model's centers of mass relative to those of the first, in the
+            body frames of the first model, m.
+        notes: sentences on names and kinds that differ between the models.
     """
 
     first: Scene
@@ -62,17 +75,17 @@ class Aligned:
 
     @property
     def both(self) -> tuple[Scene, Scene]:
-        """Both models, of which all bodies have partners."""
+        """Both models; only if all bodies have partners."""
         assert self.second is not None
         return self.first, self.second
 
     @property
     def joint_names(self) -> dict[str, str]:
-        """The first's name of each joint that both have, by the second's."""
+        """Name of each paired joint in the first model, by its name in the second."""
         return {other: name for name, other in self.joints.items()}
 
     def joint_pair(self, name: str) -> tuple[Joint, Joint]:
-        """A joint of the first model and its partner."""
+        """Return the joint with a name in the first model, and its partner."""
         a, b = (scene.mechanism for scene in self.both)
         return a.joint(name), b.joint(self.joints[name])
 
@@ -83,7 +96,10 @@ class Aligned:
         return kinds[0] == kinds[1] and one.only_closes == two.only_closes
 
     def of_first(self, key: Key) -> Partner:
-        """Find the first's coordinate, or ball, of one of the second; itself if there is none."""
+        """Find the partner in the first model of a joint coordinate, or of a ball joint, of the second model.
+
+        If there is no partner, the coordinate itself is returned.
+        """
         for name, other in self.joints.items():
             if key == (other, BALL):
                 one, two = self.joint_pair(name)
@@ -93,9 +109,9 @@ class Aligned:
 
     @cached_property
     def at_start(self) -> dict[Key, tuple[float, float]]:
-        """Each coordinate of the first that both have, in both models at the first's start, m or rad.
+        """Values of each paired joint coordinate in both models at the start of the first model, m or rad.
 
-        Each model counts from its own initial pose, with the revolutions of its own start.
+        They differ by a constant, since each model measures from its own initial pose.
         """
         first, second = self.both
         state, start = initial_state(first), initial_state(second)
@@ -110,7 +126,10 @@ class Aligned:
         }
 
     def in_second(self, state: State) -> State:
-        """Return a state of the first model with the angles that the second depends on."""
+        """Return a state of the first model with joint angles as the second model counts them.
+
+        Only angles that forces or couplings of the second model depend on are included.
+        """
         counted, angles = counted_angles(self.both[1]), dict[Key, float]()
         for key, partner in self.coordinates.items():
             if partner.key in counted:
@@ -121,11 +140,15 @@ class Aligned:
 
 
 def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
-    """Align two models: as bodies start, by equal frames and a joint's point, or by equal frames alone.
+    """Yield possible alignments of two models, which differ in how body frames are matched.
 
-    In the last centers of mass coincide. The second gets the first's output times, and its ground: that is
-    the world, whatever frame it is given.
+    The comparison takes the alignment with the fewest differences. In the first one, bodies coincide at the
+    start of both models. In the second one, body frames are those of the files, and a joint point of each
+    body coincides. In the third one, body frames are those of the files, and centers of mass coincide.
+
+    The second model gets the ground and the output times of the first.
     """
+    # Merge and pair bodies
     here, there = _groups(first.mechanism), _groups(second.mechanism)
     names = pair_bodies(first.mechanism, here, second.mechanism, there)
     alone = (
@@ -143,6 +166,7 @@ def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
         notes.append("bodies are paired by their names, and what is left by the names of its joints")
         yield Aligned(first, None, alone, names, {}, {}, np.zeros((0, 3)), tuple(notes))
         return
+    # Restate the second model with the bodies of the first, and match the frames
     others = {name: other for other, name in names.items()}
     second = _restated(second, {name: there[others[name]] for name in here}, ground)
     second = replace(second, duration=first.duration, output_period=first.output_period)
@@ -159,7 +183,7 @@ def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
 
 
 def _groups(mechanism: Mechanism) -> Groups:
-    """Group bodies that are fixed to each other, in the mechanism's order, by the name of the first."""
+    """Group rigidly connected bodies, in the order of the mechanism, by the name of their first body."""
     owner = {name: name for name in mechanism.body_names}
     for joint in mechanism.joints:
         if isinstance(joint, Fixed):
@@ -172,12 +196,16 @@ def _groups(mechanism: Mechanism) -> Groups:
 
 
 def pair_bodies(first: Mechanism, here: Groups, second: Mechanism, there: Groups) -> dict[str, str]:
-    """Pair bodies by the names of what they are made of, the rest by the names of their joints.
+    """Pair merged bodies by the names of their parts, and the remaining ones by the names of their joints.
 
-    The ground is the ground, whatever it is called.
+    The grounds of both models are paired whatever their names are.
+
+    Args:
+        first, second: the mechanisms.
+        here, there: merged bodies of the first and of the second mechanism.
 
     Returns:
-        The first model's name of each body that both have, by the second's.
+        Name of each paired body in the first model, by its name in the second.
     """
     names = {second.body_names[0]: first.body_names[0]}
     for one, two in (
@@ -194,15 +222,18 @@ def pair_bodies(first: Mechanism, here: Groups, second: Mechanism, there: Groups
 
 
 def _nearest(wanted: frozenset[str], among: Mapping[str, frozenset[str]]) -> str | None:
-    """Find the one that has the most in common with what is wanted, if anything and no other has as much."""
-    shared = {name: len(wanted & has) for name, has in among.items()}
-    most = max(shared.values(), default=0)
-    best = [name for name, count in shared.items() if count == most]
+    """Return the name of the set that has the most elements in common with `wanted`.
+
+    None if no set has a common element, or if several sets have the same number of common elements.
+    """
+    common = {name: len(wanted & elements) for name, elements in among.items()}
+    most = max(common.values(), default=0)
+    best = [name for name, count in common.items() if count == most]
     return best[0] if most and len(best) == 1 else None
 
 
 def _joints_of(mechanism: Mechanism, groups: Groups) -> dict[str, frozenset[str]]:
-    """Names of the joints between each group and others."""
+    """Return the names of the joints that connect each merged body to others."""
     return {
         name: frozenset(
             joint.name for joint in mechanism.joints if len({joint.first, joint.second} & set(group)) == 1
@@ -214,11 +245,11 @@ def _joints_of(mechanism: Mechanism, groups: Groups) -> dict[str, frozenset[str]
 def pair_joints(first: Mechanism, second: Mechanism) -> dict[str, str]:
     """Pair joints of two mechanisms whose bodies have the same names.
 
-    Joints of one name are paired if they connect the same bodies; of the rest those that are the only ones
-    left in both models between their bodies.
+    Joints with the same name are paired if they connect the same bodies. Of the remaining joints, two are
+    paired if each of them is the only one left between the two bodies.
 
     Returns:
-        The second model's name of each joint of the first that both have.
+        Name of each paired joint in the second model, by its name in the first.
     """
     others = {joint.name: joint for joint in second.joints}
     found = {
@@ -229,40 +260,53 @@ def pair_joints(first: Mechanism, second: Mechanism) -> dict[str, str]:
     left = [joint for joint in first.joints if joint.name not in found]
     right = [joint for joint in second.joints if joint.name not in found]
     for joint in left:
-        beside = [a for a in left if _ends(a) == _ends(joint)]
-        between = [b for b in right if _ends(b) == _ends(joint)]
-        if len(beside) == len(between) == 1:
-            found[joint.name] = between[0].name
+        parallel = [a for a in left if _ends(a) == _ends(joint)]
+        candidates = [b for b in right if _ends(b) == _ends(joint)]
+        if len(parallel) == len(candidates) == 1:
+            found[joint.name] = candidates[0].name
     return found
 
 
 def _ends(joint: Joint) -> frozenset[str]:
+    """Return the names of the two bodies of a joint."""
     return frozenset((joint.first, joint.second))
 
 
 def _pair_coordinates(first: Mechanism, second: Mechanism, joints: Mapping[str, str]) -> dict[Key, Partner]:
-    """Pair the hinges and slides of joints that both have by their axes."""
+    """Pair the coordinates (hinges and slides) of paired joints, by the directions of their axes.
+
+    Args:
+        first, second: the mechanisms.
+        joints: name of each paired joint in the second mechanism, by its name in the first.
+
+    Returns:
+        Partner of each paired coordinate, by its key in the first mechanism.
+    """
     found: dict[Key, Partner] = {}
     for name, other in joints.items():
         a, b = first.joint(name), second.joint(other)
         swapped = -1.0 if a.first == b.second else 1.0
-        free = dict(enumerate(axes(second, b, a)))
-        for k, (kind, own) in enumerate(axes(first, a, a)):
-            # in the body in which two axes are nearer to one line
+        unpaired = dict(enumerate(axes(second, b, a)))
+        for k, (kind, own_axis) in enumerate(axes(first, a, a)):
+            # Cosine of the angle to each axis of the same kind, in the body in which the axes are closer
             cosines = {
-                n: max(np.sum(own * others, axis=1), key=abs)
-                for n, (its, others) in free.items()
-                if its == kind
+                n: max(np.sum(own_axis * other_axis, axis=1), key=abs)
+                for n, (other_kind, other_axis) in unpaired.items()
+                if other_kind == kind
             }
             if cosines:
                 n = max(cosines, key=lambda n: abs(cosines[n]))
                 found[name, k] = Partner((other, n), swapped * float(np.copysign(1.0, cosines[n])))
-                del free[n]
+                del unpaired[n]
     return found
 
 
 def axes(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[str, Array]]:
-    """Kind of each coordinate of a joint, and its axis (2, 3) in the two bodies of another joint."""
+    """Yield the kind and the axis of each hinge and slide of a joint.
+
+    An axis is an array (2, 3): its direction in the frames of the first and of the second body of `like`, a
+    joint between the same two bodies.
+    """
     poses = [mechanism.body(name).pose for name in (like.first, like.second)]
     for motion in joint.motions:
         if motion.kind != "ball":
@@ -272,20 +316,20 @@ def axes(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[str,
 def _joint_notes(
     first: Mechanism, second: Mechanism, joints: Mapping[str, str], coordinates: Mapping[Key, Partner]
 ) -> Iterator[str]:
-    """Joints of another name or kind, those that count the other way, and those that one model has alone."""
+    """Yield sentences on joints that differ in name, kind or sign, or that only one model has."""
     for name, other in joints.items():
         a, b = first.joint(name), second.joint(other)
         if name != other:
             yield f"joint {name} is {other} there, the only one left between {a.first} and {a.second}"
         if a.kind != b.kind:
             same = sorted(part.kind for part in a.motions) == sorted(part.kind for part in b.motions)
-            beside = ", with the same motions" if same else ""
-            yield f"joint {name} is {a.kind} here and {b.kind} there{beside}"
+            equal = ", with the same motions" if same else ""
+            yield f"joint {name} is {a.kind} here and {b.kind} there{equal}"
     here = [name for name in first.joint_names if name not in joints]
     there = [name for name in second.joint_names if name not in joints.values()]
-    back = dict.fromkeys(key[0] for key, partner in coordinates.items() if partner.sense < 0.0)
+    opposite = dict.fromkeys(key[0] for key, partner in coordinates.items() if partner.sense < 0.0)
     for what, names in (
-        ("counted the other way there", back),
+        ("counted the other way there", opposite),
         ("joints only here", here),
         ("joints only there", there),
     ):
@@ -294,10 +338,13 @@ def _joint_notes(
 
 
 def _restated(scene: Scene, groups: Groups, ground: Body) -> Scene:
-    """Restate a scene without `fixed` joints, all outputs asked for.
+    """Return a scene with merged bodies, without `fixed` joints, and with all outputs.
 
-    Each group of bodies becomes one of that name, with the frame of the first of them, in the order of the
-    groups; the first group becomes the ground, another model's maybe.
+    Args:
+        scene: the scene.
+        groups: names of the bodies to merge, by the name of the merged body. The first group is the ground. A
+            merged body has the frame of the first body of its group.
+        ground: body that becomes the ground, possibly that of another model.
     """
     mechanism, start = scene.mechanism, initial_state(scene)
     bodies, state = [ground], State(*(np.zeros((len(groups), n)) for n in (3, 4, 3, 3)))
@@ -326,7 +373,7 @@ def _restated(scene: Scene, groups: Groups, ground: Body) -> Scene:
 
 
 def _merged(mechanism: Mechanism, indices: Sequence[int]) -> Body:
-    """One body of several, in the frame of the first."""
+    """Return the merged body of the bodies with some numbers, in the frame of the first of them."""
     first = mechanism.bodies[indices[0]]
     if len(indices) == 1:
         return first
@@ -350,7 +397,13 @@ def _merged(mechanism: Mechanism, indices: Sequence[int]) -> Body:
 
 
 def _forces_between(forces: Sequence[Force], names: Mapping[str, str], ground: str) -> Iterator[Force]:
-    """Forces on bodies of other names, without those that act within a body or on the ground alone."""
+    """Yield forces with renamed bodies, without those that act within one body or on the ground only.
+
+    Args:
+        forces: forces of a scene.
+        names: name of the merged body of each body.
+        ground: name of the ground.
+    """
     for force in forces:
         renamed: dict[str, Any] = {field: names[getattr(force, field)] for field in force.body_fields}
         bodies = set(renamed.values())
@@ -359,10 +412,11 @@ def _forces_between(forces: Sequence[Force], names: Mapping[str, str], ground: s
 
 
 def _turned_as_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
-    """The second scene with frames of bodies that start as the first's do; centers of mass stay.
+    """Rotate the body frames of the second scene, so that both scenes start with the same orientations.
 
     Returns:
-        It, and (b, 3) its centers of mass from the first's, in the first's body frames, m.
+        The second scene with the rotated frames, and positions (b, 3) of its centers of mass relative to
+        those of the first scene at the start, in the body frames of the first, m.
     """
     mechanism, start, here = second.mechanism, initial_state(second), initial_state(first)
     own, others = ([rotation(p) for p in state.quaternion] for state in (start, here))
@@ -381,7 +435,14 @@ def _turned_as_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
 
 
 def _centers_at_joints(first: Mechanism, second: Mechanism, joints: Mapping[str, str]) -> Array:
-    """(b, 3) the second's centers of mass from the first's where frames and points of a joint coincide, m."""
+    """Compute centers of mass of the second mechanism relative to those of the first, if joints coincide.
+
+    Body frames of both mechanisms are taken as equal, and placed so that the first paired joint of each body
+    is at the same point.
+
+    Returns:
+        (b, 3) positions in the body frames, m; 0 for a body without paired joint.
+    """
     centers = np.zeros((len(first.bodies), 3))
     for k, body in enumerate(first.bodies[1:], 1):
         paired = [first.joint_names[n] for n in first.joints_at[k] if first.joint_names[n] in joints]

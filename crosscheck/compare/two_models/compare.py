@@ -1,4 +1,9 @@
-"""Two models of one mechanism compared: levels in their order, up to the first that disagrees."""
+"""Comparison of two models of one mechanism, such as two versions of a file.
+
+In: two models. Out: a `TwoModelComparison`. newton_euler evaluates and simulates both models, and the checks
+of `levels.py` are made level by level, up to the first level at which the models differ. All results of the
+second model are expressed with the bodies, joints and signs of the first one (`align.py`).
+"""
 
 from __future__ import annotations
 
@@ -39,21 +44,23 @@ ENGINE = ENGINES["newton_euler"]
 """Engine that evaluates both models."""
 
 RANDOM_STATES = 8
-"""Number of random consistent states, besides the first model's start, at which the equations are
-compared."""
+"""Number of random states, in addition to the start of the first model, at which equations are compared."""
 
 NOT_COMPLETED = "not run to the end"
-"""Text on a run that stopped."""
+"""Text of the verdict on a run that stopped."""
 
 
 @dataclass(frozen=True, eq=False)
 class TwoModelComparison(Crosscheck):
-    """Result of a comparison of two models; runs are by the models' names, in the first's terms.
+    """Result of a comparison of two models.
+
+    It has the attributes of a `Crosscheck`. The models take the place of engines: `engines`, `trajectories`
+    and `checks` use their names. Results of the second model are expressed with the joints of the first one.
 
     Attributes:
-        models: the two.
-        unsimulated: what the files do not have alike and no check is about.
-        notes: also what was taken for what, and all that differs.
+        models: the two models.
+        unsimulated: differences between the files in elements that are not simulated.
+        notes: also how bodies and joints were paired, and all differences in `unsimulated`.
     """
 
     models: tuple[Model, Model] = field(kw_only=True)
@@ -61,38 +68,39 @@ class TwoModelComparison(Crosscheck):
 
     @property
     def title(self) -> str:
-        """Both models, with the options that were set."""
+        """Names of both models, with the options that the user set."""
         return " against ".join(model.title for model in self.models)
 
     @property
     def differs(self) -> bool:
-        """True if any check exceeds its tolerance, or anything else differs that moves the mechanism."""
+        """True if a check fails, or if elements differ that are not simulated but can affect the motion."""
         return super().differs or any(other.moves for other in self.unsimulated)
 
     @property
     def outcome(self) -> Outcome:
-        """Same, different, or unfinished; a difference that was found before a run stopped is one."""
+        """Outcome: `DIFFERENT` (even if a run stopped later), else `UNFINISHED` or `SAME`."""
         if self.differs:
             return Outcome.DIFFERENT
         return Outcome.UNFINISHED if self.unfinished else Outcome.SAME
 
     @property
     def agrees(self) -> bool:
-        """True if the two models do not differ in anything that was compared, and all was."""
+        """True if the models are the same: the comparison was completed and no difference was found."""
         return self.outcome is Outcome.SAME
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
-        """None: of two models that differ neither is wrong."""
+        """Empty: if two models differ, neither of them is known to be wrong."""
         return ()
 
     @property
     def verdict(self) -> str:
-        """One line: whether they are the same, or the first level at which they are not, and where."""
+        """Verdict in one line: the models are the same, or the first level and place at which they differ."""
         judged = [row for row in self.checks if row.judged]
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
         ending = f"; {NOT_COMPLETED}" if self.unfinished else ""
+        # All checks pass; elements that are not simulated may still differ
         if not failed:
             agree = f"{names} agree in all {len(judged)} checks{not_judged(self.checks)}"
             agree += "; nothing moves" if self.nothing_moves else ""
@@ -107,15 +115,16 @@ class TwoModelComparison(Crosscheck):
             if all(map(is_mjcf, self.models)):
                 agree += f"; {NEVER_COMPARED}"
             return f"SAME: {agree}"
+        # The first failing check, and the quantity that differs most at its level
         row = failed[0]
         worst = max(
             (each for each in failed if each.level == row.level), key=lambda each: each.tolerance_ratio
         )
-        beside = "" if worst is row else f", {worst.quantity.rpartition(', ')[0] or worst.quantity} most"
+        most = "" if worst is row else f", {worst.quantity.rpartition(', ')[0] or worst.quantity} most"
         return (
             f"DIFFERENT: {names} differ at level '{row.level}': {row.quantity}: {row.value:.3g} > "
             f"{row.tolerance:.3g}, worst at {row.place} "
-            f"({len(failed)} of {len(judged)} checks fail{beside}){ending}"
+            f"({len(failed)} of {len(judged)} checks fail{most}){ending}"
         )
 
     def summary(self) -> dict[str, Any]:
@@ -134,36 +143,43 @@ class TwoModelComparison(Crosscheck):
 
 
 def together(models: tuple[Model, Model]) -> str:
-    """Return the name of a pair of models in files."""
+    """Return the name of a pair of models for files: "a_against_b"."""
     return "_against_".join(model.name for model in models)[:100]
 
 
 def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelComparison:
-    """Compare two models and run both for the first's duration; `progress` is told each stage.
+    """Compare two models: their equations, and their runs over the duration of the first model.
 
-    A run that cannot go on or is too long hides no difference that is known without it.
+    Differences that are found before a run stops are still reported.
+
+    Args:
+        first, second: the models.
+        progress: shows a message to the user before each stage.
 
     Raises:
         CrosscheckError, NewtonEulerError: for models that cannot be compared.
     """
-    begun = time.perf_counter()
+    start = time.perf_counter()
     pair = first.name, second.name
+    # Align the models and compare their equations
     stopped: list[Stop] = []
     with limited("comparing equations", SHORTER_RUN_ADVICE, progress):
         states = _aligned_best(list(alignments(first.scene, second.scene)), stopped)
         aligned, engines = states.aligned, _engines(pair, states.aligned)
         rows, notes = _equations_compared(pair, engines, states)
+    # Simulate both models and compare their runs, if the equations agree
     runs, stops = run_engines(aligned.first, engines, progress)
     stops = [*stopped, *stops]
     if len(runs) == len(pair) and all(row.agrees for row in rows):
-        # of both together: what a run is off by itself is no difference between models
-        pairs = {
+        # Without these outputs there are no checks of a single run, which are no differences between models
+        compared = {
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
         }
         what = "comparing runs"
         with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
-            for row in finite(compare_runs(aligned.first, engines, pairs, states.energy)):
-                rows.append(row)  # not all at once: those before an error are kept
+            for row in finite(compare_runs(aligned.first, engines, compared, states.energy)):
+                rows.append(row)  # one by one, to keep the checks before an error
+    # Notes, and differences of elements that are not simulated
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
@@ -182,7 +198,7 @@ def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelC
         trajectories=runs,
         checks=tuple(rows),
         measured=(),
-        wall_time=time.perf_counter() - begun,
+        wall_time=time.perf_counter() - start,
         mapping=first.mapping,
         unfinished=tuple(stops),
         models=(first, second),
@@ -192,9 +208,14 @@ def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelC
 
 
 def _aligned_best(candidates: Sequence[Aligned], stops: list[Stop]) -> SharedStates:
-    """The alignment by which the fewest bodies and joints differ, of equals the first, and states for it.
+    """Choose the alignment with the fewest differing bodies and joints; the first one of several.
 
-    The start alone, and one more of the stops, where no random states can be had.
+    Args:
+        candidates: possible alignments.
+        stops: if no random states can be found, the reason is appended here, and the start alone is used.
+
+    Returns:
+        The states at which equations are compared, with the alignment.
     """
     scene, states = candidates[0].first, [initial_state(candidates[0].first)]
     if candidates[0].second is not None:
@@ -209,41 +230,48 @@ def _aligned_best(candidates: Sequence[Aligned], stops: list[Stop]) -> SharedSta
 def _equations_compared(
     pair: tuple[str, str], engines: Sequence[Engine], states: SharedStates
 ) -> tuple[list[Check], list[str]]:
-    """Figures of equations up to the first level that disagrees, and what there is to say of the starts."""
+    """Compare the equations of the two models.
+
+    Returns:
+        Checks up to the first level at which the models differ, and notes on different initial states.
+    """
     if states.aligned.second is None:
         return [bodies_row(pair, states.aligned)], []
     first, second = (engine.systems(states.scene)[0] for engine in engines)
     one, two = Samples(first, states), _SecondSamples(second, states)
     rows = list(finite(compare_pair(pair, [one], [two], LEVELS)))
-    apart = [
+    differences = [
         f"{row.quantity}: {row.value:.1e} at {row.where}"
         for row in start_rows(pair, one, two)
         if not row.agrees
     ]
-    return rows, [f"starts differ: {'; '.join(apart)}"] if apart else []
+    return rows, [f"starts differ: {'; '.join(differences)}"] if differences else []
 
 
 class _SecondSamples(Samples):
-    """The second model at states of the first."""
+    """Equations of the second model at states of the first model."""
 
     @cached_property
     def coordinates(self) -> list[tuple[Array, Array]]:
-        """q and v at each state, its angles as the second model counts them."""
+        """Coordinates q and velocities v at each state, with angles as the second model counts them."""
         assert isinstance(self.states, SharedStates)
         in_second = self.states.aligned.in_second
         return [self.system.coordinates(in_second(state)) for state in self.states.all]
 
 
-class _Second(Relative):
-    """Equations of motion of the second model, with reactions in the first's terms.
+class _SecondModel(Relative):
+    """Equations of motion of the second model, with reactions at the joints of the first model.
 
     Attributes:
-        aligned: both models; what control laws make of this class for a model of their own has none.
+        aligned: the alignment of both models. It is set after construction, because control laws may
+        construct
+            further objects of this class, for models of their own.
     """
 
     aligned: Aligned
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Evaluate accelerations and reactions; see `Relative.evaluate`."""
         found = super().evaluate(q, v)
         state = found.state
         motion = state.position[None], state.quaternion[None]
@@ -253,24 +281,30 @@ class _Second(Relative):
 
 
 def _engines(pair: tuple[str, str], aligned: Aligned) -> list[Engine]:
-    """newton_euler with each model, whatever scene it is asked to run, in the first's terms.
+    """Return each model as an `Engine`, so that models are compared as engines are.
 
-    The first alone if bodies have no partners: then the second cannot be laid over it.
+    Each engine simulates its own model in newton_euler, whatever scene it is given. Results of the second
+    model are expressed with the joints of the first one. If a body has no partner, only the engine of the
+    first model is returned.
+
+    Args:
+        pair: names of the models.
+        aligned: their alignment.
     """
 
-    def seen(name: str, run: Trajectory) -> Trajectory:
+    def in_first_terms(name: str, run: Trajectory) -> Trajectory:
         run = replace(run, engine=name)
         return run if name == pair[0] else _in_first(run, aligned)
 
     def engine(name: str, scene: Scene) -> Engine:
-        system = Relative(scene) if name == pair[0] else _Second(scene)
-        if isinstance(system, _Second):
+        system = Relative(scene) if name == pair[0] else _SecondModel(scene)
+        if isinstance(system, _SecondModel):
             system.aligned = aligned
         return replace(
             ENGINE,
             name=name,
-            simulate=lambda _: seen(name, ENGINE.simulate(scene)),
-            refined=lru_cache(lambda _: seen(name, ENGINE.refined(scene))),
+            simulate=lambda _: in_first_terms(name, ENGINE.simulate(scene)),
+            refined=lru_cache(lambda _: in_first_terms(name, ENGINE.refined(scene))),
             systems=lambda _: (system,),
         )
 
@@ -281,19 +315,21 @@ def _engines(pair: tuple[str, str], aligned: Aligned) -> list[Engine]:
 def reactions_in_first(
     aligned: Aligned, position: Array, quaternion: Array, force: Array, torque: Array
 ) -> tuple[Array, Array]:
-    """Reactions of the second model's joints as the first model has them: on its second body, at its point.
+    """Convert reactions of the second model to the convention of the first: its second body, its joint point.
 
     Args:
-        position, quaternion: (n, b, 3) and (n, b, 4) of the second model's bodies.
-        force, torque: (n, k, 3) of its k joints, N and N m.
+        aligned: the alignment of both models.
+        position, quaternion: (n, b, 3), m, and (n, b, 4) poses of the second model's bodies at n times.
+        force, torque: (n, k, 3) reactions of the k joints of the second model, N and N m, world frame.
 
     Returns:
-        (n, j, 3) both for the j joints of the first; 0 at those that it has alone.
+        Forces and torques (n, j, 3) of the j joints of the first model; 0 for a joint without partner.
     """
     a, b = (scene.mechanism for scene in aligned.both)
     forces, torques = np.zeros((2, len(force), len(a.joints), 3))
 
     def reaction_point(mechanism: Mechanism, joint: Joint) -> Array:
+        """Return positions (n, 3) of the point of a joint, m, world frame."""
         k = mechanism.body_index(joint.second)
         arm = mechanism.bodies[k].pose.point_to_body(joint.reaction_point)
         return np.asarray(position[:, k] + rotations(quaternion[:, k]) @ arm)
@@ -309,7 +345,11 @@ def reactions_in_first(
 
 
 def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
-    """The second model's run with the joints and actuators of the first; 0 at what the first has alone."""
+    """Express a run of the second model with the joints and actuators of the first.
+
+    Values are 0 for joints and actuators without partner.
+    """
+    # Reactions and constraint violations
     a, b = aligned.both
     assert run.reaction_force is not None
     assert run.reaction_torque is not None
@@ -320,12 +360,14 @@ def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
     for name, other in aligned.joints.items():
         k = b.mechanism.joint_index(other)
         violation[:, a.mechanism.joint_index(name)] = run.constraint_violation[:, k]
+    # Actuator forces, with the sign of the first model's coordinate
     actuation = np.zeros((len(run.time), len(a.control)))
     numbers = {law.key: n for n, law in enumerate(a.control)}
     for k, law in enumerate(b.control):
         key, sense = aligned.of_first(law.key)
         if key in numbers and run.actuator_force is not None:
             actuation[:, numbers[key]] = sense * run.actuator_force[:, k]
+    # Joint angles, as the first model counts them
     angles, labels = dict[str, Array](), a.mechanism.coordinate_labels
     keys = {label: key for key, label in b.mechanism.coordinate_labels.items()}
     for column, label in enumerate(run.angle_names):

@@ -1,4 +1,9 @@
-"""Elements of two model files that no engine simulates: in one file only, or with other numbers."""
+"""Differences between two model files in elements that are not simulated.
+
+Examples are contacts, joint limits, ranges of actuators, and dry friction. In: two models with their import
+reports, and their alignment. Out: one sentence for each element that only one file has, or that has different
+numbers in the two files.
+"""
 
 from __future__ import annotations
 
@@ -24,23 +29,23 @@ from newton_euler.reading.import_report import (
 )
 from newton_euler.scalars import Array
 
-ROUND_OFF = 1e-5
+FILE_ROUND_OFF = 1e-5
 """Relative difference of two numbers below which they are equal: files that MuJoCo saves have six digits."""
 
 NEVER_COMPARED = "contact and softness parameters (friction of geoms, solref, solimp) are not compared"
-"""Note on parameters that a comparison of two MJCF files ignores."""
+"""Note on parameters that a comparison of two MJCF files does not compare."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """One of the two.
+    """One of the two models.
 
     Attributes:
-        name: as in tables and files.
-        source: the name or the file that it was loaded from.
-        options: of the scene, as they were set.
-        scene: what was read.
-        mapping: what became of the elements of a model file; None for a scene of this package's own.
+        name: name in tables and files.
+        source: name or file that the model was loaded from.
+        options: options of the scene or file that the user set.
+        scene: the imported scene.
+        mapping: import report of a model file: how each element was imported. None for other scenes.
     """
 
     name: str
@@ -51,24 +56,34 @@ class Model:
 
     @property
     def title(self) -> str:
+        """Name or file of the model, with the options that the user set."""
         return titled(self.source, self.options)
 
 
 class Unsimulated(NamedTuple):
-    """An element that is not simulated as it is and that the files do not have alike."""
+    """Difference between two files in an element that is not simulated as the file has it.
+
+    Attributes:
+        text: sentence on the element and the difference.
+        moves: True if the element can affect the motion of the mechanism; False for settings of tools.
+    """
 
     text: str
     moves: bool
-    """True if it makes the mechanism itself move otherwise; else it is how a tool runs or shows it."""
 
 
 def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsimulated]:
-    """Elements that were not carried over exactly and that the files do not have alike.
+    """Yield differences between two files in elements that were not imported exactly.
 
-    An element differs if only one file has it, or if the files give it other numbers. Of two formats, only
-    what moves the mechanism is compared, and of contacts only whether there are any. Limits that only a URDF
-    has are no difference: the format demands them of hinges and slides.
+    An element differs if only one file has it, or if its numbers differ. If one file is an MJCF and the other
+    a URDF, only elements that can affect the motion are compared; for contacts, only whether the file has
+    any. Limits that only the URDF has are no difference, since a URDF must have them.
+
+    Args:
+        first, second: the two models.
+        aligned: their alignment, with the names of paired bodies and joints.
     """
+    # Elements that only one file has
     kinds = [_format(model) for model in (first, second)]
     alike, others = kinds[0] == kinds[1], {**aligned.names, **aligned.joint_names}
     named: tuple[tuple[Model, Mapping[str, str]], ...] = ((first, {}), (second, others))
@@ -78,6 +93,7 @@ def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsim
             demanded = kind == "URDF" and not alike and entry.topic in (LIMITS, VELOCITY_LIMITS)
             if key not in theirs and not demanded:
                 yield Unsimulated(f"only {where}: {entry}", not entry.inert)
+    # Elements with different numbers, and numbers that only one file gives
     given = [_numbers(model, names, alike) for model, names in named]
     yield from _of_other_values(first, second, aligned, *given)
     if alike:
@@ -86,14 +102,14 @@ def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsim
         yield from _only_in_one("there", given[1], given[0], elements[0])
 
 
-class Given(NamedTuple):
-    """Numbers of a file that are not simulated.
+class FileNumbers(NamedTuple):
+    """Numbers of one element of a file that are not simulated, such as the limits of a joint.
 
     Attributes:
-        number: of the entry in the report.
-        entry: the element that has the numbers.
-        what: what they are, such as `LIMITS`.
-        values: in SI units.
+        number: number of the element's entry in the import report.
+        entry: the entry.
+        what: quantity, such as `LIMITS`.
+        values: the numbers, in SI units.
     """
 
     number: int
@@ -103,28 +119,29 @@ class Given(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The quantity and its element, such as "limits of joint 'pivot'"."""
+        """Quantity and element, such as "limits of joint 'pivot'"."""
         named = self.entry.topic == self.what
         return what_acted(self.entry) if named else f"{self.what} of {self.entry.element}"
 
     def text(self, digits: int) -> str:
-        """The values with some significant digits."""
+        """Format the numbers with some significant digits."""
         return " to ".join(f"{value:.{digits}g}" for value in self.values)
 
 
-def _numbers(model: Model, names: Mapping[str, str], alike: bool) -> dict[tuple[str, str], Given]:
-    """Numbers of a model's report that are not simulated, by element and quantity.
+def _numbers(model: Model, names: Mapping[str, str], alike: bool) -> dict[tuple[str, str], FileNumbers]:
+    """Return the numbers in a model's import report that are not simulated, by element and quantity.
 
     Args:
-        model: whose report.
-        names: other names of bodies and joints.
-        alike: True if the other model's file has the same format; else what moves nothing is left out.
+        model: the model.
+        names: names of the first model by names of this model, for bodies and joints.
+        alike: True if both files have the same format. Otherwise only elements that can affect the motion are
+            included.
     """
-    found: dict[tuple[str, str], Given] = {}
+    found: dict[tuple[str, str], FileNumbers] = {}
     for number, entry in enumerate(model.mapping.entries if model.mapping else ()):
         for what, values in entry.numbers if alike or not entry.inert else ():
             key = (_renamed(entry.element, names), what)
-            found.setdefault(key, Given(number, entry, what, values))
+            found.setdefault(key, FileNumbers(number, entry, what, values))
     return found
 
 
@@ -132,8 +149,8 @@ def _of_other_values(
     first: Model,
     second: Model,
     aligned: Aligned,
-    here: Mapping[tuple[str, str], Given],
-    there: Mapping[tuple[str, str], Given],
+    here: Mapping[tuple[str, str], FileNumbers],
+    there: Mapping[tuple[str, str], FileNumbers],
 ) -> Iterator[Unsimulated]:
     """Yield elements to which both files give numbers, but not the same ones."""
     for key, one in here.items():
@@ -142,34 +159,40 @@ def _of_other_values(
             continue
         a, b = np.array(one.values), _in_first(first, second, aligned, one, two)
         finite = [abs(x) for x in (*one.values, *two.values) if np.isfinite(x)]
-        if a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=ROUND_OFF * max(finite, default=0.0)):
+        if a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=FILE_ROUND_OFF * max(finite, default=0.0)):
             continue
         digits = next((n for n in range(4, 17) if one.text(n) != two.text(n)), 4)
         text = f"{one.name}: {one.text(digits)} in {first.title}, {two.text(digits)} in {second.title}"
         yield Unsimulated(text, not one.entry.is_off)
 
 
-def _in_first(first: Model, second: Model, aligned: Aligned, one: Given, two: Given) -> Array:
-    """The second file's numbers as the first file counts them.
+def _in_first(first: Model, second: Model, aligned: Aligned, one: FileNumbers, two: FileNumbers) -> Array:
+    """Convert numbers of the second file to the convention of the first file.
 
-    Limits of a joint coordinate change sign with the coordinate, and move with the pose that it is counted
-    from. All other numbers are the same in both.
+    Limits of a joint coordinate are converted to the sign and the zero pose of the first file's coordinate.
+    All other numbers are returned unchanged.
+
+    Args:
+        first, second: the models.
+        aligned: their alignment.
+        one, two: numbers of the same element in the first and in the second file.
     """
     values = np.array(two.values)
     bounds = _bounds(first, one), _bounds(second, two)
     if one.what != LIMITS or bounds[0] is None or bounds[1] is None:
         return values
+    # The limits are those of one joint coordinate in each model
     (key, _), (other, _) = bounds[0].terms[0], bounds[1].terms[0]
     partner = aligned.coordinates.get(key)
     if partner is None or partner.key != other:
         return values
     here, there = aligned.at_start[key]
-    turned = here + partner.sense * (values - _zero(bounds[1], two) - there)
-    return np.sort(turned + _zero(bounds[0], one))
+    converted = here + partner.sense * (values - _zero(bounds[1], two) - there)
+    return np.sort(converted + _zero(bounds[0], one))
 
 
-def _bounds(model: Model, given: Given) -> Bounds | None:
-    """Watch of the limits of one joint coordinate in a run; None for anything else."""
+def _bounds(model: Model, given: FileNumbers) -> Bounds | None:
+    """Return the limits of a joint coordinate as they are monitored in runs; None for other numbers."""
     watches = model.mapping.watches.get(given.number, ()) if model.mapping else ()
     for watch in watches if len(watches) == 1 else ():
         if isinstance(watch, Bounds) and [factor for _, factor in watch.terms] == [1.0]:
@@ -177,8 +200,15 @@ def _bounds(model: Model, given: Given) -> Bounds | None:
     return None
 
 
-def _zero(bounds: Bounds, given: Given) -> float:
-    """Value of a coordinate, as the file counts it, in the initial pose; margins at both ends cancel."""
+def _zero(bounds: Bounds, given: FileNumbers) -> float:
+    """Return the value of a coordinate in the initial pose, as the file counts it, m or rad.
+
+    Args:
+        bounds: limits that are monitored in runs, in the coordinate of the scene. They may be narrower than
+        those
+            of the file by the same margin at both ends.
+        given: limits in the file.
+    """
     low, high = given.values
     if not np.all(np.isfinite([low, high])) or not isinstance(bounds.constant, float):
         return 0.0
@@ -187,16 +217,16 @@ def _zero(bounds: Bounds, given: Given) -> float:
 
 def _only_in_one(
     where: str,
-    mine: Mapping[tuple[str, str], Given],
-    theirs: Mapping[tuple[str, str], Given],
+    mine: Mapping[tuple[str, str], FileNumbers],
+    theirs: Mapping[tuple[str, str], FileNumbers],
     elements: Container[str],
 ) -> Iterator[Unsimulated]:
-    """Yield numbers of simulated elements that only one file gives, such as a range of a control.
+    """Yield numbers of simulated elements that only one file gives, such as the range of an actuator.
 
-    Elements that are left out, or that only one file has, are compared as a whole.
+    Elements that are not simulated at all, or that only one file has, are reported elsewhere.
 
     Args:
-        where: name of the file that has `mine`.
+        where: "here" for the first file, "there" for the second: the file that has `mine`.
         mine: numbers of one file.
         theirs: numbers of the other file.
         elements: all elements of the other file.
@@ -208,6 +238,7 @@ def _only_in_one(
 
 
 def _format(model: Model) -> str:
+    """Return the format of a model's file: "MJCF", "URDF" or "scene"."""
     if not is_model_file(model.source):
         return "scene"
     return "URDF" if is_urdf_file(model.source) else "MJCF"
@@ -221,7 +252,14 @@ def is_mjcf(model: Model) -> bool:
 def _unsimulated(
     model: Model, names: Mapping[str, str], alike: bool
 ) -> dict[tuple[str, ...], ImportedElement]:
-    """Entries of a model's report by what they are about, with other `names` of bodies and joints."""
+    """Return the entries of a model's import report that were not imported exactly.
+
+    Args:
+        model, names, alike: see `_numbers`.
+
+    Returns:
+        Entries by element, topic, and how the element was imported.
+    """
     found: dict[tuple[str, ...], ImportedElement] = {}
     for entry in model.mapping.entries if model.mapping else ():
         element = _renamed(entry.element, names)
@@ -234,10 +272,10 @@ def _unsimulated(
 
 
 def _elements(model: Model, names: Mapping[str, str]) -> set[str]:
-    """All elements of a model's report, with other `names` of bodies and joints."""
+    """Return all elements of a model's import report; `names` as in `_numbers`."""
     return {_renamed(entry.element, names) for entry in (model.mapping.entries if model.mapping else ())}
 
 
 def _renamed(element: str, names: Mapping[str, str]) -> str:
-    """The words of an element with other `names` of bodies and joints."""
+    """Replace quoted names of bodies and joints in the text of an element by other `names`."""
     return re.sub(r"'(.*?)'", lambda name: repr(names.get(name[1], name[1])), element)

@@ -16,7 +16,7 @@ from crosscheck.cli import run_all
 from crosscheck.cli.run_all import SceneOutcome, outcome_lines, outcomes_table, run_scene
 from crosscheck.cli.shared import UNFINISHED
 from crosscheck.compare.check import OWN_ERROR, UNRESOLVED
-from crosscheck.compare.reference_values import ROUND_OFF, known_of, measure
+from crosscheck.compare.reference_values import STEPS_ROUND_OFF, known_of, measure
 from crosscheck.engines import engine as engines
 from crosscheck.library import REFERENCE_QUANTITIES, SCENES, load
 from crosscheck.library.measure import angle, position, spin, velocity
@@ -88,7 +88,7 @@ def test_a_run_is_judged_by_its_uncertainty_and_its_own_error(swing):
         change = abs(figure(fine) - figure(coarse)).max()
         assert each.result == figure(fine)[-1]
         assert each.tolerance == pytest.approx(
-            each.known.uncertainty + OWN_ERROR * change + ROUND_OFF * abs(figure(fine)).max(), rel=1e-12
+            each.known.uncertainty + OWN_ERROR * change + STEPS_ROUND_OFF * abs(figure(fine)).max(), rel=1e-12
         )
         assert each.agrees
         assert each.summary()["reference"] == each.known.value
@@ -106,7 +106,7 @@ def test_a_coarse_run_excuses_no_more_than_a_hundredth(swing):
     engine = own(exact=lambda _: fine, refined=lambda _: elsewhere)
     for each in measure("pendulum", swing, engine, fine, half_second()):
         largest = abs(REFERENCE_QUANTITIES["pendulum"][each.known.quantity](fine)).max()
-        own_error = (UNRESOLVED + ROUND_OFF) * largest
+        own_error = (UNRESOLVED + STEPS_ROUND_OFF) * largest
         assert each.tolerance == pytest.approx(each.known.uncertainty + own_error, rel=1e-12)
 
 
@@ -118,7 +118,7 @@ def test_an_engine_that_cannot_be_more_exact_is_judged_by_what_it_can(swing):
     engine = own(exact=fails, refined=lambda _: runs["refined"])
     (found, *_) = measure("pendulum", swing, engine, runs["usual"], half_second())
     assert found.result == REFERENCE_QUANTITIES["pendulum"]["x"](runs["refined"])[-1]
-    assert found.tolerance - found.known.uncertainty > ROUND_OFF
+    assert found.tolerance - found.known.uncertainty > STEPS_ROUND_OFF
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -139,7 +139,9 @@ def test_an_exact_run_without_a_finer_one_is_judged_by_the_usual(swing):
     (found, *_) = measure("pendulum", swing, own(exact=lambda _: exact, refined=fails), usual, half_second())
     figure = REFERENCE_QUANTITIES["pendulum"]["x"]
     assert found.result == figure(exact)[-1]
-    own_error = OWN_ERROR * abs(figure(exact) - figure(usual)).max() + ROUND_OFF * abs(figure(exact)).max()
+    own_error = (
+        OWN_ERROR * abs(figure(exact) - figure(usual)).max() + STEPS_ROUND_OFF * abs(figure(exact)).max()
+    )
     assert found.tolerance == pytest.approx(found.known.uncertainty + own_error, rel=1e-12)
 
 
