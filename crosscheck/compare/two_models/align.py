@@ -149,49 +149,50 @@ def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
     The second model gets the ground and the output times of the first.
     """
     # Merge and pair bodies
-    here, there = _groups(first.mechanism), _groups(second.mechanism)
-    names = pair_bodies(first.mechanism, here, second.mechanism, there)
+    first_groups, second_groups = _rigid_groups(first.mechanism), _rigid_groups(second.mechanism)
+    names = pair_bodies(first.mechanism, first_groups, second.mechanism, second_groups)
     alone = (
-        tuple(name for name in here if name not in names.values()),
-        tuple(name for name in there if name not in names),
+        tuple(name for name in first_groups if name not in names.values()),
+        tuple(name for name in second_groups if name not in names),
     )
     ground = first.mechanism.bodies[0]
     notes = [
-        f"body {name} is {' and '.join(there[other])} there"
+        f"body {name} is {' and '.join(second_groups[other])} there"
         for other, name in names.items()
-        if there[other] != here[name] and name != ground.name
+        if second_groups[other] != first_groups[name] and name != ground.name
     ]
-    first = _restated(first, here, ground)
+    first = _with_merged_bodies(first, first_groups, ground)
     if any(alone):
         notes.append("bodies are paired by their names, and what is left by the names of its joints")
         yield Aligned(first, None, alone, names, {}, {}, np.zeros((0, 3)), tuple(notes))
         return
     # Restate the second model with the bodies of the first, and match the frames
     others = {name: other for other, name in names.items()}
-    second = _restated(second, {name: there[others[name]] for name in here}, ground)
+    second = _with_merged_bodies(second, {name: second_groups[others[name]] for name in first_groups}, ground)
     second = replace(second, duration=first.duration, output_period=first.output_period)
     joints = pair_joints(first.mechanism, second.mechanism)
     at_joints = _centers_at_joints(first.mechanism, second.mechanism, joints)
-    for placed, centers in (
-        _turned_as_first(first, second),
+    for restated, centers in (
+        _with_frames_of_first(first, second),
         (second, at_joints),
         (second, np.zeros_like(at_joints)),
     ):
-        coordinates = _pair_coordinates(first.mechanism, placed.mechanism, joints)
-        of_joints = _joint_notes(first.mechanism, placed.mechanism, joints, coordinates)
-        yield Aligned(first, placed, alone, names, joints, coordinates, centers, (*notes, *of_joints))
+        coordinates = _pair_coordinates(first.mechanism, restated.mechanism, joints)
+        of_joints = _joint_notes(first.mechanism, restated.mechanism, joints, coordinates)
+        yield Aligned(first, restated, alone, names, joints, coordinates, centers, (*notes, *of_joints))
 
 
-def _groups(mechanism: Mechanism) -> Groups:
+def _rigid_groups(mechanism: Mechanism) -> Groups:
     """Group rigidly connected bodies, in the order of the mechanism, by the name of their first body."""
-    owner = {name: name for name in mechanism.body_names}
+    group_of = {name: name for name in mechanism.body_names}
     for joint in mechanism.joints:
-        if isinstance(joint, Fixed):
-            kept, other = sorted((owner[joint.first], owner[joint.second]), key=mechanism.body_names.index)
-            owner = {name: kept if of == other else of for name, of in owner.items()}
+        if isinstance(joint, Fixed):  # merge the two groups that the joint connects
+            ends = group_of[joint.first], group_of[joint.second]
+            kept, merged = sorted(ends, key=mechanism.body_names.index)
+            group_of = {name: kept if group == merged else group for name, group in group_of.items()}
     return {
-        group: tuple(name for name in mechanism.body_names if owner[name] == group)
-        for group in dict.fromkeys(owner.values())
+        group: tuple(name for name in mechanism.body_names if group_of[name] == group)
+        for group in dict.fromkeys(group_of.values())
     }
 
 
@@ -208,15 +209,15 @@ def pair_bodies(first: Mechanism, here: Groups, second: Mechanism, there: Groups
         Name of each paired body in the first model, by its name in the second.
     """
     names = {second.body_names[0]: first.body_names[0]}
-    for one, two in (
-        ({name: frozenset(group) for name, group in of.items()} for of in (here, there)),
-        (_joints_of(first, here), _joints_of(second, there)),
-    ):
-        left = {name: one[name] for name in one if name not in names.values()}
-        right = {name: two[name] for name in two if name not in names}
-        for a, has in left.items():
-            b = _nearest(has, right)
-            if b is not None and _nearest(two[b], left) == a:
+    parts = tuple({name: frozenset(group) for name, group in groups.items()} for groups in (here, there))
+    joints = _joints_of(first, here), _joints_of(second, there)
+    for of_first, of_second in (parts, joints):
+        unpaired_first = {name: of_first[name] for name in of_first if name not in names.values()}
+        unpaired_second = {name: of_second[name] for name in of_second if name not in names}
+        # Two bodies are paired if each has the most in common with the other
+        for a, elements in unpaired_first.items():
+            b = _nearest(elements, unpaired_second)
+            if b is not None and _nearest(of_second[b], unpaired_first) == a:
                 names[b] = a
     return names
 
@@ -337,7 +338,7 @@ def _joint_notes(
             yield f"{what}: {', '.join(names)}"
 
 
-def _restated(scene: Scene, groups: Groups, ground: Body) -> Scene:
+def _with_merged_bodies(scene: Scene, groups: Groups, ground: Body) -> Scene:
     """Return a scene with merged bodies, without `fixed` joints, and with all outputs.
 
     Args:
@@ -367,7 +368,7 @@ def _restated(scene: Scene, groups: Groups, ground: Body) -> Scene:
         scene,
         mechanism=Mechanism(bodies, kept, mechanism.couplings),
         initial_state=replace(state, angles=angles),
-        forces=tuple(_forces_between(scene.forces, names, ground.name)),
+        forces=tuple(_renamed_forces(scene.forces, names, ground.name)),
         outputs=frozenset(OUTPUTS),
     )
 
@@ -396,7 +397,7 @@ def _merged(mechanism: Mechanism, indices: Sequence[int]) -> Body:
     )
 
 
-def _forces_between(forces: Sequence[Force], names: Mapping[str, str], ground: str) -> Iterator[Force]:
+def _renamed_forces(forces: Sequence[Force], names: Mapping[str, str], ground: str) -> Iterator[Force]:
     """Yield forces with renamed bodies, without those that act within one body or on the ground only.
 
     Args:
@@ -411,7 +412,7 @@ def _forces_between(forces: Sequence[Force], names: Mapping[str, str], ground: s
             yield replace(force, **renamed)
 
 
-def _turned_as_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
+def _with_frames_of_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
     """Rotate the body frames of the second scene, so that both scenes start with the same orientations.
 
     Returns:
@@ -437,8 +438,8 @@ def _turned_as_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
 def _centers_at_joints(first: Mechanism, second: Mechanism, joints: Mapping[str, str]) -> Array:
     """Compute centers of mass of the second mechanism relative to those of the first, if joints coincide.
 
-    Body frames of both mechanisms are taken as equal, and placed so that the first paired joint of each body
-    is at the same point.
+    Body frames of both mechanisms are taken as equal, and restated so that the first paired joint of each
+    body is at the same point.
 
     Returns:
         (b, 3) positions in the body frames, m; 0 for a body without paired joint.

@@ -85,19 +85,22 @@ def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsim
     """
     # Elements that only one file has
     kinds = [_format(model) for model in (first, second)]
-    alike, others = kinds[0] == kinds[1], {**aligned.names, **aligned.joint_names}
+    same_format, others = kinds[0] == kinds[1], {**aligned.names, **aligned.joint_names}
     named: tuple[tuple[Model, Mapping[str, str]], ...] = ((first, {}), (second, others))
-    here, there = (_unsimulated(model, names, alike) for model, names in named)
-    for where, mine, theirs, kind in (("here", here, there, kinds[0]), ("there", there, here, kinds[1])):
-        for key, entry in mine.items():
-            demanded = kind == "URDF" and not alike and entry.topic in (LIMITS, VELOCITY_LIMITS)
-            if key not in theirs and not demanded:
+    of_first, of_second = (_unsimulated_entries(model, names, same_format) for model, names in named)
+    for where, own_entries, other_entries, kind in (
+        ("here", of_first, of_second, kinds[0]),
+        ("there", of_second, of_first, kinds[1]),
+    ):
+        for key, entry in own_entries.items():
+            required = kind == "URDF" and not same_format and entry.topic in (LIMITS, VELOCITY_LIMITS)
+            if key not in other_entries and not required:
                 yield Unsimulated(f"only {where}: {entry}", not entry.inert)
     # Elements with different numbers, and numbers that only one file gives
-    given = [_numbers(model, names, alike) for model, names in named]
-    yield from _of_other_values(first, second, aligned, *given)
-    if alike:
-        elements = [_elements(model, names) for model, names in named]
+    given = [_numbers(model, names, same_format) for model, names in named]
+    yield from _differing_numbers(first, second, aligned, *given)
+    if same_format:
+        elements = [_element_names(model, names) for model, names in named]
         yield from _only_in_one("here", given[0], given[1], elements[1])
         yield from _only_in_one("there", given[1], given[0], elements[0])
 
@@ -128,36 +131,43 @@ class FileNumbers(NamedTuple):
         return " to ".join(f"{value:.{digits}g}" for value in self.values)
 
 
-def _numbers(model: Model, names: Mapping[str, str], alike: bool) -> dict[tuple[str, str], FileNumbers]:
+def _numbers(model: Model, names: Mapping[str, str], same_format: bool) -> dict[tuple[str, str], FileNumbers]:
     """Return the numbers in a model's import report that are not simulated, by element and quantity.
 
     Args:
         model: the model.
         names: names of the first model by names of this model, for bodies and joints.
-        alike: True if both files have the same format. Otherwise only elements that can affect the motion are
+        same_format: True if both files have the same format. Otherwise only elements that can affect the
+        motion are
             included.
     """
     found: dict[tuple[str, str], FileNumbers] = {}
     for number, entry in enumerate(model.mapping.entries if model.mapping else ()):
-        for what, values in entry.numbers if alike or not entry.inert else ():
+        for what, values in entry.numbers if same_format or not entry.inert else ():
             key = (_renamed(entry.element, names), what)
             found.setdefault(key, FileNumbers(number, entry, what, values))
     return found
 
 
-def _of_other_values(
+def _differing_numbers(
     first: Model,
     second: Model,
     aligned: Aligned,
     here: Mapping[tuple[str, str], FileNumbers],
     there: Mapping[tuple[str, str], FileNumbers],
 ) -> Iterator[Unsimulated]:
-    """Yield elements to which both files give numbers, but not the same ones."""
+    """Yield elements to which both files give numbers, but not the same ones.
+
+    Args:
+        first, second: the two models.
+        aligned: their alignment.
+        here, there: numbers of the first and of the second file, see `_numbers`.
+    """
     for key, one in here.items():
         two = there.get(key)
         if two is None or one.entry.is_off != two.entry.is_off:
             continue
-        a, b = np.array(one.values), _in_first(first, second, aligned, one, two)
+        a, b = np.array(one.values), _in_first_convention(first, second, aligned, one, two)
         finite = [abs(x) for x in (*one.values, *two.values) if np.isfinite(x)]
         if a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=FILE_ROUND_OFF * max(finite, default=0.0)):
             continue
@@ -166,7 +176,9 @@ def _of_other_values(
         yield Unsimulated(text, not one.entry.is_off)
 
 
-def _in_first(first: Model, second: Model, aligned: Aligned, one: FileNumbers, two: FileNumbers) -> Array:
+def _in_first_convention(
+    first: Model, second: Model, aligned: Aligned, one: FileNumbers, two: FileNumbers
+) -> Array:
     """Convert numbers of the second file to the convention of the first file.
 
     Limits of a joint coordinate are converted to the sign and the zero pose of the first file's coordinate.
@@ -217,8 +229,8 @@ def _zero(bounds: Bounds, given: FileNumbers) -> float:
 
 def _only_in_one(
     where: str,
-    mine: Mapping[tuple[str, str], FileNumbers],
-    theirs: Mapping[tuple[str, str], FileNumbers],
+    own_numbers: Mapping[tuple[str, str], FileNumbers],
+    other_numbers: Mapping[tuple[str, str], FileNumbers],
     elements: Container[str],
 ) -> Iterator[Unsimulated]:
     """Yield numbers of simulated elements that only one file gives, such as the range of an actuator.
@@ -226,13 +238,13 @@ def _only_in_one(
     Elements that are not simulated at all, or that only one file has, are reported elsewhere.
 
     Args:
-        where: "here" for the first file, "there" for the second: the file that has `mine`.
-        mine: numbers of one file.
-        theirs: numbers of the other file.
+        where: "here" for the first file, "there" for the second: the file that has `own_numbers`.
+        own_numbers: numbers of one file.
+        other_numbers: numbers of the other file.
         elements: all elements of the other file.
     """
-    for key, given in mine.items():
-        if given.entry.fate == "exactly" and key not in theirs and key[0] in elements:
+    for key, given in own_numbers.items():
+        if given.entry.fate == "exactly" and key not in other_numbers and key[0] in elements:
             text = f"only {where}: {given.name}: {given.text(4)}"
             yield Unsimulated(text, not given.entry.is_off)
 
@@ -249,13 +261,13 @@ def is_mjcf(model: Model) -> bool:
     return _format(model) == "MJCF"
 
 
-def _unsimulated(
-    model: Model, names: Mapping[str, str], alike: bool
+def _unsimulated_entries(
+    model: Model, names: Mapping[str, str], same_format: bool
 ) -> dict[tuple[str, ...], ImportedElement]:
     """Return the entries of a model's import report that were not imported exactly.
 
     Args:
-        model, names, alike: see `_numbers`.
+        model, names, same_format: see `_numbers`.
 
     Returns:
         Entries by element, topic, and how the element was imported.
@@ -263,15 +275,15 @@ def _unsimulated(
     found: dict[tuple[str, ...], ImportedElement] = {}
     for entry in model.mapping.entries if model.mapping else ():
         element = _renamed(entry.element, names)
-        if not alike and entry.topic == CONTACTS:
+        if not same_format and entry.topic == CONTACTS:
             element = ""
-        if (entry.fate != "exactly" or entry.inert) and (alike or not entry.inert):
+        if (entry.fate != "exactly" or entry.inert) and (same_format or not entry.inert):
             key = (re.sub(r"^\d+ ", "", element), entry.topic, entry.fate, str(entry.inert))
             found.setdefault(key, entry)
     return found
 
 
-def _elements(model: Model, names: Mapping[str, str]) -> set[str]:
+def _element_names(model: Model, names: Mapping[str, str]) -> set[str]:
     """Return all elements of a model's import report; `names` as in `_numbers`."""
     return {_renamed(entry.element, names) for entry in (model.mapping.entries if model.mapping else ())}
 
