@@ -86,6 +86,7 @@ class Callbacks:
         """
 
         def call(x: int, y: int, on: int) -> None:
+            """Call the function; store an exception, mark the results and stop the run if necessary."""
             try:
                 function(x, y, on)
                 self.error = None
@@ -125,6 +126,7 @@ class Callbacks:
             return
 
         def note(number: int, frame: object) -> None:
+            """Remember that the user has pressed Ctrl-C."""
             self._interrupted = True
 
         signal.signal(signal.SIGINT, note)

@@ -279,6 +279,7 @@ class CompiledEquations:
         chosen += [float(motion.function.value(0.0)) for motion in self.scene.motions]
 
         def found(parameters: tuple[str, ...], neutral: frozenset[str]) -> str | None:
+            """Compute the fingerprint for names of parameters and names of fields to ignore."""
             inputs = parameter_layout(self.scene, parameters)
             return fingerprint(self.scene, *chosen, inputs, neutral=neutral)
 
@@ -335,7 +336,7 @@ class CompiledEquations:
 
     @property
     def nearly_redundant(self) -> tuple[NearlyRedundant, ...]:
-        """Constraints that are almost redundant; each entry tells whether they are kept or ignored."""
+        """Constraints that are almost redundant, each with its treatment: kept or ignored."""
         return self._decided[3]
 
     @property

@@ -91,20 +91,20 @@ def integrate_adaptive(
         tallies=np.zeros((1, COUNTS)),
     )
     # the integrator and its work arrays
-    most = options.most_steps or MAX_EVALUATED_STEPS
+    max_steps = options.most_steps or MAX_EVALUATED_STEPS
     if options.integrator == "Radau":
-        method: Any = radau_of(n, n + 1, options, most, evaluated.callback(n * n, evaluated.jacobian))
+        method: Any = radau_of(n, n + 1, options, max_steps, evaluated.callback(n * n, evaluated.jacobian))
     else:
         near = options.near_singular(mobility(system.scene).residual, system.mechanism.size)
         units = np.zeros(n)  # m or rad: a smaller coordinate has the round-off of this magnitude
         units[: system.nq] = min(1.0, system.mechanism.size)
-        method = dop853_of(n, n + 1, options, near, most, units)
+        method = dop853_of(n, n + 1, options, near, max_steps, units)
     # integrate
     integrate = METHODS[options.integrator]
     with evaluated.interruptible(), np.errstate(all="ignore"):  # the integrator rejects infinite numbers
         native_method(integrate)(integrate, evaluated.equations, table, method)
     found = {"steps": int(evaluated.counts[Count.STEPS]), "evaluations": evaluated.evaluations}
-    stopped = evaluated.failure(start[:-1], options.integrator, most)
+    stopped = evaluated.failure(start[:-1], options.integrator, max_steps)
     return states[: int(evaluated.counts[Count.ROWS_WRITTEN])], found, stopped
 
 
@@ -299,13 +299,13 @@ class EvaluatedSystem(Callbacks):
         mass = system.mass_and_force(q, np.zeros(len(v)))[0] * np.outer(units, units)
         return np.concatenate([phi, rates, jacobian.ravel(), mass.ravel()])
 
-    def failure(self, last: Array, integrator: str, most: int) -> IntegrationError | None:
+    def failure(self, last: Array, integrator: str, max_steps: int) -> IntegrationError | None:
         """Explain why a run ended early; return None for a complete run.
 
         Args:
             last: (n,) the last state (q, v).
             integrator: name of the integrator.
-            most: number of steps at which the run stops.
+            max_steps: number of steps at which the run stops.
 
         Raises:
             KeyboardInterrupt: if the user interrupted the run.
@@ -323,7 +323,7 @@ class EvaluatedSystem(Callbacks):
             joint, residual = worst_joint(system, state)
             reason = f"projection fails: {error or AssemblyError(joint, residual, CLOSURE_TOLERANCE)}"
             return IntegrationError(time, reason)
-        reason = status.message.format(max_steps=most)
+        reason = status.message.format(max_steps=max_steps)
         if status == Status.SINGULAR:
             reason = str(error)
         if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL) and integrator == "DOP853":

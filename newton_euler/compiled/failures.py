@@ -38,9 +38,9 @@ UNSTABLE_STATUSES = (Status.NOT_FINITE, Status.OPEN, Status.STRAYING)
 LEFT_MOTION_FACTOR = 30.0
 """Factor beyond the stability limit at which a rate is no property of the motion but of a diverged run.
 
-In tests with light links in loops, rates exceed the limit by a factor of 1.5 while the run follows the
-motion,
-and by a factor of 100 or more in the next step, after the run has diverged."""
+In tests with light links in loops, rates exceed the limit by a factor of 1.5 before the run diverges, and by
+a
+factor of 100 or more in the next step."""
 
 EXAMINED_FROM_END = (1, 2, 4, 16, 64)
 """States of a run, counted from its end, that are examined for rates too fast for the step."""

@@ -83,7 +83,7 @@ class LaneExit(DenseCallbacks):
         self.derivative = self.guarded(self._leave)
 
     def _leave(self, x: int, y: int, on: int) -> None:
-        """Mark the rates at address y as missing in the active lanes, and let their runs leave."""
+        """Mark the rates at address y as missing in the active lanes, and make their runs leave."""
         count = self.counts.shape[1]
         vector_at(y, (self._size + 1) * count).reshape(-1, count)[self._size, self._lanes(on)] = -1.0
         self._end(on)

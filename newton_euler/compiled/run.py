@@ -312,6 +312,7 @@ def equations(
         derivative: computes dq/dt, dv/dt and the pivot ratio.
         marked: (size,) marks of angles and quaternions, see `marks`.
     """
+    # projection functions take several states per call: one of each run, or several outputs of a single run
     in_lanes = python.counts.ndim > 1
     position, velocity = (
         code.function(name, in_lanes) if code.projects else None for name in ("position", "velocity")
@@ -469,7 +470,7 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
         steps: (room, size + 2 + flags) receives the first steps of DOP853.
         lanes: number of runs that are integrated at once.
     """
-    n, most = code.size, max_adaptive_steps(options)
+    n, max_steps = code.size, max_adaptive_steps(options)
 
     def scratch(*shape: int) -> Array:
         """Return a work array of a shape, for each lane."""
@@ -489,8 +490,8 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
         )
     if options.integrator == "DOP853":
         near = options.near_singular(code.noise, code.scene.mechanism.size)
-        return dop853_of(n, code.inputs, options, near, most, round_off_units(code), steps, lanes)
-    return radau_of(n, code.inputs, options, most, code.function("jacobian"), lanes)
+        return dop853_of(n, code.inputs, options, near, max_steps, round_off_units(code), steps, lanes)
+    return radau_of(n, code.inputs, options, max_steps, code.function("jacobian"), lanes)
 
 
 def dop853_of(
@@ -498,7 +499,7 @@ def dop853_of(
     inputs: int,
     options: Options,
     near: tuple[float, float],
-    most: int,
+    max_steps: int,
     units: Array,
     steps: Array | None = None,
     lanes: int = 1,
@@ -510,7 +511,7 @@ def dop853_of(
         inputs: length of a state with time, flags and parameters.
         options: tolerances and other step control.
         near: relative and absolute tolerance next to a singular configuration.
-        most: largest number of steps.
+        max_steps: largest number of steps.
         units: (n,) magnitudes below which the round-off of a number is constant, see `round_off_units`.
         steps: (room, n + 2 + flags) receives the first steps; None to keep no steps.
         lanes: number of runs that are integrated at once.
@@ -526,7 +527,7 @@ def dop853_of(
         atol=options.atol,
         near_rtol=near[0],
         near_atol=near[1],
-        max_steps=most,
+        max_steps=max_steps,
         rest=options.rest,
         units=units,
         now=scratch(inputs),
@@ -542,14 +543,16 @@ def dop853_of(
     )
 
 
-def radau_of(n: int, inputs: int, options: Options, most: int, jacobian: Callback, lanes: int = 1) -> Radau:
+def radau_of(
+    n: int, inputs: int, options: Options, max_steps: int, jacobian: Callback, lanes: int = 1
+) -> Radau:
     """Return the record of Radau: its options, its state and its work arrays.
 
     Args:
         n: length of a state (q, v).
         inputs: length of a state with time, flags and parameters.
         options: tolerances and other step control.
-        most: largest number of steps.
+        max_steps: largest number of steps.
         jacobian: computes the Jacobian (n, n) of the rates dq/dt, dv/dt.
         lanes: number of runs that are integrated at once.
     """
@@ -561,7 +564,7 @@ def radau_of(n: int, inputs: int, options: Options, most: int, jacobian: Callbac
     return Radau(
         rtol=options.rtol,
         atol=options.atol,
-        max_steps=most,
+        max_steps=max_steps,
         jacobian=jacobian,
         now=scratch(inputs),
         at=scratch(inputs),

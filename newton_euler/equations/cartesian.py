@@ -112,7 +112,7 @@ class Cartesian(CartesianTerms):
         _, B = self.Phi_q_and_B(q, v)
         right = self.right_side(q, v)
         force = self._applied(q, v)
-        # mass matrix: mass m_i and inertia J'_i of each body
+        # mass matrix: m_i and J'_i of each body, the latter multiplied by p^T p after the factorization
         mass: Rows = [{} for _ in force]
         scales = []
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
@@ -124,7 +124,7 @@ class Cartesian(CartesianTerms):
         for k, scale in enumerate(scales):
             for i in range(6 * k + 3, 6 * k + 6):
                 factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
-        # the rows of the norms of p need no equation: the unknowns omegadot' keep the norms
+        # rows in use, without those of the quaternions' norms, which these unknowns keep at 1
         count = sum(number < self.rows for number in rows.numbers)
         # an armature of inertia a on a coordinate x is a soft constraint: x'' + lambda / a = 0
         inertias, _, of_rotors, gammas = self.rotors(q, v)
@@ -184,6 +184,7 @@ class Cartesian(CartesianTerms):
         return force, right
 
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
+        """Compute sparse rows and gamma (k,) of joint coordinates; see `Formulation.sparse_coordinates`."""
         frames, measured, rows = self.frames(q, v), self.measured(q, v), list[dict[int, Scalar]]()
         for key in keys:
             first, second = self.between[key].first, self.between[key].second
@@ -232,9 +233,11 @@ class Cartesian(CartesianTerms):
         return np.concatenate(parts), np.concatenate(v)
 
     def own_rate(self, q: Array, v: Array) -> Array:
+        """Return the rates of (r, p) of all moving bodies: v itself."""
         return v
 
     def own_retract(self, q: Array, step: Array) -> Array:
+        """Return (r, p) moved by a small step (7 n,), with quaternions normalized."""
         moved = []
         for r, p in self.split(q[: self.nv] + step):
             moved.extend([r, p / sqrt(p @ p)])
@@ -247,16 +250,19 @@ class Cartesian(CartesianTerms):
         return np.concatenate([self.Phi(q, rest), self.norms(q)]), jacobian
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Translate row numbers of the joint-coordinate form; see `Formulation.rows_of`."""
         left_out = set(np.delete(self.closing_rows(), list(relative)).tolist())
         return [row for row in range(len(self.phi_units)) if row not in left_out]
 
     def closing_rows(self) -> list[int]:
+        """List the rows of loop-closing joints (cuts of the spanning tree), then those of couplings."""
         rows = np.split(np.arange(self.rows), np.cumsum([equations.count for equations in self.equations]))
         of_cuts = [rows[joint] for joint in SpanningTree(self.mechanism).cuts]
         closing: list[int] = np.concatenate([*of_cuts, rows[-1]]).tolist()
         return closing
 
     def velocity_transformation(self, q: Array) -> Array:
+        """Compute the matrix (6 b, 7 n) from v to the velocities of all bodies: omega = 2 G pdot."""
         rows = np.zeros((6 * len(self.mechanism.bodies), self.nv))
         for k, (_, p) in enumerate(self.split(q)):
             rows[6 * k + 6 : 6 * k + 9, 7 * k : 7 * k + 3] = np.eye(3)

@@ -234,6 +234,7 @@ class CartesianTerms(Formulation):
         return np.concatenate(parts)
 
     def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
+        """Compute the forces of control laws that use a model of the mechanism, by key, N or N m."""
         return model_control(self).forces(self, q, v)
 
     # Extension: armatures
@@ -258,5 +259,6 @@ class CartesianTerms(Formulation):
         return found
 
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
+        """Measure the joint coordinates that forces, couplings and armatures depend on, by key."""
         frames = self.frames(q, v)
         return {key: coordinate.measure(q, frames) for key, coordinate in self.between.items()}

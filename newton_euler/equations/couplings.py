@@ -107,7 +107,7 @@ def coordinates(
     return found
 
 
-def _carried(
+def _carried_constraints(
     measured: dict[Key, Coordinate], frames: Sequence[Frame]
 ) -> Iterator[tuple[Constraint, Frame, Frame]]:
     """Yield the constraint and the frames of both bodies of each carried angle."""
@@ -118,12 +118,14 @@ def _carried(
 
 def carried_angles(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
     """Compute the carried angles (n,) from the frames of the bodies, rad, between -pi and pi."""
-    return np.array([angle.phi(*ends)[0] for angle, *ends in _carried(measured, frames)])
+    return np.array([angle.phi(*ends)[0] for angle, *ends in _carried_constraints(measured, frames)])
 
 
 def carried_rates(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
     """Compute the rates (n,) of the carried angles from the frames of the bodies, rad/s."""
-    return np.array([angle.jacobian(*ends).rate(*ends)[0] for angle, *ends in _carried(measured, frames)])
+    return np.array(
+        [angle.jacobian(*ends).rate(*ends)[0] for angle, *ends in _carried_constraints(measured, frames)]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,20 +299,20 @@ def revolutions(
             wanted.setdefault(key, float(coupling.function.value(time)))
     # coordinates that follow from these by couplings; then slides, and what follows from them
     linked = sorted((c for c in couplings if c.function is None), key=lambda c: (c.what, c.name))
-    _follow(linked, wanted)
+    _add_followers(linked, wanted)
     coupled = {key for coupling in couplings for key in coupling.factors}
     wanted |= {key: x[key] for key in coupled if key not in angles and key not in wanted}
-    _follow(linked, wanted)
+    _add_followers(linked, wanted)
     # groups of angles that are coupled only to each other: search for the fewest revolutions
     while coupled - wanted.keys():
         ratios = {_first_to_turn(linked, wanted, coupled - wanted.keys()): 1.0}
-        _follow([c for c in linked if not c.powers], ratios)
+        _add_followers([c for c in linked if not c.powers], ratios)
         wanted |= _fewest_revolutions(ratios, linked, wanted, x)
-        _follow(linked, wanted)
+        _add_followers(linked, wanted)
     return {key: float(whole_revolutions(wanted[key] - x[key])) for key in angles if key in wanted}
 
 
-def _follow(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> None:
+def _add_followers(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> None:
     """Add the coordinates that follow from known coordinates by couplings.
 
     Args:
@@ -343,7 +345,7 @@ def _first_to_turn(couplings: Sequence[Coupling], wanted: Mapping[Key, float], a
     reached = {}
     for key in nonlinear:
         followers = {**wanted, key: 0.0}
-        _follow(couplings, followers)
+        _add_followers(couplings, followers)
         reached[key] = len(followers)
     return min(nonlinear, key=lambda key: (-reached[key], key))
 
@@ -378,7 +380,7 @@ def _fewest_revolutions(
     known: dict[Key, Any] = {**wanted, **angles}
     nonlinear = [coupling for coupling in couplings if coupling.powers]
     if nonlinear:
-        _follow(couplings, known)
+        _add_followers(couplings, known)
     # the first candidate at which all angles differ from their poses by full revolutions; an angle of so many
     # revolutions that its fraction is rounded off does not count
     differences = [known[key] - x[key] for key in known.keys() - wanted.keys()]

@@ -87,7 +87,7 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
     # the other rows one by one, the largest independent part first
     weak, strong = dict[int, float](), least
-    # a random combination of all doubtful rows first tells whether any of them is independent
+    # a random sum of all doubtful rows shows first if any of them is independent
     while doubtful and (new := _independent_part_of_sum(rows, factor, doubtful)) > MIN_INEXACT:
         if new <= ROW_ROUND_OFF or MIN_GAP_RATIO * new <= min(tolerance, least / MIN_GAP_RATIO):
             noise = max(noise, new)

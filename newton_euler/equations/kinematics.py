@@ -224,6 +224,7 @@ class TreeKinematics(Formulation):
 
     @property
     def uncounted_angles(self) -> list[int]:
+        """Indices in q of the hinge angles whose full revolutions have no effect."""
         counted = set(self.angles.values())
         hinges = [on_q.start for motion, on_q, _ in self.tree.motions if motion.kind == "hinge"]
         return [place for place in hinges if place not in counted]
@@ -236,13 +237,16 @@ class TreeKinematics(Formulation):
         return self.remembered(q, v, lambda q, v: tree_links(self.mechanism, self.tree, q, v, at_rest))
 
     def frames(self, q: Array, v: Array) -> list[Frame]:
+        """Compute pose and velocity of all bodies, ground first."""
         return [link.frame for link in self.links(q, v)]
 
     def orientations(self, q: Array, v: Array) -> list[Array]:
+        """Compute the quaternions (4,), (w, x, y, z), of all bodies, ground first, continuous in q."""
         bodies = zip(self.links(q, v), self.mechanism.bodies, strict=True)
         return [product(link.orientation, body.quaternion) for link, body in bodies]
 
     def velocity_transformation(self, q: Array) -> Array:
+        """Compute the matrix (6 b, nv) from v to the linear and angular velocity of bodies 0, 1, ..."""
         links = self.links(q, np.zeros(self.nv))
         rows = np.zeros((len(links), 6, self.nv))
         for body, link in enumerate(links):
@@ -278,15 +282,19 @@ class TreeKinematics(Formulation):
     # Coordinates
 
     def place(self, key: Key) -> tuple[int, int] | None:
+        """Return the indices of a joint coordinate in q and in v; None for a loop-closing joint."""
         return self.tree.place(*key)
 
     def own_coordinates(self, state: State) -> tuple[Array, Array]:
+        """Compute q and v of the spanning tree at a state."""
         return self.tree.coordinates(state)
 
     def own_rate(self, q: Array, v: Array) -> Array:
+        """Compute dq/dt of the spanning tree."""
         return self.tree.rate(q, v)
 
     def own_retract(self, q: Array, step: Array) -> Array:
+        """Return q of the spanning tree moved by a small step (nv,), with quaternions of norm 1."""
         return self.tree.retract(q, step)
 
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
@@ -333,9 +341,11 @@ class TreeKinematics(Formulation):
         return row
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Return the given row numbers in ascending order: they are those of this form already."""
         return sorted(relative)
 
     def closing_rows(self) -> list[int]:
+        """Return all row numbers: each row of this form closes a loop or belongs to a coupling."""
         return list(range(len(self.phi_units)))
 
     def row_scales(self, q: Array) -> Array:

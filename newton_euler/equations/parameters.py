@@ -115,7 +115,7 @@ class Place(NamedTuple):
     field: NumberField
 
 
-def _parts(scene: Scene) -> dict[str, list[Any]]:
+def _elements(scene: Scene) -> dict[str, list[Any]]:
     """Return all elements that may have parameters, by the field of the scene or mechanism."""
     return {
         "scene": [scene],
@@ -137,12 +137,14 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
     `bodies[2].mass`. A plain name may stand for several attributes.
     """
     found: dict[str, list[Owner]] = {"gravity": [GRAVITY]}
-    for what, elements in _parts(scene).items():
+    for what, elements in _elements(scene).items():
         for k, element in enumerate(elements):
             if what == "scene" or (what == "bodies" and k == 0):
                 continue  # the ground has no parameters
             for attribute in element.variables:
-                found.setdefault(f"{_place(what, element)}.{attribute}", []).append((what, k, attribute))
+                found.setdefault(f"{_name_prefix(what, element)}.{attribute}", []).append(
+                    (what, k, attribute)
+                )
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
     with_pieces = (owner for owner, functions in scene.functions.items() if any(f.numbers for f in functions))
     return found | {numbered(*owner) + PIECE: [owner] for owner in with_pieces}
@@ -215,7 +217,7 @@ def unambiguous(scene: Scene, name: str) -> str:
         MechanismError: for a name that stands for two.
     """
     (place,) = places(scene, [name]).values()
-    base, _ = _split(_parts(scene), _owners(scene), name)
+    base, _ = _split_name(_elements(scene), _owners(scene), name)
     return name if place.owner == GRAVITY else numbered(*place.owner) + name[len(base) :]
 
 
@@ -226,11 +228,11 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a name that stands for two, and for two that stand for one number.
     """
-    parts, owners = _parts(scene), _owners(scene)
+    parts, owners = _elements(scene), _owners(scene)
     found: dict[str, Place] = {}
     given: dict[Owner, list[tuple[int, ...] | None]] = {}
     for name in names:
-        base, component = _split(parts, owners, name)
+        base, component = _split_name(parts, owners, name)
         if len(owners[base]) > 1:
             needed = " or ".join(numbered(*owner) for owner in owners[base])
             raise MechanismError(f"parameter {name!r}", "stands for two values", needed)
@@ -246,7 +248,7 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
     return found
 
 
-def _split(
+def _split_name(
     parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: str
 ) -> tuple[str, tuple[int, ...] | None]:
     """Split a parameter name into the name of the attribute and the index of the component.
@@ -264,12 +266,12 @@ def _split(
     for dots in (1, 2) if isinstance(name, str) else ():
         base, *ending = name.rsplit(".", dots)
         if base in owners:
-            shape = _own(parts, owners[base][0]).shape
-            component = _component(shape, ending)
+            shape = _own_value(parts, owners[base][0]).shape
+            component = _component_index(shape, ending)
             if component is not None:
                 return base, component
     _check_constant(parts, name)
-    near = _of_field(parts, owners, name) or _nearest(owners, name)
+    near = _names_of_numbers(parts, owners, name) or _similar_names(owners, name)
     raise UnknownNameError("parameter", name, near, proposed=True)
 
 
@@ -277,19 +279,19 @@ def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
     """Raise `MechanismError`, with the reason, for the name of a number that cannot vary between runs."""
     for what, elements in parts.items():
         for k, element in enumerate(elements):
-            prefixes = (f"{_place(what, element)}.", numbered(what, k, ""))
+            prefixes = (f"{_name_prefix(what, element)}.", numbered(what, k, ""))
             for attribute, reason in element.constants.items():
                 if name in {(prefix if what != "scene" else "") + attribute for prefix in prefixes}:
                     needed = "a number that may vary from run to run"
                     raise MechanismError(f"parameter {name!r}", f"is {reason}", needed)
 
 
-def _place(what: str, element: Any) -> str:
+def _name_prefix(what: str, element: Any) -> str:
     """Return the beginning of the parameter names of an element, such as the name of a body."""
     return element.name if what in ("scene", *MECHANICAL) else element.prefix
 
 
-def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | None:
+def _component_index(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | None:
     """Convert the ending of a parameter name to an index.
 
     Args:
@@ -308,7 +310,9 @@ def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | N
     return None
 
 
-def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
+def _names_of_numbers(
+    parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: object
+) -> tuple[str, ...]:
     """Return the valid names for a misnamed number of a function of time.
 
     An example is `pivot.target.amplitude`, whose valid name is `pivot.target.0`; empty for other names.
@@ -326,7 +330,7 @@ def _of_field(parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name:
     return tuple(found[:MAX_PROPOSED_NAMES])
 
 
-def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
+def _similar_names(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
     """Return the most similar names for an unknown name, of the same element if that exists."""
     element, _, _ = str(name).partition(".")
     of_element = [each for each in owners if each.startswith(f"{element}.")]
@@ -334,7 +338,7 @@ def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
     return nearest(name, known)
 
 
-def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
+def _own_value(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
     """Return the scene's own value of an attribute.
 
     The value of a function of time is the vector of its numbers; with `piece`, the numbers of its polynomial
@@ -372,10 +376,10 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a name that stands for two, and for two that stand for one number.
     """
-    parts = _parts(scene)
+    parts = _elements(scene)
     values: dict[str, Array] = {}
     for name, place in places(scene, parameter_names(scene) if names is None else names).items():
-        own = _own(parts, place.owner, name.endswith(PIECE))
+        own = _own_value(parts, place.owner, name.endswith(PIECE))
         values[name] = own if place.component is None else np.asarray(own[place.component])
     return values
 
@@ -439,12 +443,12 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
 def element_of(scene: Scene, owner: Owner) -> Any:
     """Return the element with an attribute, such as the body whose mass it is."""
     what, k, _ = owner
-    return _parts(scene)[what][k]
+    return _elements(scene)[what][k]
 
 
 def own_value(scene: Scene, owner: Owner) -> Array:
     """Return the scene's own value of an attribute."""
-    return _own(_parts(scene), owner)
+    return _own_value(_elements(scene), owner)
 
 
 def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | None:
@@ -502,7 +506,7 @@ def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
 def _substituted(
     scene: Scene, values: Mapping[str, Any], found: Mapping[str, Place], checked: bool
 ) -> dict[str, list[Any]]:
-    """Return the elements of `_parts` with other values of parameters.
+    """Return the elements of `_elements` with other values of parameters.
 
     Args:
         scene: the scene.
@@ -511,7 +515,7 @@ def _substituted(
         checked: True to construct changed elements with all checks, False to copy them without checks.
     """
     # whole attributes and their components
-    parts = _parts(scene)
+    parts = _elements(scene)
     fields: dict[tuple[str, int], dict[str, Any]] = {}
     for (what, k, attribute), value in _assigned(parts, values, found).items():
         fields.setdefault((what, k), {})[attribute] = value
@@ -542,7 +546,7 @@ def _assigned(
             found[owner] = values[name]
             continue
         if owner not in found:
-            found[owner] = np.array(_own(parts, owner).tolist(), dtype=object)
+            found[owner] = np.array(_own_value(parts, owner).tolist(), dtype=object)
         found[owner][component] = _number(values[name])
         if found[owner].shape == (3, 3):
             found[owner][component[::-1]] = found[owner][component]

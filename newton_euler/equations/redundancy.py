@@ -151,6 +151,7 @@ class Mobility:
 
     @property
     def residual(self) -> float:
+        """Largest singular value of constraints that are ignored as redundant; 0 without any."""
         return residual(self.nearly)
 
 
@@ -183,21 +184,21 @@ def rows_left_out(system: System) -> list[int]:
     Returns:
         Row numbers in `phi` of the system.
     """
-    decided, count = mobility(system.scene), len(system.phi_units)
-    if decided.residual == 0.0:
+    found, count = mobility(system.scene), len(system.phi_units)
+    if found.residual == 0.0:
         return []
     known = _LEFT_OUT.setdefault(system.scene, {})
     if isinstance(system, Formulation):
         if system.omitted is not None:
             return system.omitted
-        used = system.rows_of(decided.independent)
+        used = system.rows_of(found.independent)
     elif system.name in known:
         return known[system.name]
     else:
         from scipy.linalg import qr
 
-        best = max(range(len(decided.states)), key=lambda k: decided.configurations[k].rank)
-        q, _ = system.coordinates(decided.states[best])
+        best = max(range(len(found.states)), key=lambda k: found.configurations[k].rank)
+        q, _ = system.coordinates(found.states[best])
         _, pivots = qr(dimensionless_jacobian(system, q).T, mode="r", pivoting=True)
         used = pivots[: constraint_rank(system)].tolist()
     known[system.name] = sorted(set(range(count)) - set(used))
@@ -230,7 +231,10 @@ def inherit_mobility(scene: Scene, of: Scene) -> None:
 
 
 def _mobility(system: TreeKinematics) -> Mobility:
-    """Analyze the constraints of a system in joint coordinates."""
+    """Analyze the constraints of a system in joint coordinates.
+
+    The independent rows are those of the examined configuration with the largest rank.
+    """
     examined, nonzero_rows = _examine(system)
     best = max(examined, key=lambda at: at.rank)
     used, rest = best.chosen.rows, np.zeros(system.nv)
@@ -301,10 +305,13 @@ class Spectrum(NamedTuple):
 
 def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
     """Compute the singular values at a configuration, or independent parts of rows if there are many."""
+    # all singular values of a small Jacobian
     rows, chosen, owners = at.rows, at.chosen, system.row_owners
     if len(rows) * system.nv <= DENSE_LIMIT:
         u, s, _ = singular_values(to_array(rows, system.nv))
         return Spectrum(s.tolist(), at.rank, lambda k: largest_share(owners, u[:, k]))
+    # independent parts: `strong` for all certainly independent rows, weak rows, then the largest of the
+    # others
     others = set(range(len(rows))) - set(chosen.factor.order)
     left = {k: remainder(rows, chosen.factor, rows[k]) for k in others}
     redundant = sorted(left, key=lambda k: -left[k])[:MAX_LISTED]
@@ -320,6 +327,7 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
         The configurations; the numbers of the rows that are nonzero in at least one of them.
     """
     tolerance = system.scene.redundancy_tolerance
+    # the initial state of the scene, and the initial pose of the mechanism
     pose = State.initial(system.scene.mechanism)
     q, v = system.coordinates(pose if system.scene.initial_state is None else system.scene.initial_state)
     own, _ = system.coordinates(pose)

@@ -143,6 +143,7 @@ class Relative(TreeKinematics):
         return list(zip(self.project(balls.SPIN, first, second), gamma, strict=True))
 
     def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
+        """Compute the forces of control laws that use a model of the mechanism, by key, N or N m."""
         return model_control(self).forces(self, q, v)
 
     # J, Phi and gamma
@@ -211,6 +212,7 @@ class Relative(TreeKinematics):
     # Solutions
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Compute the mass matrix M (nv, nv) and the force f (nv,) of M qddot = f + J^T lambda."""
         links = self.links(q, v)
         force = self._joint_forces(q, v)
         for k, share in axis_tree(links).rnea_backward(self.axis_wrenches(links, q, v)).items():
@@ -218,6 +220,7 @@ class Relative(TreeKinematics):
         return sparse.to_array(self.mass_rows(q), self.nv), sparse.to_array([force], self.nv)[0]
 
     def mass_rows(self, q: Array) -> Rows:
+        """Compute the sparse rows of the mass matrix M (nv, nv), armatures included."""
         links, rest = self.links(q, np.zeros(self.nv)), np.zeros(self.nv)
         rows = axis_tree(links).crba(self.axis_inertias(links), range(self.nv - 1, -1, -1))
         add_rotors(rows, self._rotors(q, rest))
@@ -267,10 +270,12 @@ class Relative(TreeKinematics):
         return Equations(factor, free, jacobian, right, rows, refine=False)
 
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
+        """Compute sparse rows and gamma (k,) of joint coordinates; see `Formulation.sparse_coordinates`."""
         measured = self.measured(q, v)
         return [measured[key].jacobian for key in keys], np.array([measured[key].gamma for key in keys])
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
+        """Return qddot (nv,) of a sparse solution as an array."""
         return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
 
     def servo_velocities(self, q: Array, servos: Servos, rates: Sequence[Scalar]) -> tuple[Array, Scalar]:
@@ -309,6 +314,7 @@ class Relative(TreeKinematics):
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
         # forces of control laws, springs and armatures on joint coordinates, and torques of ball armatures
+        """Compute the reaction forces and torques of all joints; see `Formulation.reactions`."""
         frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
         laws = [law.key for law in self.scene.joint_forces]
         joint_forces = list(zip(laws, self.joint_forces(q, v), strict=True))

@@ -257,16 +257,21 @@ class MassFactor(Protocol):
     """Interface of a factorization M = L D L^T of a mass matrix; see `Factor` for its members."""
 
     @property
-    def pivots(self) -> list[Any]: ...
+    def pivots(self) -> list[Any]:
+        """Pivots d, the diagonal of D."""
 
     @property
-    def pivot_ratio(self) -> Scalar: ...
+    def pivot_ratio(self) -> Scalar:
+        """Smallest ratio of a pivot to its usual magnitude; not positive if M is singular."""
 
-    def lower(self, right: dict[int, Any]) -> dict[int, Any]: ...
+    def lower(self, right: dict[int, Any]) -> dict[int, Any]:
+        """Compute L^-1 b for a sparse vector b."""
 
-    def scaled(self, x: dict[int, Any]) -> dict[int, Any]: ...
+    def scaled(self, x: dict[int, Any]) -> dict[int, Any]:
+        """Compute D^-1 x for a sparse vector x."""
 
-    def upper(self, right: dict[int, Any]) -> dict[int, Any]: ...
+    def upper(self, right: dict[int, Any]) -> dict[int, Any]:
+        """Compute L^-T b for a sparse vector b."""
 
 
 class Equations(NamedTuple):

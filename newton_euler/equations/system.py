@@ -134,8 +134,8 @@ class System(Protocol):
         The force f contains gravity, velocity terms and applied forces.
 
         Returns:
-            M (nv, nv) and f (nv,) for joint coordinates; M (6 n, 7 n) and f (6 n,) for the Cartesian form of
-            n moving bodies, whose rows are forces in the world frame and torques in the body frame.
+            M (nv, nv) and f (nv,) for joint coordinates. For the Cartesian form of n moving bodies, M is
+            (6 n, 7 n) and f (6 n,), with forces in the world frame and torques in the body frame.
         """
 
     def phi(self, q: Array) -> Array:

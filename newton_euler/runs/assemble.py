@@ -235,14 +235,16 @@ def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
         (n,) True for a consistent state; all False if the scene has couplings or prescribed motions.
     """
     shape, sure = (len(scene.mechanism.bodies), 3), np.zeros(len(states), dtype=bool)
-    whole = [k for k, state in enumerate(states) if isinstance(state, State) and _is_whole(state, shape)]
+    whole = [
+        k for k, state in enumerate(states) if isinstance(state, State) and _has_float_arrays(state, shape)
+    ]
     whole = [k for k in whole if _has_angles(scene, states[k])]
     if whole and not couplings(scene):
         sure[whole] = _are_consistent(scene, [states[k] for k in whole])
     return sure
 
 
-def _is_whole(state: State, shape: tuple[int, int]) -> bool:
+def _has_float_arrays(state: State, shape: tuple[int, int]) -> bool:
     """Return True if the arrays of a state hold floats and have the shape (bodies, 3), or (bodies, 4)."""
     vectors = state.position, state.linear_velocity, state.angular_velocity, state.quaternion[:, 1:]
     return all(vector.dtype == np.float64 and vector.shape == shape for vector in vectors)

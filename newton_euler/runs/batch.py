@@ -57,7 +57,7 @@ from newton_euler.runs.variation import run_values
 from newton_euler.scalars import Array, Floats
 
 PIECES_PER_THREAD = 8
-"""Number of pieces of work per thread; small pieces let all threads end at nearly the same time."""
+"""Number of pieces of work per thread; with small pieces all threads end at nearly the same time."""
 
 MAX_THREADS = 4096
 """Largest number of threads. Each thread takes memory for its stack."""
@@ -243,7 +243,7 @@ def make_batch(
     with COMPILATION_LOCK:
         compiled = _compiled(scene, formulation, stabilization, alpha, names)
         load_lanes(compiled, integrator)
-    count = _count(states, parameters)
+    count = _run_count(states, parameters)
     shape = (len(scene.times), compiled.function("output").outputs)
     try:
         results = np.empty((count, *shape))
@@ -253,15 +253,15 @@ def make_batch(
         needed = f"memory for {count * megabytes:.3g} MB, {megabytes:.3g} MB per run, or crosscheck.sweep"
         raise OptionError("states and parameters", f"{count} runs", needed) from error
     # set states and parameters, and run
-    errors = _set(starts, compiled, states, parameters)
+    errors = _set_starts(starts, compiled, states, parameters)
     results[list(errors)] = np.nan
     runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
-    wall_time = _make(runs, compiled, options, workers)
+    wall_time = _run_all(runs, compiled, options, workers)
     settings = compiled.settings | {"threads": workers} | options.as_settings()
     return Batch(scene, settings, wall_time, dict(sorted(runs.errors.items())), compiled, runs)
 
 
-def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
+def _run_all(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -> float:
     """Run all runs that have no error yet; write their results, counters and errors into `runs`.
 
     Args:
@@ -284,7 +284,7 @@ def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -
 
     def work() -> None:
         """Take pieces of work until none is left."""
-        make: Callable[[Runs, Array], None] = partial(_make_one_by_one, compiled, options, stopped)
+        make: Callable[[Runs, Array], None] = partial(_run_one_by_one, compiled, options, stopped)
         if side_by_side:
             make = SideBySide(compiled, compiled.scene.times, options, stopped)
         with suppress(Empty):
@@ -302,7 +302,7 @@ def _make(runs: Runs, compiled: CompiledScene, options: Options, workers: int) -
     return time.perf_counter() - start
 
 
-def _make_one_by_one(
+def _run_one_by_one(
     compiled: CompiledScene, options: Options, stopped: Sequence[bool], runs: Runs, numbers: Array
 ) -> None:
     """Run some of the runs, given by their numbers (k,), one after another, interval by interval.
@@ -347,7 +347,7 @@ def thread_count(threads: int | None = None) -> int:
     return int(threads)
 
 
-def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int:
+def _run_count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int:
     """Return the number of runs.
 
     Raises:
@@ -363,7 +363,7 @@ def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int
     return next(iter(lengths.values()))
 
 
-def _set(
+def _set_starts(
     starts: Array,
     compiled: CompiledScene,
     states: Sequence[State] | None,

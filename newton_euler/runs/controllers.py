@@ -150,10 +150,10 @@ def _compiled(
         InverseDynamics(each, keys, keys) if keys else None
         for each, keys in ((known, found.torque), (replace(known, motions=still), found.holding))
     )
-    return found, (torque, holding), _driven(known)
+    return found, (torque, holding), _forward_kinematics(known)
 
 
-def _driven(scene: Scene) -> tuple[CompiledEquations, DrivenMechanism] | None:
+def _forward_kinematics(scene: Scene) -> tuple[CompiledEquations, DrivenMechanism] | None:
     """Build the forward kinematics: a mechanism whose controlled joint coordinates follow splines.
 
     Encoder readings later replace the numbers of the splines. The result is None if the coordinates do not

@@ -78,12 +78,14 @@ def on_moving_base(
         >>> scene.mechanism.body_names, scene.mechanism.joint("base_motion").coordinate_kinds
         (('world', 'ground', 'dumbbell'), ('slide', 'hinge'))
     """
+    # check the reference point and the names
     where = f"moving base of scene {quoted(scene.name)}"
     center: Any = finite_array(where, "point", point, (3,))
     mechanism = scene.mechanism
     for what, name in (("world", world), ("joint", joint)):
         if name in mechanism.body_names + mechanism.joint_names:
             raise MechanismError(where, f"{what} is {quoted(name)}, a name that is in use", "another name")
+    # the base, and its joint with the world
     base = _base(where, mechanism, hull, center, floats=motions is None)
     carrier: Free | Compound
     given = {} if motions is None else _checked(where, motions)
@@ -95,6 +97,7 @@ def on_moving_base(
             "hinges": [axis for name, axis in HINGES.items() if name in given],
         }
         carrier = Compound(joint, world, base.name, center, **axes)
+    # the scene with two more elements and the motions of the joint
     prescribed = [PrescribedMotion(joint, function, k) for k, function in enumerate(given.values())]
     bodies = [Body.ground(world), base, *mechanism.bodies[1:]]
     return replace(

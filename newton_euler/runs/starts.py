@@ -92,13 +92,13 @@ class Assembly:
     def __init__(self, scene: Scene, names: Sequence[str]) -> None:
         """Select, from names of parameters, those that change the initial state."""
         self.scene, self.initial = scene, initial_numbers(scene, names)
-        self._begin: dict[str, NativeFunction] = {}
+        self._start_functions: dict[str, NativeFunction] = {}
         others = [name for name in names if name not in self.initial]
         self.kinematic = [name for name, place in places(scene, others).items() if place.field.moves_loops]
-        self._names = {name: unambiguous(scene, name) for name in self.kinematic}
-        self._rates = {number.key for number in self.initial.values() if number.order == 1}
+        self._unique_names = {name: unambiguous(scene, name) for name in self.kinematic}
+        self._rate_keys = {number.key for number in self.initial.values() if number.order == 1}
         keys = dict.fromkeys(number.key for number in self.initial.values())
-        ordered = sorted(keys, key=lambda key: key not in self._rates)
+        ordered = sorted(keys, key=lambda key: key not in self._rate_keys)
         self._keys = tuple(ordered)
 
     @cached_property
@@ -108,17 +108,17 @@ class Assembly:
         Springs without stiffness make sure that full revolutions of the scene's angles are counted.
         """
         start = initial_state(self.scene)
-        functions = {key: self._held(start, key) for key in self._keys}
+        functions = {key: self._linear_function(start, key) for key in self._keys}
         coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
         others = [key for key in counted_angles(self.scene) if key not in coupled.union(self._keys)]
         carrying = [JointSpring(joint, coordinate=k) for joint, k in others]
-        return driven(self.scene, functions, forces=carrying, initial_state=self._completed(start))
+        return driven(self.scene, functions, forces=carrying, initial_state=self._with_all_angles(start))
 
     @cached_property
     def code(self) -> CompiledEquations:
         """Compiled constraints of the driven mechanism, with the parameters as inputs."""
         held = self._driven.scene
-        parameters = (*self._names.values(), *self._driven.functions.values())
+        parameters = (*self._unique_names.values(), *self._driven.functions.values())
         code = CompiledEquations(held, "relative", parameters=parameters)
         if not self._is_overdetermined(code):
             return code
@@ -138,7 +138,7 @@ class Assembly:
 
     def _free_rows(self, code: CompiledEquations) -> range:
         """Return the rows of driving constraints without a given rate, which have the lowest priority."""
-        return self._driven.rows(code.system)[len(self._rates) :]
+        return self._driven.rows(code.system)[len(self._rate_keys) :]
 
     def _is_overdetermined(self, code: CompiledEquations) -> bool:
         """Return True if some initial coordinates follow from others, so that rates may be contradictory."""
@@ -150,7 +150,7 @@ class Assembly:
         """True if one of the parameters changes the initial state."""
         return bool(self.initial or self.kinematic)
 
-    def _held(self, state: State, key: Key) -> Polynomial:
+    def _linear_function(self, state: State, key: Key) -> Polynomial:
         """Return the linear function of time with the value and rate of a joint coordinate at a state."""
         return Polynomial(measured_coordinate(self.scene, state, key))
 
@@ -170,13 +170,13 @@ class Assembly:
         """
         # follow the homotopy from the scene's parameters; retry runs that stay open in smaller steps
         count = len(next(iter(values.values())))
-        own = np.tile(self._own_start, (count, 1)) if states is None else self._begun(states)
+        own = np.tile(self._scene_start, (count, 1)) if states is None else self._start_vectors(states)
         targets = self._targets(own, values)
         steps = self._steps(own, targets)
-        found, statuses = self._assembled(own, targets, steps)
+        found, statuses = self._follow_paths(own, targets, steps)
         lost = np.flatnonzero(statuses != Status.DONE)
         if lost.size:
-            again = self._assembled(
+            again = self._follow_paths(
                 own[lost], targets[lost], np.minimum(RETRY_FACTOR * steps[lost], MAX_STEPS)
             )
             found[lost], statuses[lost] = again
@@ -185,8 +185,8 @@ class Assembly:
         begun = "the scene's own start" if states is None else "the state given"
         errors = {run: self._error(run, found[run], values, begun) for run in lost.tolist()}
         given = {name: values[name] for name, number in self.initial.items() if number.order == 1}
-        for run in self._contradictory(found):
-            problem = f"loops do not allow {self._shown(run, given)}"
+        for run in self._contradictory_runs(found):
+            problem = f"loops do not allow {self._format_values(run, given)}"
             error = MechanismError(f"run {run}", problem, "rates that loops and couplings allow")
             errors.setdefault(run, error)
         # revolutions of given angles; velocities that are round-off become zero
@@ -197,22 +197,22 @@ class Assembly:
         return found, errors
 
     @cached_property
-    def _own_start(self) -> Array:
+    def _scene_start(self) -> Array:
         """Vector x (inputs,) of `code` at the initial state of the scene, with the scene's parameters."""
-        return self._begun([initial_state(self.scene)])[0]
+        return self._start_vectors([initial_state(self.scene)])[0]
 
-    def _begun(self, states: Sequence[State]) -> Array:
+    def _start_vectors(self, states: Sequence[State]) -> Array:
         """Return vectors x (n, inputs) of `code` at n states, with the scene's parameters."""
         code = self.code
         own = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (len(states), 1))
-        states = [self._completed(state) for state in states]
+        states = [self._with_all_angles(state) for state in states]
         own[:, : code.size] = coordinates_of(code.system, states)
         for row, state in zip(own, states, strict=True):
             for key, name in self._driven.functions.items():
-                row[code.place(name) :][:2] = self._held(state, key).coefficients
+                row[code.place(name) :][:2] = self._linear_function(state, key).coefficients
         return own
 
-    def _completed(self, state: State) -> State:
+    def _with_all_angles(self, state: State) -> State:
         """Return a state with all angles whose revolutions matter, those of initial coordinates included."""
         state = with_angles(self.scene, state)
         angles = [key for key in self._keys if not self.scene.mechanism.is_slide(*key)]
@@ -228,7 +228,7 @@ class Assembly:
         """
         # geometry and prescribed motions, then initial coordinates (order 0) and rates (order 1)
         targets = own.copy()
-        for name, place in self._names.items():
+        for name, place in self._unique_names.items():
             flat = values[name].reshape(len(own), -1)
             targets[:, self.code.place(place) :][:, : flat.shape[1]] = flat
         self._set_pieces(targets)
@@ -260,7 +260,7 @@ class Assembly:
         code = self.code
         sampled = [
             name
-            for name, place in places(code.scene, self._names.values()).items()
+            for name, place in places(code.scene, self._unique_names.values()).items()
             if numbered(*place.owner) + PIECE in code.parameters
         ]
         for row in targets if sampled else ():
@@ -276,7 +276,7 @@ class Assembly:
         """
         code, size = self.code, self.scene.mechanism.size
         units = np.ones(code.inputs)
-        for name, place in places(code.scene, self._names.values()).items():
+        for name, place in places(code.scene, self._unique_names.values()).items():
             count = max(1, math.prod(code.parameters[name]))
             units[code.place(name) :][:count] = size if place.field.unit == "m" else 1.0
         for key, name in self._driven.functions.items():
@@ -285,7 +285,7 @@ class Assembly:
         longest = np.max(np.abs(targets - own) / units, axis=1)
         return np.clip(np.ceil(longest / MAX_STEP), 1, MAX_STEPS)
 
-    def _assembled(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
+    def _follow_paths(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
         """Follow the paths of n runs.
 
         Args:
@@ -319,7 +319,7 @@ class Assembly:
         q, v = x[: system.nq], x[system.nq : self.code.size]
         with np.errstate(all="ignore"):
             joint, residual = worst_joint(system, system.state(q, v))
-        path = f"on the way from {begun} to {self._shown(run, values)}"
+        path = f"on the way from {begun} to {self._format_values(run, values)}"
         problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) {path}"
         given = {number.key for number in self.initial.values() if number.order == 0}
         labels = self.scene.mechanism.coordinate_labels
@@ -327,16 +327,16 @@ class Assembly:
         problem += f", with {held} of the scene itself" if held else ""
         return MechanismError(f"run {run}", problem, "values that joints can reach with closed loops")
 
-    def _shown(self, run: int, values: Mapping[str, Array]) -> str:
+    def _format_values(self, run: int, values: Mapping[str, Array]) -> str:
         """Format the values that change the initial state of a run, for messages."""
-        moving = [name for name in values if name in self._names or name in self.initial]
+        moving = [name for name in values if name in self._unique_names or name in self.initial]
         shown = ", ".join(f"{name} = {values[name][run].tolist()!r:.60}" for name in moving[:SHOWN_VALUES])
         return shown + (", ..." if len(moving) > SHOWN_VALUES else "")
 
-    def _contradictory(self, x: Array) -> list[int]:
+    def _contradictory_runs(self, x: Array) -> list[int]:
         """Return the numbers of the runs whose given rates violate constraints at their x (n, inputs)."""
         code, free = self.code, self._free_rows(self.code)
-        if not self._rates or not self._is_overdetermined(code):
+        if not self._rate_keys or not self._is_overdetermined(code):
             return []
 
         def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
@@ -357,9 +357,9 @@ class Assembly:
 
     def starts(self, compiled: CompiledEquations, x: Array) -> Array:
         """Convert vectors x (n, inputs) of `code` to states (n, size) of other equations of the scene."""
-        if compiled.formulation not in self._begin:
-            self._begin[compiled.formulation] = self._native(compiled)
-        found, system = at_rows(self._begin[compiled.formulation], x), compiled.system
+        if compiled.formulation not in self._start_functions:
+            self._start_functions[compiled.formulation] = self._native(compiled)
+        found, system = at_rows(self._start_functions[compiled.formulation], x), compiled.system
         if isinstance(system, TreeKinematics):
             free = system.uncounted_angles
             found[:, free] -= whole_revolutions(found[:, free])
@@ -370,7 +370,7 @@ class Assembly:
 
         def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
             """Compute own coordinates, counted angles, zero work and velocities of the other equations."""
-            inputs = {name: values[place] for name, place in self._names.items()}
+            inputs = {name: values[place] for name, place in self._unique_names.items()}
             other = formulate(with_values(self.scene, inputs), compiled.formulation)
             if isinstance(other, TreeKinematics):
                 own, rates = q[: other.tree.nq], v
@@ -382,7 +382,9 @@ class Assembly:
             return [*own, *angles, *work, *rates]
 
         # the name depends on the size of the state: with work as an output the state is longer
-        return self._function("starts", computed, compiled.formulation, compiled.size, tuple(self._names))
+        return self._function(
+            "starts", computed, compiled.formulation, compiled.size, tuple(self._unique_names)
+        )
 
     def _function(
         self,

@@ -98,7 +98,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
         changed = rebuilt(scene, numbers) if numbers else scene
         return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
     varied, state = with_values(scene, numbers), assembly.state(x)
-    pose = _pose(scene, numbers) or state
+    pose = _assembled_pose(scene, numbers) or state
     zeros = coordinates_at(varied.mechanism, pose)
     angles = {key: angle - zeros[key] for key, angle in state.angles.items()}
     return replace(described_at(varied, pose), initial_state=replace(state, angles=angles))
@@ -167,7 +167,7 @@ def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
     return with_parameters(scene, values)
 
 
-def _pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:
+def _assembled_pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:
     """Assemble the initial pose of a scene, at rest, with other parameter values.
 
     Args:
@@ -241,10 +241,10 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
     # finite numbers of the right shape
     initial, own, found = initial_numbers(scene, given), own_values(scene, given), RunValues({}, {})
     for name, values in given.items():
-        array, unusable = _numbers(name, values, own[name])
+        array, unusable = _as_array(name, values, own[name])
         found.arrays[name] = array
         for k, value in unusable.items():
-            _refuse(found, k, name, f"is {quoted(value)}", f"finite numbers of shape {own[name].shape}")
+            _store_error(found, k, name, f"is {quoted(value)}", f"finite numbers of shape {own[name].shape}")
     # values that the element can have; parameters of one element are checked together
     by_element: dict[tuple[str, int], dict[str, Place]] = {}
     for name, place in places(scene, [name for name in given if name not in initial]).items():
@@ -257,7 +257,7 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
     return found
 
 
-def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, dict[int, Any]]:
+def _as_array(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, dict[int, Any]]:
     """Convert the values of a parameter in n runs to an array.
 
     Args:
@@ -272,7 +272,7 @@ def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Arra
     try:
         array = real_array(rows)
     except (TypeError, ValueError, OverflowError):
-        found = [_row(value, own) for value in rows]
+        found = [_as_row(value, own) for value in rows]
         usable = np.array([row is not None for row in found])
         array = np.array([own if row is None else row for row in found])
     else:
@@ -284,7 +284,7 @@ def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Arra
     return array, {k: rows[k] for k in np.flatnonzero(~usable).tolist()}
 
 
-def _row(value: Any, own: Array) -> Array | None:
+def _as_row(value: Any, own: Array) -> Array | None:
     """Convert the value of one run to floats; None for another shape than `own` or infinite numbers."""
     try:
         row = real_array(value)
@@ -293,7 +293,7 @@ def _row(value: Any, own: Array) -> Array | None:
     return row if row.shape == own.shape and np.isfinite(row).all() else None
 
 
-def _refuse(found: RunValues, run: int, name: str, problem: str, needed: str) -> None:
+def _store_error(found: RunValues, run: int, name: str, problem: str, needed: str) -> None:
     """Store an error for a value of a run, unless the run already has an error."""
     found.errors.setdefault(run, MechanismError(f"run {run}: parameter {name!r}", problem, needed))
 
@@ -335,7 +335,7 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
         problem = f"is {value.tolist()!r:.100}"
         if places_of[name].component is not None or value.ndim:
             problem += f": {error.problem}"
-        _refuse(found, k, name, problem, error.needed)
+        _store_error(found, k, name, problem, error.needed)
 
 
 def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) -> Array:
@@ -344,7 +344,7 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
     Args:
         scene: the scene.
         owner: the attribute.
-        field: declaration of the attribute, which says what values are allowed.
+        field: declaration of the attribute, which states the allowed values.
         stack: (n, ...) values in n runs.
 
     Returns:
