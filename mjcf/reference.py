@@ -42,7 +42,7 @@ FORCE_ARRAYS = {
 Damping of joints is stored by degree of freedom ("dof")."""
 
 
-GRAVITY, OTHER_THAN_GRAVITY = FORCE_KINDS.index("gravity"), slice(1, None)
+GRAVITY_INDEX, OTHER_THAN_GRAVITY = FORCE_KINDS.index("gravity"), slice(1, None)
 """Row of gravity, and rows of the other kinds of forces, in arrays (4, nv) of all `FORCE_KINDS`."""
 
 
@@ -409,7 +409,7 @@ class MjcfReference(ReferenceModel):
             by_sample = self._force_kinds(samples)
             model.opt.gravity[:] = 0.0
             for forces in by_sample:
-                forces[GRAVITY] = 0.0
+                forces[GRAVITY_INDEX] = 0.0
             return [by_sample]
         variants = [self._force_kinds(samples)]
         if kind == "tendon":

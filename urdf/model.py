@@ -29,7 +29,7 @@ BASES: tuple[BaseName, ...] = get_args(BaseName)
 MAX_ROUNDED_COMPONENT = 1e-11
 """Component of a unit axis that Pinocchio's parser may round to 0; the parser rounds below 1e-12."""
 
-GROUND = "universe"
+PINOCCHIO_GROUND = "universe"
 """Pinocchio's name of the root joint."""
 
 
@@ -82,8 +82,10 @@ def build(
         placeholder = pin.buildModelFromXML(urdf, *root)
     except ValueError as error:
         raise UrdfError(f"not a URDF: {error}") from error
-    if list(placeholder.names).count(GROUND) > 1:
-        raise UrdfError(f"a joint is named {GROUND!r}, Pinocchio's name of the ground; rename the joint")
+    if list(placeholder.names).count(PINOCCHIO_GROUND) > 1:
+        raise UrdfError(
+            f"a joint is named {PINOCCHIO_GROUND!r}, Pinocchio's name of the ground; rename the joint"
+        )
     _check_joints(loops, "joint_name", loops.joint_name, list(placeholder.names)[1:])
     types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
     held = [placeholder.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
@@ -178,7 +180,7 @@ def _rebuilt(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) ->
     """
     model = pin.Model()
     model.name = placeholder.name
-    numbers, owners = [0], [GROUND]
+    numbers, owners = [0], [PINOCCHIO_GROUND]
     for index in range(1, placeholder.njoints):
         owner = name = str(placeholder.names[index])
         parent, placement = numbers[placeholder.parents[index]], placeholder.jointPlacements[index]

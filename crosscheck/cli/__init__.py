@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         arguments: arguments of the command line; those of the process if None.
     """
     # Garbage collection: searches are rare, so that each may include older objects (the thresholds of 1).
-    # At exit, Python would search all objects that are not frozen: 8 % of the time of `run tracker`.
+    # Python searches all objects that are not frozen at exit: 8 % of the time of `run tracker`.
     gc.set_threshold(GC_THRESHOLD, 1, 1)
     atexit.register(gc.freeze)
     # The matrices are too small for threads of BLAS: on a busy machine, an SVD of 60 rows takes 40 times as

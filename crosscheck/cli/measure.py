@@ -246,7 +246,7 @@ def workspace_command(
     loaded = load_with_warnings(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
-    paths = result_paths(output, "output/workspace", "workspace", workspace.FILES, [scene])
+    paths = result_paths(output, "output/workspace", "workspace", workspace.WORKSPACE_FILES, [scene])
     with progress_shown() as progress:
         found = workspace.measure(loaded, grid, pointing, progress)
         progress("writing")
@@ -274,11 +274,11 @@ def workspace_command(
 )
 def stress_command(full: bool, output: Path, letters: str) -> int:
     """Stress-test all engines with extreme parameter values and report where each engine fails."""
-    from crosscheck.studies.stress.report import FILES, report, write
+    from crosscheck.studies.stress.report import STRESS_FILES, report, write
     from crosscheck.studies.stress.topics import stress
     from crosscheck.support.files import check_writable
 
-    check_writable(*(output / name for name in FILES))
+    check_writable(*(output / name for name in STRESS_FILES))
     start = time.perf_counter()
     with progress_shown() as progress:
         rows = stress(letters, full, progress)

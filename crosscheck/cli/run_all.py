@@ -18,7 +18,7 @@ from crosscheck.library import SCENES, load
 from crosscheck.report.output import write
 from crosscheck.report.run import outcome_cell, report
 from crosscheck.report.summary import judged_figures, nearest
-from crosscheck.report.table import Cell, Column, Table, figures, texts
+from crosscheck.report.table import Cell, Column, Table, number_columns, text_columns
 from crosscheck.support.errors import reason_of
 from crosscheck.support.files import check_writable
 from crosscheck.support.processes import ProcessLostError, run_in_processes
@@ -103,7 +103,7 @@ def run_scene(name: str, engines: Sequence[str], folder: Path) -> SceneOutcome:
 
 def outcomes_table(outcomes: Sequence[SceneOutcome]) -> Table:
     """Make a table with a row per scene: verdict, time, and the check closest to failing."""
-    heads = [*texts("scene", "verdict"), *figures("time, s")]
+    heads = [*text_columns("scene", "verdict"), *number_columns("time, s")]
     return Table(
         "",
         [*heads, Column("% of tolerance, where", below=True)],

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from crosscheck.compare.attribution import MIN_RESIDUAL_RATIO, Cause, dynamic_cause
-from crosscheck.compare.check import EPSILON, Check, round_off
+from crosscheck.compare.check import MACHINE_EPSILON, Check, round_off
 from crosscheck.compare.samples import RATE_ERROR, Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.equations.undetermined import determined
@@ -43,7 +43,7 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     states = first.states
     constraint_condition = max(first.condition, second.condition)
     mass_condition = states.mass_condition
-    yield Check(LEVEL, "condition of masses", pair, mass_condition, 1.0 / EPSILON, "", judged=False)
+    yield Check(LEVEL, "condition of masses", pair, mass_condition, 1.0 / MACHINE_EPSILON, "", judged=False)
     tolerance, reaction_tolerance = (
         round_off(condition * mass_condition, states.noise)
         for condition in (constraint_condition, constraint_condition**2)

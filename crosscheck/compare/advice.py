@@ -201,8 +201,8 @@ SOFTER: dict[str, tuple[type[Joint], ...]] = {
 MAX_CHANGED_JOINTS = 20
 """Largest number of joints that are changed, beginning with joints to which no other element refers."""
 
-RANDOM_STATES = 1
-"""Number of random states, besides the initial one, at which redundant constraints are counted."""
+REDUNDANCY_TEST_STATES = 1
+"""Number of random states, in addition to the initial state, at which redundant constraints are counted."""
 
 
 class Change(NamedTuple):
@@ -225,7 +225,7 @@ def redundancy_advice(scene: Scene) -> Iterator[Advice]:
     Joints are replaced one after the other; each time the change that leaves the fewest redundant constraints
     is taken.
     """
-    states = [initial_state(scene), *random_states(scene, RANDOM_STATES)]
+    states = [initial_state(scene), *random_states(scene, REDUNDANCY_TEST_STATES)]
     redundant = _count_redundant(scene.mechanism, states)
     if redundant == 0:
         return

@@ -55,7 +55,7 @@ three times 4/3.
 UNRESOLVED = 1e-2
 """Largest tolerance that a refined run can add, relative to reach, 1 rad or energy."""
 
-EPSILON = float(np.finfo(float).eps)
+MACHINE_EPSILON = float(np.finfo(float).eps)
 """Distance from 1 to the next double precision number."""
 
 ROUND_OFF = 1e-12

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from crosscheck.compare.attribution import kinematic_cause
-from crosscheck.compare.check import EPSILON, Check, reach, round_off
+from crosscheck.compare.check import MACHINE_EPSILON, Check, reach, round_off
 from crosscheck.compare.samples import Samples
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
@@ -47,7 +47,9 @@ def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> I
         """Norms of the differences of a vector quantity, (n states, b bodies)."""
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
 
-    yield Check("kinematics", "condition of constraints", pair, condition, 1.0 / EPSILON, "", judged=False)
+    yield Check(
+        "kinematics", "condition of constraints", pair, condition, 1.0 / MACHINE_EPSILON, "", judged=False
+    )
     # Poses
     length = round_off(condition, first.states.redundancy) * reach(scene, first.stack("position"))
     yield row("positions, m", difference("position"), length)

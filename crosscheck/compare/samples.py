@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crosscheck.compare.check import EPSILON
+from crosscheck.compare.check import MACHINE_EPSILON
 from crosscheck.compare.energy import RANDOM_RATE, energy_scale
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.dense import numerical_rank, orthonormal_range, rank, singular_values
@@ -123,7 +123,7 @@ class States:
     def noise(self) -> float:
         """Relative noise of constraints: `redundancy`, or round-off of coordinates far from the origin."""
         distance = max(float(np.max(np.abs(state.position))) for state in self.all)
-        return max(self.redundancy, EPSILON * distance / self.scene.mechanism.size)
+        return max(self.redundancy, MACHINE_EPSILON * distance / self.scene.mechanism.size)
 
     @cached_property
     def undetermined(self) -> list[Array]:

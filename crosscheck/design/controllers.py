@@ -15,7 +15,7 @@ import numpy as np
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import SCENES, load
 from crosscheck.library.options import options_of
-from crosscheck.report.table import Column, Rows, Table, figures, texts
+from crosscheck.report.table import Column, Rows, Table, number_columns, text_columns
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import with_progress
 from newton_euler.analysis.loads.envelope import work_and_energy
@@ -152,6 +152,6 @@ def columns(kind: str) -> list[Column]:
     """Return the columns of the table of slides or hinges."""
     length, force = ("m", "N") if kind == "slides" else ("rad", "N m")
     return [
-        *texts("controller"),
-        *figures(f"error, {length}", "peak error", f"force, {force}", "peak force", "energy, J"),
+        *text_columns("controller"),
+        *number_columns(f"error, {length}", "peak error", f"force, {force}", "peak force", "energy, J"),
     ]

@@ -9,7 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    number_columns,
+    text_columns,
+)
 from newton_euler.analysis.identification.identify import Identification
 
 REPORTED_CORRELATION = 0.99
@@ -26,7 +36,7 @@ def report(found: Identification) -> Report:
     fitted = f"{len(found.parameters)} parameter{'s' * (len(found.parameters) != 1)}"
     title = f"{found.scene.name}: {fitted} fitted to {numbers:,} numbers of {runs}"
     heads, *rows = found.table
-    names = [*texts(*heads[:2]), *figures(*heads[2:])]
+    names = [*text_columns(*heads[:2]), *number_columns(*heads[2:])]
     parts: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
     if lines := [*found.doubts, *found.notes, *_correlated(found)]:
         parts.append(Lines("", lines))
@@ -51,7 +61,7 @@ def _columns(found: Identification) -> Table:
         residuals = np.concatenate([run[name] for run in found.residuals if name in run])
         rms, peak = np.sqrt(np.mean(residuals**2)), np.abs(residuals).max()
         rows.append([name, noise, f"{rms:.3g}", f"{peak:.3g}", f"{misfit:.3g}"])
-    return Table("", [Column("measured"), *figures("noise", "residual", "largest", "by noise")], rows)
+    return Table("", [Column("measured"), *number_columns("noise", "residual", "largest", "by noise")], rows)
 
 
 def _correlated(found: Identification) -> Iterator[str]:

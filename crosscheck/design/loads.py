@@ -17,7 +17,17 @@ from crosscheck.compare.runs import nothing_moves
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    number_columns,
+    text_columns,
+)
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import check_writable, write_files
 from crosscheck.support.palette import palette
@@ -62,7 +72,7 @@ EXCITE = "; --set excitation=on moves joints of model files and drives their act
 GOVERNED_BY = Column("governed by", below=True)
 """Column of the load case and time of the largest load."""
 
-COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
+LOAD_COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
 """Components along and across the axis, of the loads of joints with one axis."""
 
 
@@ -216,12 +226,12 @@ def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -
 
     Values up to `least` are printed as 0.
     """
-    names = [part.removesuffix(f" {quantity}") for part in COMPONENTS[quantity]]
-    columns = [*texts("joint"), *figures(f"{quantity}, {unit}", *names, "rms"), GOVERNED_BY]
+    names = [part.removesuffix(f" {quantity}") for part in LOAD_COMPONENTS[quantity]]
+    columns = [*text_columns("joint"), *number_columns(f"{quantity}, {unit}", *names, "rms"), GOVERNED_BY]
     known, loads = {(each.element, each.quantity): each for each in envelope.joints}, _of(envelope, quantity)
     rows: Rows = []
     for load in loads:
-        parts = [known.get((load.element, part)) for part in COMPONENTS[quantity]]
+        parts = [known.get((load.element, part)) for part in LOAD_COMPONENTS[quantity]]
         values = [load.peak, *(part.peak if part else None for part in parts), load.rms]
         cells = ["" if value is None else f"{value if value > least else 0.0:.3g}" for value in values]
         rows.append([load.element, *cells, _when(load) if load.peak > least else ""])
@@ -230,7 +240,11 @@ def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -
 
 def _of_actuators(envelope: LoadEnvelope) -> Table:
     """Tabulate peak and rms forces of actuators, their peak speeds and powers, and their energies."""
-    columns = [*texts("actuator"), *figures("force", "rms", "speed", "power, W", "energy, J"), GOVERNED_BY]
+    columns = [
+        *text_columns("actuator"),
+        *number_columns("force", "rms", "speed", "power, W", "energy, J"),
+        GOVERNED_BY,
+    ]
     rows: Rows = []
     for load in _of(envelope, "actuator force"):
         speed, power, energy = (envelope.of(load.element, what) for what in ("speed", "power", "energy"))

@@ -17,7 +17,7 @@ import numpy as np
 
 from crosscheck.report.output import record
 from crosscheck.report.plots import own_style, png
-from crosscheck.report.table import Cell, Column, Rows, Table, figures
+from crosscheck.report.table import Cell, Column, Rows, Table, number_columns
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
 from crosscheck.support.palette import ENGINE_COLORS
@@ -36,7 +36,7 @@ MAX_POINTS = 1_000_000
 SINGULAR_SEARCHES = 4000
 """Number of random configurations from which singular poses are searched."""
 
-FILES = "workspace.json", "workspace.png", "workspace.csv"
+WORKSPACE_FILES = "workspace.json", "workspace.png", "workspace.csv"
 """Names of the files that `write` can write."""
 
 
@@ -133,7 +133,7 @@ def table(found: WorkspaceMap) -> Table:
         *(Column(f"{name}\n{_unit(found, name)}", "", True) for name in space.grid),
     ]
     if space.elevation is not None:
-        columns += figures("elevation\ndeg", "azimuth\ndeg")
+        columns += number_columns("elevation\ndeg", "azimuth\ndeg")
     columns.append(Column("least to\nsingular", "", True))
     if has_shapes:
         columns.append(Column("clearance\nmm", "", True))

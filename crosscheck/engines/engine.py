@@ -347,7 +347,7 @@ ENGINES: dict[str, Engine] = {
             evaluate_soft_constraints=_mujoco_soft,
             refined_in_full=partial(_mujoco_refined, in_full=True),
         ),
-        # The same methods as newton_euler, with equations evaluated in Python
+        # Pinocchio uses the same methods as newton_euler, with equations evaluated in Python
         Engine(
             "pinocchio",
             _pinocchio_run,

@@ -26,7 +26,7 @@ from newton_euler.scalars import Array
 DOP853_STABILITY = 6.3
 """Largest stable product of DOP853's step, s, and a decay rate, 1/s."""
 
-DIFFERENCE_STEP = 1e-7
+RELATIVE_STEP = 1e-7
 """Step of numerical differentiation: relative to a coordinate or velocity, or absolute if that is below 1."""
 
 EXTREME_EIGENVALUES = 12
@@ -41,7 +41,7 @@ EXAMINED_STATES = 8
 MAX_DENSE_SIZE = 150
 """Largest number of coordinates and velocities for which all eigenvalues are computed, within a second."""
 
-MAX_GROWTH = 100.0
+MAX_GROWTH_EXPONENT = 100.0
 """Upper limit of the exponent of physical growth in one step, so that the exponential does not overflow."""
 
 GROWTH_ROUND_OFF = 1e-6
@@ -75,8 +75,8 @@ def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
         def product(direction: Array, x: Array = x, units: Array = units) -> Array:
             """Multiply the dimensionless derivative by a direction (n,)."""
             step = np.zeros(len(x))
-            step[:n] = DIFFERENCE_STEP * units * direction.ravel()
-            return (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * DIFFERENCE_STEP * units)
+            step[:n] = RELATIVE_STEP * units * direction.ravel()
+            return (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * RELATIVE_STEP * units)
 
         found.append(
             _all_eigenvalues(product, n) if n <= MAX_DENSE_SIZE else _extreme_eigenvalues(product, n)
@@ -141,4 +141,6 @@ def is_stable_in_rk4(modes: Array, step: float) -> bool:
     # The stability function of RK4: numerical growth per step
     growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
     # Physical growth is at least 1: the real part of an undamped motion may be round-off below 0
-    return bool(np.all(np.abs(growth) <= (1.0 + GROWTH_ROUND_OFF) * np.exp(np.clip(z.real, 0.0, MAX_GROWTH))))
+    return bool(
+        np.all(np.abs(growth) <= (1.0 + GROWTH_ROUND_OFF) * np.exp(np.clip(z.real, 0.0, MAX_GROWTH_EXPONENT)))
+    )

@@ -52,7 +52,7 @@ have no effect in a plane."""
 TORQUE = 0.033
 """Torque on the crank, N m."""
 
-STIFFNESS, REST_LENGTH = 4530.0, 0.07785
+SPRING_STIFFNESS, SPRING_REST_LENGTH = 4530.0, 0.07785
 """Stiffness (N/m) and rest length (m) of the spring."""
 
 X, Y, Z = np.eye(3)
@@ -105,7 +105,15 @@ def andrews() -> Scene:
         duration=0.05,
         output_period=0.001,
         forces=(
-            PointSpring("spring", "ground", "triangle", C, D, stiffness=STIFFNESS, rest_length=REST_LENGTH),
+            PointSpring(
+                "spring",
+                "ground",
+                "triangle",
+                C,
+                D,
+                stiffness=SPRING_STIFFNESS,
+                rest_length=SPRING_REST_LENGTH,
+            ),
             Wrench("motor", "crank", np.zeros(3), force=np.zeros(3), torque=TORQUE * Z, frame="world"),
         ),
         description="Andrews' squeezing mechanism, seven bodies and three loops driven by a constant torque",

@@ -15,10 +15,10 @@ from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 
-MASS = 1.0
+BAR_MASS = 1.0
 """Mass of a bar, kg."""
 
-LENGTH = 1.0
+BAR_LENGTH = 1.0
 """Length of a bar, m."""
 
 SECTION = 0.1
@@ -38,7 +38,7 @@ POINTS = np.array(
 
 X, Y, Z = np.eye(3)
 
-AXES = (Y, Z, X, Y, Z, X)
+HINGE_AXES = (Y, Z, X, Y, Z, X)
 """Axes of the hinges at the initial position, world frame."""
 
 
@@ -48,7 +48,7 @@ def bricard() -> Scene:
     bars = [_bar(name, *ends) for name, *ends in zip(names[1:-1], POINTS[:-1], POINTS[1:], strict=True)]
     hinges = [
         Revolute(f"hinge_{k + 1}", names[k], names[k + 1], POINTS[k], axis=axis)
-        for k, axis in enumerate(AXES)
+        for k, axis in enumerate(HINGE_AXES)
     ]
     return Scene(
         "bricard",
@@ -62,9 +62,9 @@ def bricard() -> Scene:
 
 def _bar(name: str, start: np.ndarray, end: np.ndarray) -> Body:
     """Return a square bar between two points (3,), m. Its frame is parallel to the world."""
-    along = np.outer(end - start, end - start) / LENGTH**2
-    axial, across = MASS * SECTION**2 / 6.0, MASS * (LENGTH**2 + SECTION**2) / 12.0
-    return Body(name, MASS, 0.5 * (start + end), axial * along + across * (np.eye(3) - along))
+    along = np.outer(end - start, end - start) / BAR_LENGTH**2
+    axial, across = BAR_MASS * SECTION**2 / 6.0, BAR_MASS * (BAR_LENGTH**2 + SECTION**2) / 12.0
+    return Body(name, BAR_MASS, 0.5 * (start + end), axial * along + across * (np.eye(3) - along))
 
 
 P3 = 0.5 * (POINTS[2] - POINTS[1])

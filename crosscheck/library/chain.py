@@ -11,29 +11,29 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-MASS = 1.0
+ROD_MASS = 1.0
 """Mass of a rod, kg."""
 
-LENGTH = 1.0
+ROD_LENGTH = 1.0
 """Length of a rod, m."""
 
-INERTIA = MASS * LENGTH**2 / 12.0
+ROD_INERTIA = ROD_MASS * ROD_LENGTH**2 / 12.0
 """Moment of inertia of a thin rod across the rod, about the center of mass, kg m^2."""
 
-AXIAL_INERTIA = 1e-3
+ROD_AXIAL_INERTIA = 1e-3
 """Moment of inertia along the rod, kg m^2, that of a solid rod 9 cm thick. A rigid body needs one."""
 
 
 def rod(name: str, start: Array, axis: Array) -> Body:
     """Return a rod from `start` (3,), m, along a unit vector (3,). Its frame is parallel to the world."""
     along = np.outer(axis, axis)
-    inertia = INERTIA * (np.eye(3) - along) + AXIAL_INERTIA * along
-    return Body(name, MASS, start + 0.5 * LENGTH * axis, inertia)
+    inertia = ROD_INERTIA * (np.eye(3) - along) + ROD_AXIAL_INERTIA * along
+    return Body(name, ROD_MASS, start + 0.5 * ROD_LENGTH * axis, inertia)
 
 
 X, Y, Z = np.eye(3)
 
-AXES = (Y + Z, Y - Z)
+HINGE_AXES = (Y + Z, Y - Z)
 """Axes of the hinges, used alternately, perpendicular to the rods and to each other. With hinges along y, or
 along y and z alternately, the chain would stay in a plane: no force turns a hinge along z."""
 
@@ -45,10 +45,10 @@ def chain(N: Annotated[int, range(1, 1001)] = 5) -> Scene:
         N: number of rods, each with one hinge.
     """
     names = ["ground", *(f"rod_{k}" for k in range(N))]
-    starts = [k * LENGTH * X for k in range(N)]
+    starts = [k * ROD_LENGTH * X for k in range(N)]
     bodies = [Body.ground(), *(rod(name, start, X) for name, start in zip(names[1:], starts, strict=True))]
     joints = [
-        Revolute(f"hinge_{k}", names[k], names[k + 1], start, axis=AXES[k % 2])
+        Revolute(f"hinge_{k}", names[k], names[k + 1], start, axis=HINGE_AXES[k % 2])
         for k, start in enumerate(starts)
     ]
     return Scene(

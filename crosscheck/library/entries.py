@@ -174,8 +174,8 @@ BARS = [
 SHAPE = _one_of([_declare_entry(Box, "box", **QUATERNION), *BARS])
 INERTIA_MATRIX = tuple[Vector, Vector, Vector]
 BODY = _declare_entry(Body, inertia=INERTIA_MATRIX, shapes=_list_of(SHAPE), meshes=None, **QUATERNION)
-AXES: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
-JOINT = _one_of(_declare_entry(joint_class, kind, **AXES) for kind, joint_class in JOINT_KINDS.items())
+AXIS_FIELDS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
+JOINT = _one_of(_declare_entry(joint_class, kind, **AXIS_FIELDS) for kind, joint_class in JOINT_KINDS.items())
 COUPLING = _one_of(
     [
         _declare_entry(Gear, "gear"),

@@ -36,7 +36,7 @@ SLIDER_MASS, SLIDER_WIDTH = 3.0, 0.1
 HINGE_RADIUS = 0.05
 """Distance of the arms' hinges and of the springs' lower ends from the axis of the shaft, m."""
 
-STIFFNESS, DAMPING, REST_LENGTH = 8e5, 4e4, 0.5
+SPRING_STIFFNESS, SPRING_DAMPING, SPRING_REST_LENGTH = 8e5, 4e4, 0.5
 """Stiffness (N/m), damping (N s/m) and rest length (m) of each spring."""
 
 HEIGHT = 0.5
@@ -45,7 +45,7 @@ HEIGHT = 0.5
 ALPHA = np.pi / 6.0
 """Initial angle of the arms below the horizontal, rad."""
 
-SPEED = 2.0 * np.pi
+SHAFT_SPEED = 2.0 * np.pi
 """Initial angular velocity of the shaft, rad/s."""
 
 X, Y, Z = np.eye(3)
@@ -76,15 +76,15 @@ def flyball_governor() -> Scene:
                 "slider",
                 middle,
                 HINGE_RADIUS * outwards + HEIGHT * Z,
-                stiffness=STIFFNESS,
-                damping=DAMPING,
-                rest_length=REST_LENGTH,
+                stiffness=SPRING_STIFFNESS,
+                damping=SPRING_DAMPING,
+                rest_length=SPRING_REST_LENGTH,
             )
         )
     mechanism = Mechanism([Body.ground(), shaft, slider, *arms], joints)
     state = State.initial(mechanism)
-    state.angular_velocity[1:] = SPEED * Z
-    state.linear_velocity[1:] = np.cross(SPEED * Z, state.position[1:])
+    state.angular_velocity[1:] = SHAFT_SPEED * Z
+    state.linear_velocity[1:] = np.cross(SHAFT_SPEED * Z, state.position[1:])
     return Scene(
         "flyball_governor",
         mechanism,

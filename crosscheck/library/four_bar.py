@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from crosscheck.library.chain import LENGTH, rod
+from crosscheck.library.chain import ROD_LENGTH, rod
 from crosscheck.library.measure import Quantity, angular_velocity, components, position, velocity
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Revolute, Spherical
@@ -15,7 +15,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 
-SPEED = 1.0
+COUPLER_SPEED = 1.0
 """Initial velocity of the couplers along x, m/s."""
 
 X, Y, Z = np.eye(3)
@@ -35,8 +35,8 @@ def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
     Args:
         N: number of windows; there are N + 1 vertical bars and N couplers.
     """
-    feet = [k * LENGTH * X for k in range(N + 1)]
-    tops = [foot + LENGTH * Y for foot in feet]
+    feet = [k * ROD_LENGTH * X for k in range(N + 1)]
+    tops = [foot + ROD_LENGTH * Y for foot in feet]
     bars = [f"bar_{k}" for k in range(N + 1)]
     couplers = [f"coupler_{k}" for k in range(N)]
     bodies = [
@@ -64,13 +64,13 @@ def _swinging(mechanism: Mechanism, bars: int) -> State:
     """Return the initial state: the first `bars` moving bodies turn about their feet, the couplers
     translate."""
     state = State.initial(mechanism)
-    state.linear_velocity[1 : 1 + bars] = 0.5 * SPEED * X
-    state.angular_velocity[1 : 1 + bars] = -SPEED / LENGTH * Z
-    state.linear_velocity[1 + bars :] = SPEED * X
+    state.linear_velocity[1 : 1 + bars] = 0.5 * COUPLER_SPEED * X
+    state.angular_velocity[1 : 1 + bars] = -COUPLER_SPEED / ROD_LENGTH * Z
+    state.linear_velocity[1 + bars :] = COUPLER_SPEED * X
     return state
 
 
-TOP = 0.5 * LENGTH * Y
+TOP = 0.5 * ROD_LENGTH * Y
 """Top (3,) of a bar in its own frame, m."""
 
 REFERENCE_QUANTITIES: dict[str, Quantity] = {

@@ -17,7 +17,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 
-MASS = 15.0
+TOP_MASS = 15.0
 """Mass of the top, kg."""
 
 MOMENTS = (0.234375, 0.46875, 0.234375)
@@ -26,17 +26,17 @@ MOMENTS = (0.234375, 0.46875, 0.234375)
 CENTER_OF_MASS = np.array([0.0, 1.0, 0.0])
 """Initial position (3,) of the center of mass from the fixed point, m."""
 
-SPIN = np.array([0.0, 150.0, -4.61538])
+INITIAL_ANGULAR_VELOCITY = np.array([0.0, 150.0, -4.61538])
 """Initial angular velocity (3,), body and world frame, rad/s."""
 
 
 def heavy_top() -> Scene:
     """Return the top: 15 kg, 150 rad/s about a horizontal axis, 1.5 s, two nutations; gravity along -z."""
-    top = Body("top", MASS, CENTER_OF_MASS, np.diag(MOMENTS))
+    top = Body("top", TOP_MASS, CENTER_OF_MASS, np.diag(MOMENTS))
     mechanism = Mechanism([Body.ground(), top], [Spherical("tip", "ground", "top", np.zeros(3))])
     state = State.initial(mechanism)
-    state.angular_velocity[1] = SPIN
-    state.linear_velocity[1] = np.cross(SPIN, CENTER_OF_MASS)
+    state.angular_velocity[1] = INITIAL_ANGULAR_VELOCITY
+    state.linear_velocity[1] = np.cross(INITIAL_ANGULAR_VELOCITY, CENTER_OF_MASS)
     return Scene(
         "heavy_top",
         mechanism,

@@ -21,10 +21,10 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-MASS = 1.0
+POINT_MASS = 1.0
 """Mass of the point, kg."""
 
-LENGTH = 1.0
+BAR_LENGTH = 1.0
 """Length of the bar, m."""
 
 BAR_INERTIA = 1e-3
@@ -35,14 +35,14 @@ GRAVITY = np.array([0.0, -9.81, 0.0])
 
 X, Y, Z = np.eye(3)
 
-POINT = -0.5 * LENGTH * X
+POINT = -0.5 * BAR_LENGTH * X
 """Position (3,) of the point mass in the frame of the dumbbell, m."""
 
 
 def pendulum() -> Scene:
     """Return the pendulum: 1 kg on a bar of 1 m that falls from rest at x = -1 m, 10 s; gravity along -y."""
-    across = 0.5 * MASS * LENGTH**2
-    dumbbell = Body("dumbbell", 2.0 * MASS, POINT, np.diag([BAR_INERTIA, across, across]))
+    across = 0.5 * POINT_MASS * BAR_LENGTH**2
+    dumbbell = Body("dumbbell", 2.0 * POINT_MASS, POINT, np.diag([BAR_INERTIA, across, across]))
     return Scene(
         "pendulum",
         Mechanism([Body.ground(), dumbbell], [Revolute("pivot", "ground", "dumbbell", np.zeros(3), axis=Z)]),
@@ -64,8 +64,8 @@ def _bar_tension(run: Trajectory) -> Array:
     The point at the pivot is at rest: reaction + weight + tension along the bar = 0.
     """
     assert run.reaction_force is not None
-    force = run.reaction_force[:, run.joint_names.index("pivot")] + MASS * GRAVITY
-    return np.asarray(-np.sum(force * _point(run), axis=1) / LENGTH)
+    force = run.reaction_force[:, run.joint_names.index("pivot")] + POINT_MASS * GRAVITY
+    return np.asarray(-np.sum(force * _point(run), axis=1) / BAR_LENGTH)
 
 
 REFERENCE_QUANTITIES: dict[str, Quantity] = {

@@ -36,7 +36,7 @@ that is fixed in the rod, and across both."""
 SLIDER_MOMENT = 1e-4
 """Moment of inertia of the slider, kg m^2. The slider never turns."""
 
-SPEED = 6.0
+CRANK_SPEED = 6.0
 """Initial angular velocity of the crank about x, rad/s."""
 
 ROD_SPIN = np.array([1.92, -0.96, 0.48])
@@ -81,11 +81,11 @@ def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
 
 
 def _turning(mechanism: Mechanism) -> State:
-    """Return the initial pose with the crank at `SPEED` and the other bodies at matching velocities."""
+    """Return the initial pose with the crank at `CRANK_SPEED` and the other bodies at matching velocities."""
     state = State.initial(mechanism)
-    pin = np.cross(SPEED * X, PIN - PIVOT)
+    pin = np.cross(CRANK_SPEED * X, PIN - PIVOT)
     wrist = pin + np.cross(ROD_SPIN, WRIST - PIN)
-    state.angular_velocity[1:3] = SPEED * X, ROD_SPIN
+    state.angular_velocity[1:3] = CRANK_SPEED * X, ROD_SPIN
     state.linear_velocity[1:] = 0.5 * pin, 0.5 * (pin + wrist), wrist
     return state
 

@@ -51,7 +51,7 @@ LOWER_RADII, UPPER_RADII = (0.03, 0.05), (0.0, 0.03)
 PLATFORM_RADIUS, PLATFORM_THICKNESS = 1.0, 0.05
 """Size of the platform, a disc, m."""
 
-STIFFNESS = (30e3, 36e3, 42e3, 48e3, 54e3, 60e3)
+LEG_STIFFNESS = (30e3, 36e3, 42e3, 48e3, 54e3, 60e3)
 """Stiffness of the springs in legs 1 to 6, N/m. All springs are unstretched at the start."""
 
 
@@ -87,7 +87,7 @@ def stewart() -> Scene:
         duration=2.0,
         output_period=0.01,
         gravity=-9.81 * Z,
-        forces=tuple(JointSpring(f"leg_{k + 1}", stiffness) for k, stiffness in enumerate(STIFFNESS)),
+        forces=tuple(JointSpring(f"leg_{k + 1}", stiffness) for k, stiffness in enumerate(LEG_STIFFNESS)),
         description="Stewart platform, six sprung legs on universal joints, six degrees of freedom",
     )
 

@@ -32,7 +32,7 @@ from newton_euler.scalars import Array
 BODY_NAMES = ("base", "slider_2", "slider_3", "column_4", "leg_5", "leg_6", "panel_7")
 """Names of the bodies, with the numbers of the paper."""
 
-MASS = 1e-3 * np.array([475.09, 189.7, 189.7, 104.45, 53.25, 54.4, 890.5])
+MASSES = 1e-3 * np.array([475.09, 189.7, 189.7, 104.45, 53.25, 54.4, 890.5])
 """Masses of Table 1, kg."""
 
 CENTER_OF_MASS = 1e-3 * np.array(
@@ -54,7 +54,7 @@ EULER_PARAMETERS = np.array([[1.0, 0.0, 0.0, 0.0]] * 6 + [[0.89043, -0.19791, -0
 INERTIA_SCALE = np.array([1e-4, 1e-4, 1.0, 1.0, 1e-4, 1e-4, 1e-4])
 """Factors of the matrices of Table 4, kg m^2. Two factors are missing in print and stand here as 1."""
 
-INERTIA = np.array(
+INERTIAS = np.array(
     [
         [[20.0, 8.0, -1.0], [8.0, 20.0, 1.0], [1.0, 1.0, 26.0]],
         [[0.2774, 0.0, -0.00102], [0.0, 0.2015, 0.0], [-0.0102, 0.0, 0.1987]],
@@ -91,7 +91,11 @@ class Tables:
     def as_printed(cls) -> Tables:
         """Return copies of the tables as printed."""
         return cls(
-            MASS.copy(), CENTER_OF_MASS.copy(), EULER_PARAMETERS.copy(), INERTIA.copy(), INERTIA_SCALE.copy()
+            MASSES.copy(),
+            CENTER_OF_MASS.copy(),
+            EULER_PARAMETERS.copy(),
+            INERTIAS.copy(),
+            INERTIA_SCALE.copy(),
         )
 
     @property
@@ -122,10 +126,10 @@ TARGET_HEIGHT = 0.046
 PANEL = (0.07, 0.055)
 """Half the side lengths of the panel, m, for drawing and for wind loads."""
 
-STIFFNESS = 50.0
+POSITION_GAIN = 50.0
 """Proportional gain K_p of both actuators, N/m (section 5)."""
 
-DAMPING = (20.0, 25.0)
+VELOCITY_GAINS = (20.0, 25.0)
 """Derivative gains K_d of the actuators, N s/m (section 5)."""
 
 
@@ -252,11 +256,11 @@ def _scene(
         for k, (body, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
     ]
     sliders = (
-        ("slide_12", DAMPING[0], 1),
-        ("slide_13", DAMPING[1], 2),
+        ("slide_12", VELOCITY_GAINS[0], 1),
+        ("slide_13", VELOCITY_GAINS[1], 2),
     )  # actuated joint, gain, index of the body
     control = tuple(
-        PD(joint, STIFFNESS, damping, TARGET_HEIGHT - float(tables.center_of_mass[slider, 2]))
+        PD(joint, POSITION_GAIN, damping, TARGET_HEIGHT - float(tables.center_of_mass[slider, 2]))
         for joint, damping, slider in sliders
     )
     return Scene(

@@ -23,7 +23,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.runs.variation import start
 
-STIFFNESS, DAMPING = 400.0, 40.0
+POSITION_GAIN, VELOCITY_GAIN = 400.0, 40.0
 """Gains of computed torque on position and velocity errors, 1/s^2 and 1/s.
 
 Errors are critically damped and decay with exp(-20 t), t in s."""
@@ -84,7 +84,9 @@ def _laws(
         middle = start(scene, **{name: (reference.offset, 0.0) for name, reference in REFERENCES.items()})
         # weights of position and velocity errors: squares of the forces that the PD controllers would apply
         weights = [
-            (gain * EFFECTIVE_MASSES[name]) ** 2 for gain in (STIFFNESS, DAMPING) for name in REFERENCES
+            (gain * EFFECTIVE_MASSES[name]) ** 2
+            for gain in (POSITION_GAIN, VELOCITY_GAIN)
+            for name in REFERENCES
         ]
         targets: dict[str | Key, float | TimeFunction] = dict(REFERENCES.items())
         return lqr(scene, weights, 1.0, middle.initial_state, list(REFERENCES), targets=targets)
@@ -92,11 +94,17 @@ def _laws(
         panel = scene.mechanism.body("panel_7")
         model = {"panel_7.mass": (1.0 + mass_error) * panel.mass} if mass_error else {}
         return tuple(
-            ComputedTorque(name, STIFFNESS, DAMPING, reference, model=model)
+            ComputedTorque(name, POSITION_GAIN, VELOCITY_GAIN, reference, model=model)
             for name, reference in REFERENCES.items()
         )
     compensates = controller == "pd_gravity"
     return tuple(
-        PD(name, STIFFNESS * mass, DAMPING * mass, REFERENCES[name], gravity_compensation=compensates)
+        PD(
+            name,
+            POSITION_GAIN * mass,
+            VELOCITY_GAIN * mass,
+            REFERENCES[name],
+            gravity_compensation=compensates,
+        )
         for name, mass in EFFECTIVE_MASSES.items()
     )

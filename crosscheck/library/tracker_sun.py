@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from crosscheck.library.tracker import tracker_gravity
-from crosscheck.library.tracker_wind import DAMPING, STIFFNESS
+from crosscheck.library.tracker_wind import WIND_POSITION_GAIN, WIND_VELOCITY_GAIN
 from newton_euler import PD, Axis
 from newton_euler.model.scene import Scene
 
@@ -32,7 +32,9 @@ def sun_tracker() -> Scene:
     """Return the tracker under gravity with stiff PD control; `crosscheck.solar.day` adds set-points."""
     scene = tracker_gravity()
     control = tuple(
-        replace(law, stiffness=STIFFNESS, damping=DAMPING) for law in scene.control if isinstance(law, PD)
+        replace(law, stiffness=WIND_POSITION_GAIN, damping=WIND_VELOCITY_GAIN)
+        for law in scene.control
+        if isinstance(law, PD)
     )
     return replace(scene, name="tracker_sun", control=control)
 

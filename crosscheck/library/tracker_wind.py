@@ -15,7 +15,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 
-STIFFNESS, DAMPING = 5000.0, 100.0
+WIND_POSITION_GAIN, WIND_VELOCITY_GAIN = 5000.0, 100.0
 """Gains of the PD controllers, N/m and N s/m: 100 and 5 times those of the paper.
 
 With the gains of the paper the panel sags by decimeters under gravity."""
@@ -76,7 +76,7 @@ def tracker_wind(
         speed=_speed(wind, speed, seed),
     )
     control = tuple(
-        PD(law.joint, STIFFNESS, DAMPING, _up_and_down(stroke, period), feedforward=force)
+        PD(law.joint, WIND_POSITION_GAIN, WIND_VELOCITY_GAIN, _up_and_down(stroke, period), feedforward=force)
         for law, stroke, period, force in zip(scene.control, STROKES, PERIODS, FEEDFORWARD, strict=True)
     )
     description = "dual-axis solar tracker, stiff PD control along a motion, under gravity and wind"

@@ -31,7 +31,7 @@ CONVERSION_ADVICE = {
     ".xacro": "run xacro first: xacro FILE -o robot.urdf",
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "export a URDF from the tool that it is of"),
 }
-"""How to convert files of other formats to MJCF or URDF, by suffix."""
+"""Instructions by suffix: the conversion of files of other formats to MJCF or URDF."""
 
 
 class Option(NamedTuple):

@@ -17,13 +17,13 @@ from newton_euler.runs.simulate import simulate
 NUDGE = 1e-6
 """Change of the start velocities, sizes/s and rad/s: far above round-off, far below the motion."""
 
-MAX_GROWTH = 1000.0
+MAX_ERROR_GROWTH = 1000.0
 """Factor by which the motion may multiply a change of its start. Beyond it, a run whose steps have errors of
 0.001 % has no digit left that a better step could save."""
 
 
 def comparable_until(scene: Scene, reference: Trajectory) -> float | None:
-    """Find the time, s, from which on a motion multiplies errors by more than `MAX_GROWTH`.
+    """Find the time, s, from which on a motion multiplies errors by more than `MAX_ERROR_GROWTH`.
 
     The scene is simulated a second time with start velocities that differ by `NUDGE` in a random direction. A
     change of velocity v moves a free body by v t, which does not count as growth.
@@ -53,5 +53,5 @@ def comparable_until(scene: Scene, reference: Trajectory) -> float | None:
     if not given:
         return None
     growth = apart / (given * np.maximum(reference.time, reference.time[-1] / len(reference.time)))
-    grown = np.flatnonzero(growth > MAX_GROWTH)
+    grown = np.flatnonzero(growth > MAX_ERROR_GROWTH)
     return float(reference.time[grown[0]]) if len(grown) else None

@@ -21,7 +21,7 @@ from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
 from crosscheck.recording.log import log_bodies, log_ground, log_text
 from crosscheck.recording.shapes import Style
 from crosscheck.report.render import markdown_table
-from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, figures, texts
+from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, number_columns, text_columns
 from crosscheck.support.palette import palette, rgb
 from newton_euler.analysis.linear.linear_model import LinearModel, Modes, label
 from newton_euler.model.euler_parameters import from_rotation_vector, product
@@ -46,7 +46,7 @@ MAX_ANIMATED = 12
 DAMPING_ROUND_OFF = 1e-9
 """Damping ratio below which a mode counts as undamped; smaller ratios are round-off."""
 
-COLUMNS = [
+MODE_COLUMNS = [
     Column("mode", numeric=True),
     Column("frequency", "Hz", numeric=True),
     Column("damping ratio", numeric=True),
@@ -73,7 +73,9 @@ def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
     verdict = f"{stability(modes)}; at {at}{more}" if rows else stability(modes)
     parts: list[Part] = [
         Table(
-            "pose, from the initial one", texts("coordinate", "value", "unit"), [list(row) for row in rows]
+            "pose, from the initial one",
+            text_columns("coordinate", "value", "unit"),
+            [list(row) for row in rows],
         ),
         _eigenvalues(modes),
     ]
@@ -118,7 +120,7 @@ def _listed(numbers: Sequence[int]) -> str:
 
 def _eigenvalues(modes: Modes) -> Table:
     """Tabulate the eigenvalues; of a complex pair, the one with the positive imaginary part."""
-    columns = figures("mode", "real, 1/s", "imaginary, rad/s")
+    columns = number_columns("mode", "real, 1/s", "imaginary, rad/s")
     rows: Rows = [
         [str(k), f"{value.real:.9g}", f"{value.imag:.9g}"]
         for k, value in enumerate(modes.eigenvalues, start=1)
@@ -144,7 +146,7 @@ def table(mechanism: Mechanism, modes: Modes) -> Table:
                 largest_movement(mechanism, twist),
             ]
         )
-    return Table("", COLUMNS, rows)
+    return Table("", MODE_COLUMNS, rows)
 
 
 def largest_movement(mechanism: Mechanism, twist: Array) -> str:

@@ -13,12 +13,22 @@ from crosscheck.compare.activity import what_acted
 from crosscheck.regress.compare import BaselineCheck, Comparison
 from crosscheck.report import render
 from crosscheck.report.outcome import Outcome
-from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, Verdict, figures, texts
+from crosscheck.report.table import (
+    Cell,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    Verdict,
+    number_columns,
+    text_columns,
+)
 
 MAX_SHOWN_CHECKS = 12
 """Number of checks of a scene in its table of changes; the table of all checks has the others, too."""
 
-COLUMNS = [*texts("quantity", "where"), *figures("was", "change", "change / tolerance")]
+CHECK_COLUMNS = [*text_columns("quantity", "where"), *number_columns("was", "change", "change / tolerance")]
 """Columns of the tables of checks."""
 
 
@@ -33,11 +43,11 @@ def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
                 hidden = len(checks) - MAX_SHOWN_CHECKS
                 rows = [_row(check, f"{check.level}: ") for check in checks[:MAX_SHOWN_CHECKS]]
                 more = [f"and {hidden} more"] if hidden > 0 else []
-                yield Table(f"{comparison.scene}: {title}", COLUMNS, [*rows, *more])
+                yield Table(f"{comparison.scene}: {title}", CHECK_COLUMNS, [*rows, *more])
 
 
 def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
-    """Format a check as a row of `COLUMNS`, with a prefix before the name of the quantity."""
+    """Format a check as a row of `CHECK_COLUMNS`, with a prefix before the name of the quantity."""
     unit = f", {check.unit}" if check.unit else ""
     name = f"{prefix}{check.quantity}{unit}"
     verdict: Verdict = "fails" if check.moved else "improved" if check.cheaper else "holds"
@@ -104,7 +114,7 @@ def report(
             rows.append("acts in the file, and is not simulated")
             for entry in comparison.acting:
                 rows.append([what_acted(entry), Cell(f"from {entry.since:.4g} s on", unsimulated)])
-        all_checks.append(Table(comparison.scene, COLUMNS, rows, folded=True))
+        all_checks.append(Table(comparison.scene, CHECK_COLUMNS, rows, folded=True))
     lines += [f"{name}: left out: {why}" for name, why in left_out.items()]
     result = outcome(comparisons)
     return Report(

@@ -30,10 +30,10 @@ from crosscheck.report.table import (
     Report,
     Rows,
     Table,
-    entries,
-    figures,
-    judged,
-    texts,
+    checked_cell,
+    name_value_table,
+    number_columns,
+    text_columns,
 )
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
@@ -70,7 +70,7 @@ def report(result: Crosscheck) -> Report:
     parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
     parts.extend(tables(result))
     parts.append(Lines("", [*limits, *others, *(f"advice, {advice}" for advice in result.advice)]))
-    parts.append(entries("settings and run times", dict(_settings(result))))
+    parts.append(name_value_table("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
         parts.append(_untested_table(result.coverage))
     for title, mapping in _import_reports(result):
@@ -78,7 +78,9 @@ def report(result: Crosscheck) -> Report:
     shown = ("scene", "source", "options", "models", "left_out", "versions")
     found = result.summary()
     parts.append(
-        entries("scene and versions", {name: found[name] for name in shown if found.get(name)}, folded=True)
+        name_value_table(
+            "scene and versions", {name: found[name] for name in shown if found.get(name)}, folded=True
+        )
     )
     title = ": ".join(filter(None, [result.title, result.scene.description]))
     brief = summary(result, limits, others)
@@ -108,7 +110,9 @@ def _untested_table(found: Coverage) -> Table:
         [each.element, SAME_CODE if each.shared else f"{each.effect:.1e}"] for each in found.untested
     ]
     title = "untested by the motion: 10 % more of these does not show"
-    return Table(title, [Column("element"), *figures("effect (detectable above 1)")], rows, folded=True)
+    return Table(
+        title, [Column("element"), *number_columns("effect (detectable above 1)")], rows, folded=True
+    )
 
 
 def tables(result: Crosscheck) -> Iterator[Table]:
@@ -134,7 +138,7 @@ def tables(result: Crosscheck) -> Iterator[Table]:
     if len(failed) > 1:
         yield Table(
             "where they part",
-            texts("level", "quantity", "between", "worst at"),
+            text_columns("level", "quantity", "between", "worst at"),
             [[row.level, row.quantity, ", ".join(row.between), row.place] for row in failed],
         )
 
@@ -169,7 +173,7 @@ def _cell(row: Check) -> Cell:
         return Cell(f"{row.value:.1e} not judged", "", f"{unconverged_reason([row.unconverged])}; {about}")
     if not row.judged:
         return Cell(f"{row.value:.1e}", "", about)
-    return judged(row.value, row.tolerance, row.agrees, about)
+    return checked_cell(row.value, row.tolerance, row.agrees, about)
 
 
 def _reference_table(measured: Sequence[ReferenceCheck]) -> Table:
@@ -189,9 +193,9 @@ def _reference_table(measured: Sequence[ReferenceCheck]) -> Table:
             label = f"{first.known.quantity}, {first.known.unit}"
             values = [f"{first.result:.12g}", f"{first.known.value:.12g}"]
             checks = [cells[name] for name in columns]
-            errors = [judged(each.value, each.tolerance, each.agrees) for each in checks]
+            errors = [checked_cell(each.value, each.tolerance, each.agrees) for each in checks]
             rows.append([label, *values, *errors])
-    heads = [Column(f"value,\n{columns[0]}", numeric=True), *figures("reference")]
+    heads = [Column(f"value,\n{columns[0]}", numeric=True), *number_columns("reference")]
     heads += [Column(name, numeric=True) for name in columns]
     return Table("reference values", [Column(""), *heads], rows)
 

@@ -17,7 +17,7 @@ from crosscheck.compare.check import (
 )
 from crosscheck.compare.crosscheck import Crosscheck
 from crosscheck.report.own_run import own_run_lines
-from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
+from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, number_columns, seconds
 
 MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
 """Largest number of sentences below the tables; a failing verdict takes more lines itself."""
@@ -77,7 +77,7 @@ def levels_table(result: Crosscheck) -> Table:
             for name in shown_engines
         ]
         rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
-    heads = [Column("worst of"), *figures("checks", *shown_engines)]
+    heads = [Column("worst of"), *number_columns("checks", *shown_engines)]
     return Table("", [*heads, Column("% of tolerance, where")], rows)
 
 
@@ -120,8 +120,8 @@ def engines_table(result: Crosscheck) -> Table:
         ended = Cell(f"STOPPED{when}", "fails") if stop else how
         took = seconds(run.wall_time) if run else ""
         rows.append([engine.name, took, *(far if result.run_errors else []), ended])
-    heads = [Column(f"{result.scene.duration:g} s of motion"), *figures("run time")]
-    heads += figures("error") if result.run_errors else []
+    heads = [Column(f"{result.scene.duration:g} s of motion"), *number_columns("run time")]
+    heads += number_columns("error") if result.run_errors else []
     return Table("", [*heads, Column("settings", below=True)], rows)
 
 

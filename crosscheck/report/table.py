@@ -127,19 +127,19 @@ class Report:
         return (word, found) if word.isupper() else ("", self.verdict)
 
 
-def texts(*names: str) -> list[Column]:
+def text_columns(*names: str) -> list[Column]:
     """Make columns of text with these names."""
     return [Column(name) for name in names]
 
 
-def figures(*names: str) -> list[Column]:
+def number_columns(*names: str) -> list[Column]:
     """Make columns of numbers with these names; a unit follows the last comma of a name, as in "time, s"."""
     pairs = [name.rpartition(", ") for name in names]
     return [Column(name or unit, unit if name else "", True) for name, _, unit in pairs]
 
 
-def judged(value: float, allowed: float, agrees: bool, about: str = "") -> Cell:
-    """Make the cell of a checked value, such as "1.2e-09 < 1e-06".
+def checked_cell(value: float, allowed: float, agrees: bool, about: str = "") -> Cell:
+    """Make the cell of a value and its tolerance, such as "1.2e-09 < 1e-06".
 
     Args:
         value: the value.
@@ -151,10 +151,10 @@ def judged(value: float, allowed: float, agrees: bool, about: str = "") -> Cell:
     return Cell(text, "holds" if agrees else "fails", about)
 
 
-def entries(title: str, content: Mapping[str, Any], folded: bool = False) -> Table:
+def name_value_table(title: str, content: Mapping[str, Any], folded: bool = False) -> Table:
     """Make a table of names and values."""
     rows: Rows = [[name, _text(value)] for name, value in content.items()]
-    return Table(title, texts("", ""), rows, folded)
+    return Table(title, text_columns("", ""), rows, folded)
 
 
 def _text(value: object) -> str:

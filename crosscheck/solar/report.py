@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crosscheck.report.plots import own_style, png
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    number_columns,
+    text_columns,
+)
 from crosscheck.solar.day import Day
 from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
 from crosscheck.support.files import write_files
@@ -26,7 +36,7 @@ MAX_PRINTED_HOURS = 9
 SURVEYED = ("on sun\nh", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "facing\n%", "work\nmWh")
 """Headings of the columns of a survey, the table of several days."""
 
-FILES = ("commands.csv", "day.png", "day.rrd")
+DAY_FILES = ("commands.csv", "day.png", "day.rrd")
 """Names of the files of one day: set-points, plot and recording."""
 
 SURVEY_FILES = ("days.csv",)
@@ -53,13 +63,16 @@ def day_report(day: Day) -> Report:
     units = {"azimuth": "deg", "elevation": "deg"}
     units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.commands}
     units |= {"tilt": "deg", "off sun": "deg"} | ({} if day.wind is None else {"wind": "m/s"})
-    columns = [*texts("time"), *(Column(f"{name}\n{unit}", numeric=True) for name, unit in units.items())]
+    columns = [
+        *text_columns("time"),
+        *(Column(f"{name}\n{unit}", numeric=True) for name, unit in units.items()),
+    ]
     rows: Rows = list(hours(day))
     few = rows[:: -(-len(rows) // MAX_PRINTED_HOURS) or 1]
     tables = [Table("sun, set-points and panel", columns, chosen) for chosen in (rows, few)]
     light = Table(
         "clear sky over the day",
-        [*texts("panel"), *figures("kWh/m^2", "of fixed, %")],
+        [*text_columns("panel"), *number_columns("kWh/m^2", "of fixed, %")],
         [
             [name, f"{1e-3 * value:.3f}", f"{100.0 * value / day.light[FIXED]:.1f}"]
             for name, value in day.light.items()
@@ -84,7 +97,7 @@ def loads_table(day: Day) -> Table:
     for name, force in kinds:
         k = int(np.argmax(force))
         rows.append([name, f"{force[k]:.3f}", f"{np.min(force):.3f}", f"{day.sun.times[k]:%H:%M}"])
-    columns = [*texts("where"), *figures("largest, N", "least, N"), Column("largest at")]
+    columns = [*text_columns("where"), *number_columns("largest, N", "least, N"), Column("largest at")]
     return Table("forces at rest over the day, weight alone", columns, rows)
 
 
@@ -128,7 +141,7 @@ def survey_report(days: Sequence[Day]) -> Report:
     """Report on days at several places or dates, one row per day."""
     names = (THIS, ONE_AXIS, FACING)
     columns = [
-        *texts("place", "date"),
+        *text_columns("place", "date"),
         *(Column(name, numeric=True) for name in SURVEYED),
     ]
     rows: Rows = [
@@ -186,7 +199,7 @@ def table_of_commands(day: Day) -> bytes:
 
 def files_of(folder: Path, several: bool) -> list[Path]:
     """Return the paths of the files of a day, or of several days."""
-    return [folder / name for name in (SURVEY_FILES if several else FILES)]
+    return [folder / name for name in (SURVEY_FILES if several else DAY_FILES)]
 
 
 def write_survey(report: Report, folder: Path) -> list[Path]:

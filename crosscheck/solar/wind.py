@@ -9,7 +9,7 @@ from newton_euler.errors import listed, plain_number
 from newton_euler.model.source_file import TimeTable, csv_rows, read_text
 from newton_euler.scalars import Array
 
-COLUMNS = ("time", "speed")
+WIND_COLUMNS = ("time", "speed")
 """Names of the columns of a CSV of wind speeds."""
 
 NEEDED_COLUMNS = "columns time, s since midnight, and speed, m/s, separated by commas"
@@ -42,11 +42,11 @@ def _read(path: str, seconds: Array) -> Array:
     `wind_over_day`."""
     rows = csv_rows(path, read_text(path, "csv_size"))
     header = [cell.lower() for cell in rows[0][1]] if rows else []
-    if sorted(header) != sorted(COLUMNS) or not rows[1:]:
+    if sorted(header) != sorted(WIND_COLUMNS) or not rows[1:]:
         found = listed(header) if rows[1:] else "no rows"
         raise CrosscheckError(f"{path}: has {found:.200}; needed: {NEEDED_COLUMNS}")
     table = TimeTable.of(path, header, rows[1:])
-    time, speed = (table.columns[name] for name in COLUMNS)
+    time, speed = (table.columns[name] for name in WIND_COLUMNS)
     table.refuse(speed < 0.0, "speed", speed, "0 m/s or more")
     if time[0] > seconds[0] or time[-1] < seconds[-1]:
         span = f"speeds from {time[0]:g} to {time[-1]:g} s"

@@ -28,7 +28,7 @@ from crosscheck.compare.activity import what_acted
 from crosscheck.loading.model_files import is_urdf_file
 from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.report.render import markdown_table
-from crosscheck.report.table import Rows, Table, texts
+from crosscheck.report.table import Rows, Table, text_columns
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
 from newton_euler.folders import make_folder
@@ -248,7 +248,7 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
         yield "What acts first in models that are reduced:"
         yield ""
         kinds: Rows = [[kind, str(count)] for kind, count in Counter(reduced).most_common()]
-        yield from markdown_table(Table("", texts("kind of element", "models"), kinds))
+        yield from markdown_table(Table("", text_columns("kind of element", "models"), kinds))
         yield ""
     rows: Rows = []
     for repository in repositories:
@@ -263,7 +263,7 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
                 verdict += f": {reason}"
             time = f"{model.processor_time:.0f}"
             rows.append([entry.file, options, verdict, model.covered, model.lacks, time])
-    heads = texts("model", "options", "verdict", "covered", "of the file", "processor time, s")
+    heads = text_columns("model", "options", "verdict", "covered", "of the file", "processor time, s")
     yield from markdown_table(Table("", heads, rows))
 
 

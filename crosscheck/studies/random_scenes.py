@@ -36,7 +36,7 @@ from newton_euler.model.wind import STANDARD_AIR, WindLoad
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, cross
 
-GRAVITY = 9.81
+STANDARD_GRAVITY = 9.81
 """m/s^2, in a random direction."""
 
 PLANAR_FRACTION = 1.0 / 6.0
@@ -202,7 +202,7 @@ class _Draft:
 
     def forces(self) -> tuple[list[Force], list[Law]]:
         """Make random springs, dampers, wrenches and PD controllers, of the order of the weight."""
-        rng, weight = self.rng, self.mass * GRAVITY
+        rng, weight = self.rng, self.mass * STANDARD_GRAVITY
         forces, control = list[Force](), list[Law]()
         for joint, coordinate in _coordinates(self.joints):
             chance, unit = rng.random(), self._unit(joint, coordinate)
@@ -225,7 +225,7 @@ class _Draft:
         return forces, control
 
     def _spring(self) -> PointSpring:
-        rng, stiffness = self.rng, self.mass * GRAVITY / self.length
+        rng, stiffness = self.rng, self.mass * STANDARD_GRAVITY / self.length
         one, other = (self.bodies[k] for k in rng.choice(len(self.bodies), 2, replace=False))
         return PointSpring(
             "spring",
@@ -261,7 +261,7 @@ def _of_balls(
     rng: np.random.Generator, draft: _Draft
 ) -> tuple[tuple[BallSpring, ...], tuple[BallArmature, ...]]:
     """Make random springs, dampers and rotors of balls, of the order of the weight and of the inertias."""
-    torque, inertia = draft.mass * GRAVITY * draft.length, 0.1 * draft.mass * draft.length**2
+    torque, inertia = draft.mass * STANDARD_GRAVITY * draft.length, 0.1 * draft.mass * draft.length**2
     springs, rotors = list[BallSpring](), list[BallArmature]()
     for joint in draft.joints:
         chances, (stiffness, damping, rotor) = rng.random(2), rng.uniform(0.1, 3.0, 3)
@@ -279,7 +279,7 @@ def _wind(rng: np.random.Generator, draft: _Draft) -> tuple[WindLoad, ...]:
     body = draft.bodies[rng.integers(1, len(draft.bodies))]
     (first, second, _), sizes = _askew(rng, 3), draft.length * rng.uniform(0.2, 1.0, 2)
     sides = {"first_side": sizes[0] * first, "second_side": sizes[1] * _across(second, first)}
-    speed = np.sqrt(draft.mass * GRAVITY / (STANDARD_AIR * np.prod(sizes))) * rng.uniform(0.3, 3.0)
+    speed = np.sqrt(draft.mass * STANDARD_GRAVITY / (STANDARD_AIR * np.prod(sizes))) * rng.uniform(0.3, 3.0)
     point = body.center_of_mass + 0.3 * draft.length * rng.normal(size=3)
     load = WindLoad("wind", body.name, point, **sides, direction=_direction(rng), speed=float(speed))
     return (load,) if rng.random() < 0.2 else ()
@@ -384,7 +384,7 @@ def random_scene(seed: int, number: int) -> Scene:
         mechanism,
         duration=1.0,
         output_period=0.1,
-        gravity=GRAVITY * _direction(rng),
+        gravity=STANDARD_GRAVITY * _direction(rng),
         control=tuple(control),
         initial_state=_moved(rng, mechanism),
         forces=(*forces, *springs, *_wind(np.random.default_rng([seed, number, 3]), draft)),

@@ -71,7 +71,7 @@ The tornado chart shows the means of a number over these runs.
 SAME_SPREAD_RATIO = 1.1
 """Ratio of spreads below which two numbers are considered to vary equally; such numbers keep their order."""
 
-EPSILON = float(np.finfo(float).eps)
+MACHINE_EPSILON = float(np.finfo(float).eps)
 
 MIN_VARIATION = 1e-9
 """Range of a number, relative to the magnitude of its variable, below which it is considered constant."""
@@ -354,7 +354,7 @@ def _rank_interval(rank: float, runs: int) -> dict[str, Any]:
         The attributes `rank` and `rank_error` of an `Effect`.
     """
     half = NORMAL_QUANTILE_95 * np.sqrt((1.0 + 0.5 * rank**2) / (runs - MIN_RANK_RUNS + 1))
-    middle = np.arctanh(np.clip(rank, -1.0 + EPSILON, 1.0 - EPSILON))
+    middle = np.arctanh(np.clip(rank, -1.0 + MACHINE_EPSILON, 1.0 - MACHINE_EPSILON))
     return {"rank": rank, "rank_error": float(0.5 * (np.tanh(middle + half) - np.tanh(middle - half)))}
 
 

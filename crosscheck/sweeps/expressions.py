@@ -43,7 +43,7 @@ ELEMENT_DIMENSIONS = {"b": "body", "j": "joint", "a": "actuator"}
 PART_DIMENSIONS = {"3": "axis", "4": "component"}
 """Names of the dimensions of vectors and quaternions, by their digits in `SHAPES`."""
 
-COMPONENTS = {"axis": tuple("xyz"), "component": tuple("wxyz")}
+COMPONENT_NAMES = {"axis": tuple("xyz"), "component": tuple("wxyz")}
 """Labels of the components of vectors and quaternions, by dimension."""
 
 SAME_UNIT = "same"
@@ -189,7 +189,7 @@ def labels(scene: Scene) -> dict[str, tuple[str, ...]]:
         "joint": tuple(mechanism.joint_names),
         "actuator": tuple(actuators),
         "coordinate": tuple(mechanism.coordinate_labels.values()),
-        **COMPONENTS,
+        **COMPONENT_NAMES,
     }
 
 
@@ -327,7 +327,7 @@ class Expression:
             raise UnknownNameError(elements, before, self._labels[elements])
         if last == "work" and not self._has_work:
             raise ValueError("the scene has no control, forces or motions that do work")
-        letters = COMPONENTS.get(parts, ())
+        letters = COMPONENT_NAMES.get(parts, ())
         if component and component not in letters:
             raise ValueError(f"{last} has no component {component!r:.50}; {choices(component, letters)}")
         self.elements.setdefault(last, set()).add(before)

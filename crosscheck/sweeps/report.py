@@ -25,9 +25,9 @@ from crosscheck.report.table import (
     Report,
     Rows,
     Table,
-    figures,
-    judged,
-    texts,
+    checked_cell,
+    number_columns,
+    text_columns,
 )
 from crosscheck.support.files import check_writable, write_files
 from crosscheck.sweeps.analysis import (
@@ -57,7 +57,7 @@ from newton_euler.scalars import Array
 if TYPE_CHECKING:
     from crosscheck.sweeps.recording import Envelope
 
-FILES = ("sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png")
+SWEEP_FILES = ("sweep.json", "sweep.rrd", "tornado.png", "histograms.png", "scatter.png")
 """Names of the files that `write` can write: all findings, the Rerun recording, and plots."""
 
 MAX_PRINTED_ROWS, MAX_PRINTED_CHARTS, MAX_PRINTED_BARS, MAX_PRINTED_REASONS = 6, 2, 4, 3
@@ -276,7 +276,7 @@ def _hint(plan: SweepPlan, reason: str) -> str:
 def _quantiles(found: Findings, rows: Sequence[KeptNumber], title: str) -> Table:
     """Tabulate nominal values and quantiles of kept numbers; without a title in the short form."""
     wanted = slice(None if title else 1, None)
-    columns = [Column("of each run"), *figures("nominal", *list(QUANTILE_LEVELS)[wanted])]
+    columns = [Column("of each run"), *number_columns("nominal", *list(QUANTILE_LEVELS)[wanted])]
     content: Rows = []
     for variable, members in groupby(rows, key=lambda each: each.variable):
         of_variable = list(members)
@@ -312,7 +312,7 @@ def _effects(scalar: KeptNumber, found: Sequence[Effect], most: int | None) -> T
     if len(found) > len(rows):
         rows.append([f"{len(found) - len(rows)} smaller effects: -v"])
     heads = ["share of variance"] if found and found[0].share is not None else []
-    columns = [Column(f"{scalar.label} by"), *figures(*heads, "rank"), Column("")]
+    columns = [Column(f"{scalar.label} by"), *number_columns(*heads, "rank"), Column("")]
     return Table("" if most else f"effects on {scalar.label}", columns, rows)
 
 
@@ -326,12 +326,12 @@ def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
         kept.append(f"run {each.run}")
         for check in each.kept:
             reason = "not converged" if check.unconverged else "not judged"
-            difference = judged(check.value, check.tolerance, check.agrees)
+            difference = checked_cell(check.value, check.tolerance, check.agrees)
             if not check.judged:
                 difference = Cell(f"{check.value:.1e}, {check.detail or reason}")
             kept.append([check.quantity, check.between[0], difference])
-    columns = [*figures("run"), *texts("chosen", "engines")]
-    columns_of_kept = [*texts("kept number", "engine"), *figures("difference")]
+    columns = [*number_columns("run"), *text_columns("chosen", "engines")]
+    columns_of_kept = [*text_columns("kept number", "engine"), *number_columns("difference")]
     parts: list[Part] = [Table("runs that were cross-checked", columns, rows, folded=True)]
     parts.append(Table("kept outputs of these runs, closest to failing", columns_of_kept, kept, folded=True))
     wrong = [f"run {each.run}: {each.verdict}" for each in checked if not (each.agrees and each.complete)]
@@ -347,7 +347,7 @@ def _varied(plan: SweepPlan) -> Table:
         nominal = ", ".join(f"{own[name] + 0.0:.6g}" for name in names)
         rows.append([", ".join(names), units[names[0]], nominal, str(distribution)])
     return Table(
-        "varied parameters", texts("parameter", "unit", "nominal", "distribution"), rows, folded=True
+        "varied parameters", text_columns("parameter", "unit", "nominal", "distribution"), rows, folded=True
     )
 
 
@@ -399,7 +399,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     from crosscheck.recording.log import recorded
     from crosscheck.sweeps.recording import log_sweep
 
-    paths = [folder / name for name in FILES]
+    paths = [folder / name for name in SWEEP_FILES]
     check_writable(*paths)
     runs = analyzed(found.swept)
     points = sample_blocks(len(runs), MAX_SCATTER_POINTS)
@@ -409,8 +409,8 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     files = {folder / name: content for name, content in drawn.items()}
     to_show = to_record(found, made)
     if to_show[1]:
-        files[folder / FILES[1]] = recorded(log_sweep, *to_show)
-    whole = {folder / FILES[0]: as_json(_data(found), made, files), **files}
+        files[folder / SWEEP_FILES[1]] = recorded(log_sweep, *to_show)
+    whole = {folder / SWEEP_FILES[0]: as_json(_data(found), made, files), **files}
     write_files(whole, [path for path in paths if path not in whole])
     return list(whole)
 

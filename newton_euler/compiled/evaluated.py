@@ -49,7 +49,7 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-DIFFERENCE_STEP = 1e-8
+JACOBIAN_STEP = 1e-8
 """Step of the difference quotients for the Jacobian, relative to the magnitude of each coordinate or
 velocity.
 
@@ -227,7 +227,7 @@ class EvaluatedSystem(Callbacks):
         """
         at, y = self._rates(q, v), np.concatenate([q, v])
         columns = np.empty((len(y), len(y)))
-        for k, h in enumerate(DIFFERENCE_STEP * np.maximum(1.0, np.abs(y))):
+        for k, h in enumerate(JACOBIAN_STEP * np.maximum(1.0, np.abs(y))):
             moved = y.copy()
             moved[k] += h
             columns[k] = (self._rates(moved[: len(q)], moved[len(q) :]) - at) / h

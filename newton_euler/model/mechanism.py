@@ -520,8 +520,7 @@ class Mechanism:
 
     @cached_property
     def reaction_arms(self) -> tuple[Array, ...]:
-        """For each joint, the joint point of its second body: (3,) m from the center of mass, frame of that
-        body."""
+        """Joint point (3,) of each joint on its second body, m from the center of mass, in the body frame."""
         return tuple(
             self.bodies[each.second].pose.point_to_body(each.joint.reaction_point) for each in self.equations
         )

@@ -14,7 +14,7 @@ from newton_euler.limits import exceeded
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.scalars import Array
 from urdf.loops import NO_LOOPS, closure_names
-from urdf.model import GROUND, ClosedLoopModel
+from urdf.model import PINOCCHIO_GROUND, ClosedLoopModel
 from urdf.reading.source import JointProperties, SourceError
 
 PinocchioModel: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
@@ -85,7 +85,7 @@ class Given:
             tuple(pairs),
             (),
             np.zeros((0, MAX_DEGREE, own.nv)),
-            (GROUND, *(str(name) for name in list(own.names)[1:])),
+            (PINOCCHIO_GROUND, *(str(name) for name in list(own.names)[1:])),
         )
         self.q, self.called = pin.neutral(model), "coordinates 0"
         if q is not None:

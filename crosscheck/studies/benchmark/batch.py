@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
+from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.ladders import (
     JUDGED,
     STEPS_PER_OUTPUT,
@@ -448,8 +448,8 @@ def parts(result: BatchBenchmark) -> list[Part]:
         ]
         for rate in result.rates
     ]
-    heads = figures("threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
-    table = Table("", [*texts("engine"), *heads], rows)
+    heads = number_columns("threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
+    table = Table("", [*text_columns("engine"), *heads], rows)
     period = result.duration / (result.outputs - 1)
     lines = [
         f"runs of {result.duration:g} s from random states, {result.outputs} outputs {period:.3g} s apart; "

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.report.plots import own_style, png
-from crosscheck.report.table import Cell, Lines, Part, Rows, Table, figures, texts
+from crosscheck.report.table import Cell, Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.reference import Reference
 from crosscheck.studies.benchmark.timing import rounded, shown
@@ -92,7 +92,10 @@ def parts(result: Benchmark) -> Iterator[Part]:
     failures: Rows = [[x.engine, x.name, x.reason] for x in result.measured.failures]
     if failures:
         yield Table(
-            "settings that cannot run the scene", texts("engine", "setting", "reason"), failures, folded=True
+            "settings that cannot run the scene",
+            text_columns("engine", "setting", "reason"),
+            failures,
+            folded=True,
         )
 
 
@@ -121,16 +124,18 @@ def summary(result: Benchmark, error: float) -> Iterator[Part]:
     for engine in ENGINES:
         every = [result.cheapest(engine, each) for each in errors]
         rows.append([engine, *("-" if m is None else rounded(1e3 * m.median) for m in every)])
-    yield Table("", [*texts("ms for an error of"), *figures(*(f"{each:.0e}" for each in errors))], rows)
+    yield Table(
+        "", [*text_columns("ms for an error of"), *number_columns(*(f"{each:.0e}" for each in errors))], rows
+    )
     wanted = [m for engine in ENGINES if (m := result.cheapest(engine, error))]
     yield Lines("", [f"{m.engine} for {error:g}: {m.name}" for m in wanted])
 
 
 def _times(result: Benchmark) -> Table:
     """Tabulate the time of each engine's fastest setting for each error, and its ratio to newton_euler's."""
-    heads = figures("error")
+    heads = number_columns("error")
     for engine in ENGINES:
-        heads += figures(engine, "spread", *(() if engine == JUDGED else ("ratio",)))
+        heads += number_columns(engine, "spread", *(() if engine == JUDGED else ("ratio",)))
     rows: Rows = []
     for error in TABLE_ERRORS:
         own, row = result.cheapest(JUDGED, error), list[str | Cell]()
@@ -165,7 +170,7 @@ def _settings(result: Benchmark) -> Table:
             )
     names = ("position, m", "angle, rad", "time, ms", "spread", "repeats", "first, ms", "evaluations")
     title = "Pareto-optimal settings of each engine"
-    return Table(title, [*texts("setting"), *figures(*names)], rows, folded=True)
+    return Table(title, [*text_columns("setting"), *number_columns(*names)], rows, folded=True)
 
 
 def data(result: Benchmark) -> dict[str, Any]:

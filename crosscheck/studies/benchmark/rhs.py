@@ -18,7 +18,7 @@ from functools import partial
 from timeit import Timer
 from typing import NamedTuple
 
-from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
+from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.support.errors import reason_of
@@ -212,8 +212,8 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
                 f"{t.load:.2f}",
             ]
         rows.append([t.way, *cells])
-    heads = figures("operations", "time, us", "spread", "ratio", "load, s")
+    heads = number_columns("operations", "time, us", "spread", "ratio", "load, s")
     words = [] if best is None else [f"ratio: to {best.way}, the fastest of the others"]
     words.append("load: in a fresh process, without a cache")
     words += [f"{t.way} cannot run the scene: {t.reason}" for t in timings if t.reason]
-    return [Table("", [*texts("right-hand side"), *heads], rows), Lines("", words)]
+    return [Table("", [*text_columns("right-hand side"), *heads], rows), Lines("", words)]

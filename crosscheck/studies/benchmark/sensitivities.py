@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from timeit import Timer
 
-from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
+from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, shown
 from newton_euler import compile_scene
@@ -98,6 +98,6 @@ def parts(costs: Sequence[SensitivityCost]) -> list[Part]:
         each = f"{(cost.ratio(alone) - 1.0) / cost.parameters:.2f}" if cost.parameters else "-"
         by = f"{cost.kind}: {cost.parameters}" if cost.parameters else "run alone"
         rows.append([by, f"{cost.operations:,}", shown(cost.median), cost.spread, each])
-    heads = [*texts("by"), *figures("operations", "time", "spread", "runs per parameter")]
+    heads = [*text_columns("by"), *number_columns("operations", "time", "spread", "runs per parameter")]
     words = "CPU time of a run with sensitivities at the default tolerance, without initial states"
     return [Table("", heads, rows), Lines("", [words])]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, number_columns, text_columns
 from crosscheck.studies.faults.find import (
     RANDOM_STATES,
     READING,
@@ -75,7 +75,7 @@ def report(title: str, search: FaultSearch, wall_time: float) -> Report:
         ]
         for found in search.found
     ]
-    heads = texts("fault", "engine", "observable", "found", "by motion alone")
+    heads = text_columns("fault", "engine", "observable", "found", "by motion alone")
     parts: list[Part] = [
         table(search),
         Lines("", [*unable, *lines(search)]),
@@ -112,7 +112,7 @@ def table(search: FaultSearch, every: bool = True) -> Table:
     if search.engines != (READING,):
         names += ["moving", "by motion", "located"]
     head = "kind, and size" if groups else "size"
-    return Table("", [*texts(head), *figures(*names)], rows)
+    return Table("", [*text_columns(head), *number_columns(*names)], rows)
 
 
 def _row(name: str, faults: Sequence[FaultResult], search: FaultSearch) -> list[str | Cell]:

@@ -21,8 +21,8 @@ from crosscheck.studies.stress.cases import (
 )
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
-    GRAVITY,
     ONE_EACH,
+    STANDARD_GRAVITY,
     Setting,
     largest_drift,
     largest_energy_error,
@@ -216,7 +216,9 @@ def centered_slider_crank() -> Scene:
     motion = PrescribedMotion("pivot", Polynomial((0.0, CRANK_SPEED)))
     outputs: frozenset[OutputName] = frozenset({"violation"})
     mechanism = Mechanism(bodies, joints)
-    return Scene("slider_crank", mechanism, 2.0, 0.02, -GRAVITY * z, motions=(motion,), outputs=outputs)
+    return Scene(
+        "slider_crank", mechanism, 2.0, 0.02, -STANDARD_GRAVITY * z, motions=(motion,), outputs=outputs
+    )
 
 
 def position_of_slider(scene: Scene, run: Trajectory) -> Measurement:

@@ -120,7 +120,7 @@ LIMIT_INERTIAS = {
 }
 """Axial and transverse moments of inertia of symmetric tops, kg m^2."""
 
-SPIN = np.array([0.3, -0.7, 1.1])
+TOP_ANGULAR_VELOCITY = np.array([0.3, -0.7, 1.1])
 """rad/s, initial angular velocity of the tops, body frame."""
 
 
@@ -142,7 +142,7 @@ def masses(full: bool) -> Iterator[Case]:
     duration = 10.0 if full else 2.0
     for name, moments in LIMIT_INERTIAS.items():
         for setting in ONE_EACH:
-            measure = partial(of_run, symmetric_top(*moments, SPIN, duration), top_error)
+            measure = partial(of_run, symmetric_top(*moments, TOP_ANGULAR_VELOCITY, duration), top_error)
             yield Case(f"free top, {duration:g} s, {name}", setting, ANGLE_BOUND, measure)
 
 

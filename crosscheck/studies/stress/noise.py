@@ -16,7 +16,7 @@ from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 
-INERTIA = 0.01 * np.eye(3)
+BODY_INERTIA = 0.01 * np.eye(3)
 X, Y, Z = np.eye(3)
 
 NOISES = (1e-12, 1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
@@ -36,10 +36,10 @@ def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
     elbow, wrist, foot = 0.2 * Z, 0.4 * X + 0.2 * Z, 0.4 * X
     bodies = [
         Body.ground(),
-        Body("crank", 1.0, 0.1 * Z, INERTIA),
-        Body("coupler", 1.0, elbow + 0.2 * X, INERTIA),
-        Body("rocker", 1.0, wrist - 0.1 * Z, INERTIA),
-        Body("foot", 1.0, foot + 0.01 * Z, INERTIA),
+        Body("crank", 1.0, 0.1 * Z, BODY_INERTIA),
+        Body("coupler", 1.0, elbow + 0.2 * X, BODY_INERTIA),
+        Body("rocker", 1.0, wrist - 0.1 * Z, BODY_INERTIA),
+        Body("foot", 1.0, foot + 0.01 * Z, BODY_INERTIA),
     ]
     joints = [
         Revolute("motor", "ground", "crank", 0.0 * Z, axis=Y),
@@ -53,11 +53,11 @@ def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
 
 def sarrus(noise: float) -> Scene:
     """Return Sarrus' linkage: two legs of three parallel hinges, about x and y, guide a plate straight up."""
-    bodies, joints = [Body.ground(), Body("plate", 1.0, 0.6 * Z, INERTIA)], list[Joint]()
+    bodies, joints = [Body.ground(), Body("plate", 1.0, 0.6 * Z, BODY_INERTIA)], list[Joint]()
     for leg, axis, out in (("a", X, Y), ("b", Y, X)):
         foot, knee, hip = 0.5 * out, 0.7 * out + 0.3 * Z, 0.5 * out + 0.6 * Z
-        bodies.append(Body(f"shin_{leg}", 0.5, 0.5 * (foot + knee), INERTIA))
-        bodies.append(Body(f"thigh_{leg}", 0.5, 0.5 * (knee + hip), INERTIA))
+        bodies.append(Body(f"shin_{leg}", 0.5, 0.5 * (foot + knee), BODY_INERTIA))
+        bodies.append(Body(f"thigh_{leg}", 0.5, 0.5 * (knee + hip), BODY_INERTIA))
         joints.append(Revolute(f"foot_{leg}", "ground", f"shin_{leg}", foot, axis=axis))
         joints.append(Revolute(f"knee_{leg}", f"shin_{leg}", f"thigh_{leg}", knee, axis=axis))
         joints.append(Revolute(f"hip_{leg}", f"thigh_{leg}", "plate", hip, axis=axis))
@@ -68,9 +68,9 @@ def double_wishbone(noise: float) -> Scene:
     """Return a car's double wishbone: each arm has two coaxial hinges, with five redundant constraints."""
     bodies = [
         Body.ground(),
-        Body("lower", 2.0, 0.2 * X, INERTIA),
-        Body("upper", 1.5, 0.2 * X + 0.25 * Z, INERTIA),
-        Body("upright", 5.0, 0.42 * X + 0.12 * Z, INERTIA),
+        Body("lower", 2.0, 0.2 * X, BODY_INERTIA),
+        Body("upper", 1.5, 0.2 * X + 0.25 * Z, BODY_INERTIA),
+        Body("upright", 5.0, 0.42 * X + 0.12 * Z, BODY_INERTIA),
     ]
     joints: list[Joint] = [
         Revolute(f"{arm}_{end}", "ground", arm, side * Y + height * Z, axis=Y)

@@ -16,7 +16,7 @@ import numpy as np
 from crosscheck.compare.check import Check
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.samples import Samples, States
-from crosscheck.studies.random_scenes import GRAVITY, random_scene
+from crosscheck.studies.random_scenes import STANDARD_GRAVITY, random_scene
 from crosscheck.studies.stress.cases import Bound, Case, Measurement
 from crosscheck.studies.stress.runs import Setting
 from crosscheck.support.errors import CrosscheckError
@@ -145,5 +145,5 @@ def native_difference(scene: Scene, formulation: str) -> float | None:
         return None
     units, size = system.velocity_units, scene.mechanism.size
     wanted = system.acceleration(x[: system.nq], x[system.nq : code.size]) / units
-    scale = max(float(np.max(np.abs(wanted))), GRAVITY / size)
+    scale = max(float(np.max(np.abs(wanted))), STANDARD_GRAVITY / size)
     return float(np.max(np.abs(found[system.nq : -1] / units - wanted))) / scale

@@ -7,13 +7,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from crosscheck.report import render
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    number_columns,
+    text_columns,
+)
 from crosscheck.studies.stress.cases import PROCESSES, Row
 from crosscheck.studies.stress.topics import TOPICS
 from crosscheck.support.files import write_files
 from crosscheck.support.versions import versions
 
-FILES = ("stress.json", "stress.md")
+STRESS_FILES = ("stress.json", "stress.md")
 
 FIRST_COLUMN, LAST_COLUMN = "newton_euler", "all"
 """Engines of the first and the last column; "all" has the cases that do not depend on the engine."""
@@ -50,7 +60,7 @@ def _bound(row: Row) -> str:
 
 def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
     """Tabulate cases with a row for each case that does not pass in every engine, and one for all others."""
-    heads = [*texts("case"), *figures(*engines), Column("not passed", below=True)]
+    heads = [*text_columns("case"), *number_columns(*engines), Column("not passed", below=True)]
     cells: Rows = []
     lost = dict.fromkeys(row.case.name for row in rows if not row.passes)
     for name in lost:
@@ -103,7 +113,7 @@ def write(rows: Sequence[Row], found: Report, full: bool, folder: Path) -> list[
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    paths = [folder / name for name in FILES]
+    paths = [folder / name for name in STRESS_FILES]
     data = {
         "form": "full" if full else "ci",
         "passed": counts(rows),

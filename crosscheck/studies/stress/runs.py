@@ -25,7 +25,7 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
 
-GRAVITY = 9.81
+STANDARD_GRAVITY = 9.81
 """m/s^2."""
 
 
@@ -135,7 +135,7 @@ def parallelogram_angle(scene: Scene) -> Array:
     # state
     start = [bar_angles(state.position[None, :2], bodies)[0], -state.angular_velocity[1, 2]]
     solution = solve_ivp(
-        lambda t, y: [y[1], weight / inertia * GRAVITY * np.sin(y[0])],
+        lambda t, y: [y[1], weight / inertia * STANDARD_GRAVITY * np.sin(y[0])],
         (0.0, scene.duration),
         start,
         method="DOP853",

@@ -34,7 +34,7 @@ from newton_euler.scalars import Array, Floats
 REACTIONS = "reaction_force", "reaction_torque"
 """Outputs that are not unique if constraints are redundant."""
 
-AXES = "x", "y", "z"
+AXIS_NAMES = "x", "y", "z"
 
 MAX_DEGREES_RESIDUAL = 0.1
 """Largest residual of an angle after conversion from degrees, divided by the residual before, for which its
@@ -273,10 +273,10 @@ def _undetermined(scene: Scene, name: str) -> str:
     """Return the reason why a measured reaction is not unique; empty if it is unique."""
     kind, _, rest = name.partition(".")
     joint, _, axis = rest.rpartition(".")
-    if kind not in REACTIONS or joint not in scene.mechanism.joint_names or axis not in AXES:
+    if kind not in REACTIONS or joint not in scene.mechanism.joint_names or axis not in AXIS_NAMES:
         return ""
     number = scene.mechanism.joint_index(joint)
-    if not is_undetermined(scene)[number, REACTIONS.index(kind), AXES.index(axis)]:
+    if not is_undetermined(scene)[number, REACTIONS.index(kind), AXIS_NAMES.index(axis)]:
         return ""
     count, joints = undetermined_joints(scene, initial_state(scene))
     return f"reactions of joint {joint!r} are not unique, {redundancy_text(count, ', '.join(joints))}"

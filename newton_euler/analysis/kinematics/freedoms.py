@@ -18,7 +18,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-AXES = ("x", "y", "z")
+AXIS_NAMES = ("x", "y", "z")
 
 
 class Freedom(NamedTuple):
@@ -42,7 +42,9 @@ def _other_freedoms(system: Relative) -> list[Freedom]:
         name = system.tree.joint(kept.joint).name
         for number, (motion, _, on_v) in enumerate(kept.places):
             if motion.kind == "ball":
-                each = [(f"{name}.ball.{axis}", on_v.start + k, on_v.start) for k, axis in enumerate(AXES)]
+                each = [
+                    (f"{name}.ball.{axis}", on_v.start + k, on_v.start) for k, axis in enumerate(AXIS_NAMES)
+                ]
             elif kept.joint >= len(system.mechanism.joints):
                 each = [(f"{name}.{number}", on_v.start, -1)]
             else:

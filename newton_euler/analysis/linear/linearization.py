@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.analysis.kinematics.freedoms import AXES, Freedom, chosen_freedoms, rates_of
+from newton_euler.analysis.kinematics.freedoms import AXIS_NAMES, Freedom, chosen_freedoms, rates_of
 from newton_euler.analysis.linear.linear_model import LinearModel, label
 from newton_euler.arguments import checked
 from newton_euler.codegen.compile import NativeFunction
@@ -403,7 +403,7 @@ class Linearization:
                 check_choice("output", name, (*mechanism.joint_names, *mechanism.body_names))
                 body = mechanism.body_index(str(name))
                 rows.append(twists[6 * body : 6 * body + 6])
-                labels += [f"{name}.{kind}{axis}" for kind in ("", "r") for axis in AXES]
+                labels += [f"{name}.{kind}{axis}" for kind in ("", "r") for axis in AXIS_NAMES]
         return np.concatenate(rows), tuple(labels)
 
 

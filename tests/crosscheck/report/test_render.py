@@ -12,14 +12,29 @@ import pytest
 from crosscheck.report.page import PageEntry, rendered
 from crosscheck.report.plots import speed
 from crosscheck.report.render import as_json, junit, markdown, shorten_words, terminal
-from crosscheck.report.table import Cell, Column, Lines, Report, Table, entries, figures, judged, texts
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Report,
+    Table,
+    checked_cell,
+    name_value_table,
+    number_columns,
+    text_columns,
+)
 
 ODD = "a|b <c> & \x00 `d`_"
 
 TABLE = Table(
     "figures",
     [Column("quantity"), Column("difference", "m", True)],
-    ["model", ["mass", judged(1e-3, 1e-6, False, "crank")], ["points", judged(1e-9, 1e-6, True)], "energy"],
+    [
+        "model",
+        ["mass", checked_cell(1e-3, 1e-6, False, "crank")],
+        ["points", checked_cell(1e-9, 1e-6, True)],
+        "energy",
+    ],
 )
 
 REPORT = Report(
@@ -55,8 +70,8 @@ LONG = " ".join(8 * ["words that go on and on;"])
 def test_what_is_printed_fits_the_terminal(monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", str(columns))
     names = [f"between the engines {k}, m" for k in range(9)]
-    row = ["angular acceleration", "", *(judged(k * 1e-9, 1e-6, True) for k in range(9))]
-    wide = Table("wide", [Column(""), Column("why"), *figures(*names)], ["head", row, ["a", LONG]])
+    row = ["angular acceleration", "", *(checked_cell(k * 1e-9, 1e-6, True) for k in range(9))]
+    wide = Table("wide", [Column(""), Column("why"), *number_columns(*names)], ["head", row, ["a", LONG]])
     text = terminal([wide, Lines("", [LONG, f"    {LONG}"])])
     assert max(map(len, text.splitlines())) <= columns
     assert all(f"{k}.0e-09 < 1e-06" in text for k in range(1, 9))
@@ -113,7 +128,7 @@ def test_junit_has_a_case_per_judged_row():
 
 
 def test_any_text_is_shown_as_it_is():
-    odd = Report(ODD, ODD, Cell(ODD), [Table(ODD, texts(ODD, ODD), [ODD, [ODD, Cell(ODD, "fails")]])])
+    odd = Report(ODD, ODD, Cell(ODD), [Table(ODD, text_columns(ODD, ODD), [ODD, [ODD, Cell(ODD, "fails")]])])
     root = ElementTree.fromstring(junit(odd))
     assert root[0][0].get("name") == ODD.replace("\x00", "\\x00")
     (line,) = [line for line in markdown(odd).splitlines() if line.startswith("| a") and "**" in line]
@@ -122,8 +137,8 @@ def test_any_text_is_shown_as_it_is():
 
 
 def test_units_follow_the_last_comma():
-    assert [column.heading for column in figures("load, s", "ms")] == ["load, s", "ms"]
-    assert [(column.name, column.unit) for column in figures("of mass, kg", "ms")] == [
+    assert [column.heading for column in number_columns("load, s", "ms")] == ["load, s", "ms"]
+    assert [(column.name, column.unit) for column in number_columns("of mass, kg", "ms")] == [
         ("of mass", "kg"),
         ("ms", ""),
     ]
@@ -134,14 +149,16 @@ def test_no_word_of_a_narrow_table_is_cut(width, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     names = ["relative: moving: angular acceleration, rad/s^2", "drift: joint acceleration of the loops"]
     rows = ["heading", *([name, "universal_47, x", "0.00300711086", "+2.31e+09"] for name in names)]
-    text = terminal([Table("moved", [*texts("figure", "where"), *figures("was", "tolerances")], rows)])
+    text = terminal(
+        [Table("moved", [*text_columns("figure", "where"), *number_columns("was", "tolerances")], rows)]
+    )
     words = text.split()
     assert all(words.count(word) >= 1 for name in [*names, "0.00300711086"] for word in name.split())
     assert max(map(len, text.splitlines())) <= width
 
 
 def test_entries_of_any_value():
-    table = entries("settings", {"a": [1, 2.5, None, "<"], "b": {"c": True, "d": 1.23456789}})
+    table = name_value_table("settings", {"a": [1, 2.5, None, "<"], "b": {"c": True, "d": 1.23456789}})
     assert table.rows == [["a", "1, 2.5, , <"], ["b", "c: True\nd: 1.23457"]]
 
 

@@ -19,7 +19,7 @@ from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
 from crosscheck.library import SCENES
 from crosscheck.report.page import MAX_FOLDERS_IN_FULL, PAGE, key_times, write_report
 from crosscheck.report.plots import SPEED_CAPTION, pictures
-from crosscheck.report.table import Column, Table, judged
+from crosscheck.report.table import Column, Table, checked_cell
 from crosscheck.support.checksum import with_checksum
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.results import digest
@@ -204,7 +204,7 @@ def test_a_cell_is_judged_in_one_of_four_ways(tmp_path, verdict):
 
 
 def test_a_disagreement_is_found_at_a_glance(tmp_path):
-    failing = judged(0.125, 1e-12, False, "worst at the crank")
+    failing = checked_cell(0.125, 1e-12, False, "worst at the crank")
     table = Table("", [Column("engine"), Column("mass", "kg", True)], [["mujoco", failing]])
     word = {"text": "FAILS", "verdict": "fails"}
     write(tmp_path / "summary.json", verdict="DISAGREE: somewhere", judged=word, parts=[asdict(table)])

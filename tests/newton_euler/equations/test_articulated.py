@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from random_chains import TREES
 
-from crosscheck.library.chain import AXES, X, Y, Z, chain, rod
+from crosscheck.library.chain import HINGE_AXES, X, Y, Z, chain, rod
 from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.formulations import cheaper_formulation
 from newton_euler.equations import articulated
@@ -27,7 +27,7 @@ def arch(rods: int) -> Scene:
     bodies, joints = [Body.ground()], list[Joint]()
     for k in range(rods):
         bodies.append(rod(names[k + 1], points[k], points[k + 1] - points[k]))
-        joints.append(Revolute(f"hinge_{k}", names[k], names[k + 1], points[k], axis=AXES[k % 2]))
+        joints.append(Revolute(f"hinge_{k}", names[k], names[k + 1], points[k], axis=HINGE_AXES[k % 2]))
     joints.append(Spherical("end", names[-1], "ground", points[-1]))
     return Scene("arch", Mechanism(bodies, joints), 1.0, 0.1, gravity=-9.81 * Z)
 
