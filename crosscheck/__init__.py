@@ -7,7 +7,7 @@ design-of-experiments studies), and the base class of errors, `CrosscheckError`.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from crosscheck.report.outcome import Outcome
+    from crosscheck.compare.outcome import Outcome
     from crosscheck.support.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.verdict import Verdict, check
@@ -26,7 +26,7 @@ else:
         elif name == "CrosscheckError":
             from crosscheck.support import errors as module
         elif name == "Outcome":
-            from crosscheck.report import outcome as module
+            from crosscheck.compare import outcome as module
         else:
             from crosscheck import verdict as module
 

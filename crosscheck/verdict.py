@@ -18,9 +18,9 @@ import numpy as np
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.diagnosis import Diagnosis
+from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.loading.load import load_scene, with_excitation
-from crosscheck.report.outcome import Outcome
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped

@@ -38,13 +38,13 @@ ROOMS: dict[str, set[str]] = {
 
 CORE: dict[str, set[str]] = {
     "support": set(),
-    "library": {"support", "loading"},
+    "library": {"support"},
     "loading": {"support", "library"},
-    "engines": {"support", "library", "compare"},
+    "engines": {"support", "library"},
     "own_run": {"engines"},
-    "compare": {"support", "library", "loading", "engines", "own_run", "report"},
-    "report": {"support", "loading", "engines", "own_run", "compare", "recording"},
-    "recording": {"support", "compare", "report"},
+    "compare": {"support", "library", "loading", "engines", "own_run"},
+    "recording": {"support", "compare"},
+    "report": {"support", "library", "loading", "engines", "own_run", "compare", "recording"},
     "regress": {"support", "library", "loading", "engines", "compare", "report", "recording"},
 }
 """Rooms of crosscheck that `crosscheck run` and `regress` need, and the rooms that each may import."""

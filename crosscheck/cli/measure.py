@@ -193,9 +193,11 @@ def modes_command(
 
     SCENE is the name of a library scene or a model file (see run).
     """
+    from crosscheck.design.modes import report, table
     from crosscheck.recording.log import recorded
-    from crosscheck.recording.modes import log_modes, report
+    from crosscheck.recording.modes import log_modes
     from crosscheck.report.output import record, usual_folder
+    from crosscheck.report.render import markdown_table
     from crosscheck.support.files import check_no_source, check_writable, write_files
     from newton_euler.analysis.linear.linearization import linearize
     from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
@@ -215,7 +217,8 @@ def modes_command(
         model = linearize(loaded, state, closed_loop=not open_loop)
         modes = model.modes()
         progress("recording")
-        write_files({**origin, path: recorded(log_modes, loaded, model, modes)})
+        rows = "\n".join(markdown_table(table(loaded.mechanism, modes)))
+        write_files({**origin, path: recorded(log_modes, loaded, model, modes, rows)})
     show(report(loaded, model, modes), f"wrote {path}", "more  -v")
     return AGREE
 

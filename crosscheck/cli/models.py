@@ -57,8 +57,8 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
         raise CrosscheckError("--set has no effect here: it is of a scene")
     from crosscheck.engines.engine import ENGINES
     from crosscheck.library import SCENES
+    from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.library.options import options_of
-    from crosscheck.loading.model_files import MJCF_OPTIONS, URDF_OPTIONS
     from newton_euler.errors import MissingPackageError
     from newton_euler.limits import LIMITS
 
@@ -131,9 +131,9 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
 
     IN is a library scene, a scene file, an MJCF file or a URDF file. The suffix of OUT selects the format.
     """
+    from crosscheck.library.model_files import report_lines
     from crosscheck.loading.convert import check_target, files_written, scene_report, write_as
     from crosscheck.loading.load import load_scene
-    from crosscheck.loading.model_files import report_lines
     from crosscheck.support.files import check_no_source, check_writable
 
     check_target(target)

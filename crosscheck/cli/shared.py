@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
-from crosscheck.report.outcome import ExitStatus
+from crosscheck.compare.outcome import ExitStatus
 from crosscheck.report.render import printable, terminal, wrapped
 from crosscheck.support.errors import CrosscheckError
 
@@ -37,7 +37,7 @@ PROGRESS_DELAY_S = 10.0
 """Time without a message, s, before a command whose standard error is no terminal prints its stage."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED = ExitStatus
-"""Exit statuses; `crosscheck.report.outcome` explains them."""
+"""Exit statuses; `crosscheck.compare.outcome` explains them."""
 
 
 class Commands(click.Group):

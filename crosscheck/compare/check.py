@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crosscheck.engines.engine import UNRESOLVED
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -51,9 +52,6 @@ Refined means half the step or a hundred times tighter tolerances. A method of o
 the change, a method of order 1 of twice the change, and tighter tolerances give once the change. The bound is
 three times 4/3.
 """
-
-UNRESOLVED = 1e-2
-"""Largest tolerance that a refined run can add, relative to reach, 1 rad or energy."""
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
 """Distance from 1 to the next double precision number."""

@@ -27,10 +27,10 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.compare.changes import CHANGE, Element, TimePoint, elements
-from crosscheck.compare.check import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Check, reach
+from crosscheck.compare.check import OWN_ERROR, POSES, ROUND_OFF, Check, reach
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
-from crosscheck.engines.engine import native_method, native_refined, native_run
+from crosscheck.engines.engine import UNRESOLVED, native_method, native_refined, native_run
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError

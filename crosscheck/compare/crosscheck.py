@@ -19,6 +19,7 @@ from crosscheck.compare.check import READING, Check, finite, not_judged
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
 from crosscheck.compare.levels import in_order, reading_rows, stages
+from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.reference_values import ReferenceCheck, known_of, measure
 from crosscheck.compare.runs import measure_run_errors, nothing_moves_in_rigid_runs
 from crosscheck.compare.singularity import SingularConfigurations, find_singular_configurations
@@ -27,7 +28,6 @@ from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines,
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
 from crosscheck.own_run.judge import Judgement, judge
-from crosscheck.report.outcome import Outcome
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
 from crosscheck.support.versions import versions

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.check import OWN_ERROR, REFERENCE, UNRESOLVED, Check
-from crosscheck.engines.engine import Engine
+from crosscheck.compare.check import OWN_ERROR, REFERENCE, Check
+from crosscheck.engines.engine import UNRESOLVED, Engine
 from crosscheck.library import REFERENCE_QUANTITIES, SCENES
 from crosscheck.library.measure import Quantity
 from crosscheck.library.options import options_of

@@ -21,14 +21,13 @@ from crosscheck.compare.check import (
     OWN_ERROR,
     POSES,
     ROUND_OFF,
-    UNRESOLVED,
     Check,
     in_full,
     reach,
 )
 from crosscheck.compare.energy import energy_balance
 from crosscheck.compare.samples import States
-from crosscheck.engines.engine import Engine
+from crosscheck.engines.engine import UNRESOLVED, Engine
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError

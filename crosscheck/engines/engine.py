@@ -18,7 +18,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from crosscheck.compare.check import UNRESOLVED
 from crosscheck.library import REFERENCE_QUANTITIES
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.system import Evaluation, System
@@ -27,6 +26,9 @@ from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 from newton_euler.runs.assemble import initial_state
+
+UNRESOLVED = 1e-2
+"""Largest tolerance that a refined run can add, relative to reach, 1 rad or energy."""
 
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
 """Tolerances of refined runs, a hundredth of the default ones. DOP853 accepts no rtol below 2.2e-14."""

@@ -25,8 +25,8 @@ from crosscheck.library import (
     tracker_wind,
 )
 from crosscheck.library.measure import Quantities
+from crosscheck.library.model_files import CONVERSION_ADVICE, is_model_file, read_model
 from crosscheck.library.options import options_of
-from crosscheck.loading.model_files import CONVERSION_ADVICE, is_model_file, read_model
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.arguments import checked
 from newton_euler.errors import choices, listed, quoted

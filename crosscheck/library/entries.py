@@ -25,7 +25,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from crosscheck.loading.size import check_counts, check_functions, check_mechanism
+from crosscheck.library.size import check_counts, check_functions, check_mechanism
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError, UnknownNameError
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
@@ -289,7 +289,7 @@ class _Scene(Entry):
     """Base of `SCENE`, the entry of a whole scene file."""
 
     def build(self) -> Scene:
-        """Build the scene, after its size has been checked against the limits of `crosscheck.loading.size`.
+        """Build the scene, after its size has been checked against the limits of `crosscheck.library.size`.
 
         Raises:
             CrosscheckError: for a scene that is too large, and an impossible part of an element.

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 from crosscheck.library import load
-from crosscheck.loading.model_files import is_model_file, read_model
-from crosscheck.loading.size import check_scene
+from crosscheck.library.model_files import is_model_file, read_model
+from crosscheck.library.size import check_scene
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportReport

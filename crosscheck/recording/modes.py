@@ -1,4 +1,4 @@
-"""The vibration modes of a scene: a table, and a Rerun recording with an animation of each mode.
+"""Rerun recording of the vibration modes of a scene: an animation of each mode, and a table.
 
 A mode is an eigenvector of the equations of motion, linearized about a state, usually an equilibrium.
 
@@ -11,8 +11,6 @@ Entities of the recording, with K for the number of a mode and BODY for a name:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -20,15 +18,12 @@ import rerun.blueprint as rrb
 from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
 from crosscheck.recording.log import log_bodies, log_ground, log_text
 from crosscheck.recording.shapes import Style
-from crosscheck.report.render import markdown_table
-from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, number_columns, text_columns
 from crosscheck.support.palette import palette, rgb
-from newton_euler.analysis.linear.linear_model import LinearModel, Modes, label
+from newton_euler.analysis.linear.linear_model import LinearModel, Modes
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.runs.assemble import measured_coordinate
 from newton_euler.scalars import Array
 
 AMPLITUDE = 0.15
@@ -43,131 +38,13 @@ FRAMES = 60
 MAX_ANIMATED = 12
 """Largest number of modes that are animated; modes are sorted by frequency, the slowest first."""
 
-DAMPING_ROUND_OFF = 1e-9
-"""Damping ratio below which a mode counts as undamped; smaller ratios are round-off."""
 
-MODE_COLUMNS = [
-    Column("mode", numeric=True),
-    Column("frequency", "Hz", numeric=True),
-    Column("damping ratio", numeric=True),
-    Column("time constant", "s", numeric=True),
-    Column("moves most"),
-]
-"""Columns of the table of modes."""
-
-RIGID = "rigid"
-"""Text in place of the frequency of a rigid-body mode: a motion without a restoring force."""
-
-MAX_COORDINATES = 4
-"""Largest number of joint coordinates in the sentence about the pose."""
-
-
-def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
-    """Make the report of a modal analysis: pose, stability, eigenvalues and the table of modes."""
-    about = "an equilibrium" if model.is_equilibrium else "a state that is no equilibrium"
-    count = len(model.coordinates)
-    title = f"{scene.name} about {about}: {count} degree{'s' * (count != 1)} of freedom"
-    rows = pose(scene, model)
-    at = ", ".join(f"{name} {value} {unit}" for name, value, unit in rows[:MAX_COORDINATES])
-    more = f" and {len(rows) - MAX_COORDINATES} more" if len(rows) > MAX_COORDINATES else ""
-    verdict = f"{stability(modes)}; at {at}{more}" if rows else stability(modes)
-    parts: list[Part] = [
-        Table(
-            "pose, from the initial one",
-            text_columns("coordinate", "value", "unit"),
-            [list(row) for row in rows],
-        ),
-        _eigenvalues(modes),
-    ]
-    return Report(title, verdict, Cell(""), parts, summary=[table(scene.mechanism, modes)])
-
-
-def pose(scene: Scene, model: LinearModel) -> list[tuple[str, str, str]]:
-    """List the independent joint coordinates: name, displacement from the initial pose, and unit.
-
-    Ball joints are left out, since an orientation is not a coordinate.
-    """
-    mechanism, found = scene.mechanism, []
-    for name in model.coordinates:
-        if isinstance(name, str) and name not in mechanism.joint_names:
-            continue
-        key = mechanism.coordinate(name)
-        x, _ = measured_coordinate(scene, model.state, key)
-        unit = "m" if mechanism.is_slide(*key) else "rad"
-        displacement = x if abs(x) > 1e-9 else 0.0  # less, m or rad, is round-off
-        found.append((label(name), f"{displacement:.4g}", unit))
-    return found
-
-
-def stability(modes: Modes) -> str:
-    """Report in a sentence whether small motions decay (stable), grow (unstable) or do neither (neutral)."""
-    growing = [k for k, ratio in enumerate(modes.damping_ratios, start=1) if ratio < -DAMPING_ROUND_OFF]
-    if growing:
-        return f"unstable: {_listed(growing)} grow{'s' * (len(growing) == 1)}"
-    rigid = [k for k, value in enumerate(modes.eigenvalues, start=1) if value == 0.0]
-    if rigid:
-        verb, them = ("is", "it") if len(rigid) == 1 else ("are", "them")
-        return f"neutral: {_listed(rigid)} {verb} {RIGID}, nothing drives {them} back"
-    if np.all(modes.damping_ratios > DAMPING_ROUND_OFF):
-        return "stable: all motions die out"
-    return "neutral: undamped motions neither die out nor grow"
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    """List numbers of modes: "mode 1" or "modes 1, 2"."""
-    return f"mode{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
-
-
-def _eigenvalues(modes: Modes) -> Table:
-    """Tabulate the eigenvalues; of a complex pair, the one with the positive imaginary part."""
-    columns = number_columns("mode", "real, 1/s", "imaginary, rad/s")
-    rows: Rows = [
-        [str(k), f"{value.real:.9g}", f"{value.imag:.9g}"]
-        for k, value in enumerate(modes.eigenvalues, start=1)
-    ]
-    return Table("eigenvalues", columns, rows)
-
-
-def table(mechanism: Mechanism, modes: Modes) -> Table:
-    """Tabulate modes, the slowest first: frequency, damping ratio, time constant and largest movement."""
-    rows: Rows = []
-    figures = zip(modes.frequencies, modes.damping_ratios, modes.eigenvalues.real, modes.twists, strict=True)
-    for number, (frequency, damping, rate, twist) in enumerate(figures, start=1):
-        oscillates, is_damped = frequency > 0.0, abs(damping) > DAMPING_ROUND_OFF
-        frequency_text = f"{frequency:.6g}"
-        if not oscillates:
-            frequency_text = "-" if is_damped else RIGID
-        rows.append(
-            [
-                str(number),
-                frequency_text,
-                f"{damping:.3g}" if is_damped else "0",
-                f"{abs(1.0 / rate):.4g}{', grows' if rate > 0.0 else ''}" if is_damped else "-",
-                largest_movement(mechanism, twist),
-            ]
-        )
-    return Table("", MODE_COLUMNS, rows)
-
-
-def largest_movement(mechanism: Mechanism, twist: Array) -> str:
-    """Name the body that moves most in a mode, and the direction of its largest movement.
-
-    Args:
-        mechanism: the mechanism, with b bodies.
-        twist: (b, 6) translation, m, and rotation, rad, of each body, world frame; complex amplitudes.
-    """
-    moves = np.abs(twist) / np.repeat([mechanism.size, 1.0], 3)
-    # rounded, so that round-off does not decide between equal movements
-    body, k = np.unravel_index(np.argmax(moves.round(6)), moves.shape)
-    kind = "shift along" if k < 3 else "rotation about"
-    return f"{mechanism.body_names[body]}: {kind} {'xyz'[k % 3]}"
-
-
-def log_modes(recording: rr.RecordingStream, scene: Scene, model: LinearModel, modes: Modes) -> None:
-    """Record an animation of each of the slowest `MAX_ANIMATED` modes, the table and the layout."""
+def log_modes(
+    recording: rr.RecordingStream, scene: Scene, model: LinearModel, modes: Modes, table: str
+) -> None:
+    """Record animations of the slowest `MAX_ANIMATED` modes, the table (Markdown) and the layout."""
     mechanism = scene.mechanism
-    text = "\n".join([f"# Modes of {scene.name}", "", *markdown_table(table(mechanism, modes))])
-    log_text(recording, "/modes", text)
+    log_text(recording, "/modes", f"# Modes of {scene.name}\n\n{table}")
     log_ground(recording, mechanism, animate_mode(mechanism, model, np.zeros((len(mechanism.bodies), 6))))
     names = [f"mode_{number}" for number in range(1, len(modes.twists) + 1)][:MAX_ANIMATED]
     views = []

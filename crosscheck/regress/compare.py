@@ -19,9 +19,9 @@ import numpy as np
 
 from crosscheck.compare.activity import acted, watched_in_own_run, what_acted
 from crosscheck.compare.check import Check
+from crosscheck.compare.outcome import Outcome
 from crosscheck.regress.baseline import Baseline, StoredQuantity, UpdateRecord
 from crosscheck.regress.measure import MAIN_FORMULATION, measure_group, regress_scene
-from crosscheck.report.outcome import Outcome
 from crosscheck.support.versions import versions
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportedElement, ImportReport

@@ -10,20 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from crosscheck.compare.activity import what_acted
+from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.regress.compare import BaselineCheck, Comparison
 from crosscheck.report import render
-from crosscheck.report.outcome import Outcome
-from crosscheck.report.table import (
-    Cell,
-    Lines,
-    Part,
-    Report,
-    Rows,
-    Table,
-    Verdict,
-    number_columns,
-    text_columns,
-)
+from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, number_columns, text_columns
 
 MAX_SHOWN_CHECKS = 12
 """Number of checks of a scene in its table of changes; the table of all checks has the others, too."""

@@ -16,9 +16,9 @@ import numpy as np
 
 from crosscheck.compare.activity import watched_in_own_run
 from crosscheck.library import SCENES
+from crosscheck.library.model_files import is_model_file
 from crosscheck.library.options import titled
 from crosscheck.loading.load import load_scene, with_excitation
-from crosscheck.loading.model_files import is_model_file
 from crosscheck.regress.baseline import (
     Baseline,
     GroupName,

@@ -19,7 +19,7 @@ from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.compare.two_models.compare import TwoModelComparison
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
-from crosscheck.loading.model_files import fates_line, report_lines
+from crosscheck.library.model_files import fates_line, report_lines
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.summary import summary
 from crosscheck.report.table import (

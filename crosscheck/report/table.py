@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
-Verdict = Literal["", "holds", "improved", "doubtful", "fails"]
-"""Judgment of a cell, which selects its color; "" for none. "improved" is a cost below the baseline."""
+from crosscheck.compare.outcome import Verdict
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.compare.activity import what_acted
-from crosscheck.loading.model_files import is_urdf_file
-from crosscheck.report.outcome import ExitStatus, Outcome
+from crosscheck.compare.outcome import ExitStatus, Outcome
+from crosscheck.library.model_files import is_urdf_file
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
 from crosscheck.support.errors import CrosscheckError

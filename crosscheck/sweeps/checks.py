@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.check import OWN_ERROR, UNRESOLVED, Check
+from crosscheck.compare.check import OWN_ERROR, Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.runs import MAX_REMAINING_ERROR
-from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, Engine
+from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, UNRESOLVED, Engine
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import with_progress
 from crosscheck.sweeps.analysis import KeptNumber

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crosscheck.compare.activity import MAX_NAMED, what_acted
-from crosscheck.report.outcome import Outcome
+from crosscheck.compare.outcome import Outcome
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import (

@@ -18,8 +18,8 @@ from urdf_files import CHAIN, joint, link, robot
 import mjcf
 import urdf
 from crosscheck.library import load
+from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS, read_model
 from crosscheck.library.scene_file import write_scene
-from crosscheck.loading.model_files import MJCF_OPTIONS, URDF_OPTIONS, read_model
 from mjcf import read as read_mjcf
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation

@@ -12,7 +12,7 @@ from mechanisms import pendulum
 
 import mjcf
 from crosscheck.library.entries import ENTRIES
-from crosscheck.loading.size import _count_terms
+from crosscheck.library.size import _count_terms
 from mjcf.rigid import RigidMuJoCo
 from mjcf.write import add_geom
 from newton_euler.model import scene as scene_module

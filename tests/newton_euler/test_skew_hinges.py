@@ -9,8 +9,8 @@ import mjcf
 import urdf
 from crosscheck.compare.two_models.compare import compare_models
 from crosscheck.compare.two_models.unsimulated import Model
+from crosscheck.library.model_files import read_model
 from crosscheck.library.scene_file import read_scene, write_scene
-from crosscheck.loading.model_files import read_model
 from mjcf import read
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative

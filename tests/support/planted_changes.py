@@ -19,7 +19,7 @@ from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.runs import compare_runs
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.library import load
-from crosscheck.loading.model_files import is_model_file
+from crosscheck.library.model_files import is_model_file
 from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.injection import Injection
 from crosscheck.support.errors import CrosscheckError

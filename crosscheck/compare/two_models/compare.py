@@ -20,6 +20,7 @@ from crosscheck.compare.check import Check, finite, not_judged
 from crosscheck.compare.crosscheck import Crosscheck, Progress
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.levels import compare_pair
+from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples
 from crosscheck.compare.two_models.align import Aligned, alignments
@@ -27,7 +28,6 @@ from crosscheck.compare.two_models.levels import LEVELS, SharedStates, bodies_ro
 from crosscheck.compare.two_models.unsimulated import NEVER_COMPARED, Model, Unsimulated, is_mjcf, unsimulated
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
-from crosscheck.report.outcome import Outcome
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation

@@ -16,8 +16,8 @@ import numpy as np
 
 from crosscheck.compare.activity import what_acted
 from crosscheck.compare.two_models.align import Aligned
+from crosscheck.library.model_files import is_model_file, is_urdf_file
 from crosscheck.library.options import titled
-from crosscheck.loading.model_files import is_model_file, is_urdf_file
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.import_report import (

@@ -10,7 +10,7 @@ from hostile_commands import command_lines
 from hostile_files import TEXTS, WEDGE
 from hostile_process import Server
 
-from crosscheck.report.outcome import ExitStatus
+from crosscheck.compare.outcome import ExitStatus
 
 LINES = list(command_lines())
 

@@ -20,7 +20,7 @@ from hostile_schemas import PLACE, VALUES, attempt, distinct, fields, fields_wit
 from crosscheck.library import load
 from crosscheck.library.entries import SCENE
 from crosscheck.library.scene_file import _scene_content, read_scene
-from crosscheck.loading.size import check_scene
+from crosscheck.library.size import check_scene
 from crosscheck.regress.baseline import Baseline, read_baseline
 from crosscheck.regress.run import usual_path
 from crosscheck.solar.wind import wind_over_day

@@ -18,9 +18,9 @@ import newton_euler
 from crosscheck.compare.advice import WANTED_ERROR, Advice, redundancy_advice, rounded_step, soft_advice
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import crosscheck
+from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.engines.engine import ENGINES, choose
-from crosscheck.report.outcome import Outcome
 from crosscheck.report.render import terminal
 from crosscheck.report.table import Lines
 from mjcf.write import SOLIMP

@@ -10,7 +10,7 @@ from command_line import run
 
 from crosscheck.compare.two_models.align import alignments
 from crosscheck.compare.two_models.unsimulated import NEVER_COMPARED, Model, unsimulated
-from crosscheck.loading.model_files import read_model
+from crosscheck.library.model_files import read_model
 
 LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
 

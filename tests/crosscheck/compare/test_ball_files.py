@@ -18,8 +18,8 @@ import mjcf
 import newton_euler
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import load
+from crosscheck.library.model_files import read_model
 from crosscheck.library.scene_file import write_scene
-from crosscheck.loading.model_files import read_model
 from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.catalog import catalog
 from crosscheck.studies.faults.find import FaultFree, find

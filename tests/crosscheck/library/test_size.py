@@ -8,7 +8,7 @@ import pytest
 from mechanisms import bar, mass_on_rail, pendulum
 
 from crosscheck.library import load
-from crosscheck.loading.size import check_functions, check_scene
+from crosscheck.library.size import check_functions, check_scene
 from crosscheck.support.errors import CrosscheckError
 from newton_euler import PD, Body, JointSpring, Mechanism, PrescribedMotion, Scene
 from newton_euler.limits import changed

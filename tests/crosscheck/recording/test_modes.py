@@ -6,8 +6,9 @@ import numpy as np
 from command_line import run
 from rerun.chunk import RrdReader
 
+from crosscheck.design.modes import stability
 from crosscheck.library import load
-from crosscheck.recording.modes import AMPLITUDE, animate_mode, stability
+from crosscheck.recording.modes import AMPLITUDE, animate_mode
 from newton_euler.analysis.linear.linear_model import Modes
 from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.analysis.loads.equilibrium import equilibrium

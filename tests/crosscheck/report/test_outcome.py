@@ -14,10 +14,10 @@ import crosscheck
 from crosscheck.compare.check import READING
 from crosscheck.compare.crosscheck import MISREAD
 from crosscheck.compare.crosscheck import crosscheck as run_crosscheck
+from crosscheck.compare.outcome import ExitStatus, Outcome
 from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import Stop, stops_text
 from crosscheck.loading.load import load_scene
-from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.report.run import verdict_limits
 from crosscheck.support.errors import CrosscheckError
 

@@ -21,8 +21,8 @@ import crosscheck.sweeps.plan
 from crosscheck import Sweep, sweep
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.compare.outcome import ExitStatus, Outcome
 from crosscheck.library import load
-from crosscheck.report.outcome import ExitStatus, Outcome
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.checks import default_count
 from crosscheck.sweeps.report import MAX_RECORDED_EXTREMES, to_record

@@ -17,10 +17,10 @@ import mjcf
 import newton_euler
 import urdf
 from crosscheck import check
+from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.two_models.compare import TwoModelComparison, compare_models
 from crosscheck.compare.two_models.unsimulated import Model
 from crosscheck.library.scene_file import read_scene, write_scene
-from crosscheck.report.outcome import Outcome
 from crosscheck.studies.faults.misreadings import misreadings
 from mjcf import read
 from mjcf.rigid import RigidMuJoCo

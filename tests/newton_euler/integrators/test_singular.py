@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 import newton_euler
 from crosscheck.compare.check import OF_EQUATIONS
 from crosscheck.compare.crosscheck import crosscheck
+from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES, choose
-from crosscheck.report.outcome import Outcome
 from newton_euler.compiled.equations import OPEN_TOLERANCE
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.equations.system import MassProperties

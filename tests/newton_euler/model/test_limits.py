@@ -18,8 +18,8 @@ from hostile_files import MJCF, WEDGE
 import mjcf
 import newton_euler
 from crosscheck.library import SCENES, load
+from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS
 from crosscheck.library.options import options_of
-from crosscheck.loading.model_files import MJCF_OPTIONS, URDF_OPTIONS
 from crosscheck.recording.log import log_run, recorded
 from crosscheck.recording.mesh_budget import engines_with_meshes
 from mjcf.errors import ModelError

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from command_line import run
 
-from crosscheck.report.outcome import ExitStatus, Outcome
+from crosscheck.compare.outcome import ExitStatus, Outcome
 from newton_euler.reading.import_report import ImportReport
 
 

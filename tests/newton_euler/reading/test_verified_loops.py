@@ -14,8 +14,8 @@ from mjcf_models import BOX, model, reading
 import urdf
 from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS
 from crosscheck.compare.crosscheck import crosscheck
+from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES
-from crosscheck.report.outcome import Outcome
 from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
 from crosscheck.verdict import check

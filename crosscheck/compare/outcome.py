@@ -6,9 +6,10 @@ A crosscheck compares engines, or two models. A regression test compares results
 from __future__ import annotations
 
 from enum import IntEnum, StrEnum
-from typing import assert_never
+from typing import Literal, assert_never
 
-from crosscheck.report.table import Verdict
+Verdict = Literal["", "holds", "improved", "doubtful", "fails"]
+"""Judgment of a cell, which selects its color; "" for none. "improved" is a cost below the baseline."""
 
 
 class ExitStatus(IntEnum):
