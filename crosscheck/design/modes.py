@@ -45,12 +45,9 @@ def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
     at = ", ".join(f"{name} {value} {unit}" for name, value, unit in rows[:MAX_COORDINATES])
     more = f" and {len(rows) - MAX_COORDINATES} more" if len(rows) > MAX_COORDINATES else ""
     verdict = f"{stability(modes)}; at {at}{more}" if rows else stability(modes)
-    parts: list[Part] = [
-        Table(
-            "pose, from the initial one", text_columns("coordinate", "value", "unit"), [list(row) for row in rows]
-        ),
-        _eigenvalues(modes),
-    ]
+    columns = text_columns("coordinate", "value", "unit")
+    pose_table = Table("pose, from the initial one", columns, [list(row) for row in rows])
+    parts: list[Part] = [pose_table, _eigenvalues(modes)]
     return Report(title, verdict, Cell(""), parts, summary=[table(scene.mechanism, modes)])
 
 
