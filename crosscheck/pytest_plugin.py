@@ -1,11 +1,13 @@
 """The pytest fixture `crosscheck`, by which a test suite verifies the dynamics of a model.
 
-The fixture simulates a model in all engines. A test can require that the engines agree, and that the results
-have not changed since `pytest --crosscheck-update REASON` stored them in a baseline file:
+The fixture simulates a model in all engines. A test can require that the engines agree, that the run with the
+settings of the file has a small error, and that the results have not changed since
+`pytest --crosscheck-update REASON` stored them in a baseline file:
 
     def test_arm(crosscheck):
         arm = crosscheck("arm.xml")
         arm.assert_agrees()
+        arm.assert_accurate(1e-3)
         arm.assert_unchanged()
 """
 
@@ -74,6 +76,26 @@ class CheckedModel:
         if not self.verdict.outcome.passes(allow_reduced):
             *_, recording = self.verdict.save(self.folder)
             pytest.fail(f"{self.verdict}\nlook: crosscheck view {recording}", pytrace=False)
+
+    def assert_accurate(self, max_error: float | None = 1e-3, **limits: Any) -> None:
+        """Fail the test if the run with the settings of the file has a larger error than allowed.
+
+        The message has the errors, the causes, and settings with a smaller error.
+
+        Args:
+            max_error: largest relative error, a fraction of the motion; None for no limit.
+            limits: further arguments of `crosscheck.Verdict.assert_accurate`, such as `position=1e-3`, m.
+        """
+        __tracebackhide__ = True
+        problem = ""
+        with _errors_as_failures():
+            try:
+                self.verdict.assert_accurate(max_error, **limits)
+            except AssertionError as error:
+                problem = str(error)
+        if problem:
+            *_, recording = self.verdict.save(self.folder)
+            pytest.fail(f"{problem}\nlook: crosscheck view {recording}", pytrace=False)
 
     def assert_unchanged(self) -> None:
         """Fail the test if results of newton_euler differ from the stored baseline; the message lists them.

@@ -21,6 +21,9 @@ from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.loading.load import load_scene, with_excitation
+from crosscheck.own_run.allowed import AllowedError, ErrorKind
+from crosscheck.own_run.errors import ACCURATE_BELOW
+from crosscheck.own_run.judge import Judgement
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped
@@ -87,6 +90,16 @@ class Verdict:
         """Outliers: the engines that are likely wrong, with level and place; empty if all engines agree."""
         return self.crosscheck.diagnosis
 
+    @property
+    def own_run(self) -> Judgement | None:
+        """Judgement of the run that the file's own engine makes with the settings of the file.
+
+        The judgement has the error, its causes, and settings that reduce it. It is None for models that are
+        no MJCF file or MuJoCo model, and if the judgement did not complete (`crosscheck.notes` has the
+        reason).
+        """
+        return self.crosscheck.own_run
+
     @cached_property
     def report(self) -> Report:
         """Tables of all checks, settings and notes."""
@@ -116,6 +129,48 @@ class Verdict:
         """
         if not self.outcome.passes(allow_reduced):
             raise AssertionError(str(self))
+
+    @checked
+    def assert_accurate(
+        self,
+        max_error: float | None = ACCURATE_BELOW,
+        *,
+        position: float | None = None,
+        rotation: float | None = None,
+        opening: float | None = None,
+        energy: float | None = None,
+        allow_reduced: bool = False,
+    ) -> None:
+        """Raise `AssertionError` if the run with the settings of the model has a larger error than allowed.
+
+        The message has the errors, the causes, and settings with a smaller error. `crosscheck run
+        --max-error` makes the same checks.
+
+        Args:
+            max_error: largest relative error, a fraction of the motion; None for no limit.
+            position: largest error of a center of mass, m.
+            rotation: largest error of an orientation, rad.
+            opening: largest error of the loop constraints, m or rad.
+            energy: largest error of the total energy, a fraction of the energy that the motion exchanges.
+            allow_reduced: True to accept a model of which some elements (contacts, joint limits, dry
+                friction) act but are not simulated by the reference. The run is judged without these.
+
+        Raises:
+            AssertionError: if an error is too large, if the engines disagree, or if the run is not judged.
+            CrosscheckError: for a limit that is no positive number.
+        """
+        limits = {
+            ErrorKind.RELATIVE: max_error,
+            ErrorKind.POSITION: position,
+            ErrorKind.ROTATION: rotation,
+            ErrorKind.OPENING: opening,
+            ErrorKind.ENERGY: energy,
+        }
+        allowed = [AllowedError(kind, limit) for kind, limit in limits.items() if limit is not None]
+        judged = self.crosscheck.with_allowed_errors(allowed)
+        reduced = judged.is_reduced and not allow_reduced
+        if judged.unfinished or judged.differs or judged.exceeded or reduced:
+            raise AssertionError(str(Verdict(judged)))
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:

@@ -41,7 +41,7 @@ CORE: dict[str, set[str]] = {
     "library": {"support"},
     "loading": {"support", "library"},
     "engines": {"support", "library"},
-    "own_run": {"engines"},
+    "own_run": {"support", "engines"},
     "compare": {"support", "library", "loading", "engines", "own_run"},
     "recording": {"support", "compare"},
     "report": {"support", "library", "loading", "engines", "own_run", "compare", "recording"},

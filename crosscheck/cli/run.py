@@ -75,6 +75,14 @@ OUTPUT = Path("output")
     is_flag=True,
     help="Exit with 0 if the engines agree but elements of the file that act are not simulated.",
 )
+@click.option(
+    "--max-error",
+    "max_errors",
+    multiple=True,
+    metavar="[ERROR=]VALUE[UNIT]",
+    help="Exit with 5 if the run with the settings of the file has a larger error: a part of the motion "
+    "such as 1e-3 or 0.1%, or position=1mm, rotation=0.1deg, opening=0.1mm, energy=1%. Repeatable.",
+)
 @verbose_option
 @click.option(
     "--save", type=click.Path(path_type=Path), help="File of the Rerun recording.  [default: OUTPUT/NAME.rrd]"
@@ -88,6 +96,7 @@ def run_command(
     against_settings: tuple[str, ...],
     advice: bool,
     allow_reduced: bool,
+    max_errors: tuple[str, ...],
     output: Path | None,
     save: Path | None,
 ) -> int:
@@ -101,8 +110,8 @@ def run_command(
     from crosscheck.engines.engine import ENGINES
 
     if library:
-        alone = scene is None and against is None and not (settings or advice or save or allow_reduced)
-        if not alone:
+        alone = scene is None and against is None and not (settings or advice or save)
+        if not alone or allow_reduced or max_errors:
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_library(engines or list(ENGINES), output)
     if against is None and against_settings:
@@ -113,11 +122,15 @@ def run_command(
         raise CrosscheckError("--allow-reduced is on the runs of engines, without --against")
     if against is not None and advice:
         raise CrosscheckError("--advice is on the runs of engines, without --against")
+    if against is not None and max_errors:
+        raise CrosscheckError("--max-error is on the run with the settings of SCENE, without --against")
     if save is not None and save.suffix != ".rrd":
         raise CrosscheckError(f"--save {save}: a recording's name ends in .rrd")
     chosen = "tracker" if scene is None else scene
     if against is None:
-        comparison = _engine_comparison(chosen, engines or list(ENGINES), settings, output, advice)
+        comparison = _engine_comparison(
+            chosen, engines or list(ENGINES), settings, output, advice, max_errors
+        )
     else:
         models = _load_two_models((chosen, settings), (against, against_settings))
         comparison = _model_comparison(models, output)
@@ -205,7 +218,12 @@ def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int
 
 
 def _engine_comparison(
-    scene: str, engines: list[str], settings: tuple[str, ...], output: Path | None, advised: bool
+    scene: str,
+    engines: list[str],
+    settings: tuple[str, ...],
+    output: Path | None,
+    advised: bool,
+    max_errors: Sequence[str],
 ) -> _Comparison:
     """Load a model, and prepare its comparison in several engines.
 
@@ -215,22 +233,28 @@ def _engine_comparison(
         settings: options of the scene, OPTION=VALUE.
         output: folder for the results; None for the default.
         advised: whether to make further runs for advice on time steps and softness.
+        max_errors: largest errors of the run with the settings of the file, [ERROR=]VALUE[UNIT].
     """
     from crosscheck.compare.crosscheck import crosscheck
     from crosscheck.engines.engine import choose
     from crosscheck.loading.load import load_scene, with_excitation
+    from crosscheck.own_run.allowed import AllowedError
     from crosscheck.report.output import own_name, usual_folder
     from crosscheck.support.files import check_no_source
 
     chosen = choose(engines)
+    allowed = [AllowedError.parse(text) for text in max_errors]
     folder = output or usual_folder(OUTPUT, scene, "crosscheck")
     check_no_source([folder / "summary.json"], [scene])
     options = with_excitation(scene, scene_options(settings))
     # not verified here: the comparison has checks of the import, and reports all that fail
     loaded, mapping = load_scene(scene, options, verified=False)
+    if allowed and (mapping is None or mapping.simulation is None):
+        raise CrosscheckError(f"--max-error: {scene} has no settings to judge; needed: an MJCF file")
 
     def compute(progress: Progress) -> Crosscheck:
-        return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
+        found = crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
+        return found.with_allowed_errors(allowed)
 
     return _Comparison(own_name(scene), [engine.name for engine in chosen], folder, compute)
 

@@ -36,7 +36,7 @@ VERDICT_COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "
 PROGRESS_DELAY_S = 10.0
 """Time without a message, s, before a command whose standard error is no terminal prints its stage."""
 
-AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED = ExitStatus
+AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED, INACCURATE = ExitStatus
 """Exit statuses; `crosscheck.compare.outcome` explains them."""
 
 

@@ -27,6 +27,7 @@ from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
+from crosscheck.own_run.allowed import AllowedError, exceeded_text
 from crosscheck.own_run.judge import Judgement, judge
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import SHORTER_RUN_ADVICE, limited
@@ -47,6 +48,9 @@ MIN_RANDOM_STATES, MAX_RANDOM_STATES = 4, 20
 
 COVERAGE_OMITTED = "it is left out, the verdict does not depend on it"
 """Note on a coverage analysis that exceeds its time limit."""
+
+JUDGING = "judging the file's own run"
+"""Stage that judges the run with the settings of the file; notes on its failure begin with this text."""
 
 MISREAD = "the scene does not match the file: no engine was run, and nothing else was compared"
 """Note on a crosscheck that ends because the imported scene differs from its model file."""
@@ -79,6 +83,7 @@ class Crosscheck:
         singular: singular configurations of the first engine's run; None if there are none.
         own_run: judgement of the run that the file's own engine makes with the settings of the file; None for
             scenes of this package and for files without an engine of their own.
+        allowed_errors: largest errors that the user allows for that run; empty if the run is not to fail.
     """
 
     source: str
@@ -98,6 +103,7 @@ class Crosscheck:
     run_errors: Mapping[str, float] = field(default_factory=dict)
     singular: SingularConfigurations | None = None
     own_run: Judgement | None = None
+    allowed_errors: tuple[AllowedError, ...] = ()
 
     @property
     def title(self) -> str:
@@ -121,11 +127,13 @@ class Crosscheck:
             return Outcome.UNFINISHED
         if self.differs:
             return Outcome.DISAGREE
+        if self.exceeded:
+            return Outcome.INACCURATE
         if self.left_out:
             return Outcome.NOT_COMPARED if self._single_engine else Outcome.AGREE_OF_SOME_ENGINES
         if self._single_engine:
             return Outcome.ONE_ENGINE_ALONE
-        if self.acting:
+        if self.is_reduced:
             return Outcome.AGREE_ON_A_REDUCED_MODEL
         if self.untested:
             return Outcome.AGREE_AT_RANDOM_STATES_ONLY
@@ -137,6 +145,23 @@ class Crosscheck:
         return self.outcome is Outcome.AGREE
 
     @property
+    def exceeded(self) -> list[AllowedError]:
+        """Allowed errors that the run with the settings of the file exceeds."""
+        found = self.own_run
+        return [each for each in self.allowed_errors if each.is_exceeded_by(found)] if found else []
+
+    def with_allowed_errors(self, allowed: Sequence[AllowedError]) -> Crosscheck:
+        """Return this result with largest errors that the run with the settings of the file may have.
+
+        The result is unfinished if there is no judgement of that run although the engines agree.
+        """
+        stops = self.unfinished
+        if allowed and self.own_run is None and not self.differs:
+            reason = next((note for note in self.notes if note.startswith(JUDGING)), "not judged")
+            stops = (*stops, Stop("your settings", reason.removeprefix(f"{JUDGING}: ")))
+        return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
+
+    @property
     def untested(self) -> bool:
         """True if the coverage analysis found that the motion tests no element of the scene."""
         covered = self.coverage
@@ -146,6 +171,15 @@ class Crosscheck:
     def acting(self) -> list[ImportedElement]:
         """Elements of the file that are not simulated but would have acted, in order of time."""
         return self.mapping.acting if self.mapping else []
+
+    @property
+    def is_reduced(self) -> bool:
+        """True if elements of the file act that are not simulated, so that results are on a reduced model.
+
+        The elements act in the compared motion, or in the run with the settings of the file if the user
+        allows that run only a certain error.
+        """
+        return bool(self.acting or (self.allowed_errors and self.own_run and self.own_run.events))
 
     @property
     def until(self) -> float | None:
@@ -171,6 +205,9 @@ class Crosscheck:
     @property
     def verdict(self) -> str:
         """Verdict in one line: agreement, or the outlier with the first failing check; and failures."""
+        if self.outcome is Outcome.INACCURATE and self.own_run:
+            others = replace(self, allowed_errors=()).verdict
+            return f"{Outcome.INACCURATE}: {exceeded_text(self.own_run, self.exceeded)}; {others}"
         word, result = self._judgment()
         for name, reason in self.left_out.items():
             result += f"; {name} left out: {reason}"
@@ -215,8 +252,13 @@ class Crosscheck:
 
     @property
     def _reduced(self) -> str:
-        """Text on the elements in `acting`, and on the time until the first one acts; empty without any."""
-        return reduction(self.acting) if self.acting else ""
+        """Text on the elements that act and are not simulated, with the time of the first; may be empty."""
+        if self.acting:
+            return reduction(self.acting)
+        if self.is_reduced and self.own_run:
+            first = self.own_run.events[0]
+            return f"your settings are judged without {first.element}, which acts from {first.time:.4g} s on"
+        return ""
 
     @property
     def _single_engine(self) -> bool:
@@ -298,6 +340,10 @@ class Crosscheck:
             "notes": list(self.notes),
             "singular": asdict(self.singular) if self.singular else None,
             "own_run": self.own_run.summary() if self.own_run else None,
+            "allowed_errors": [
+                {"kind": each.kind.value, "largest": each.largest, "exceeded": each in self.exceeded}
+                for each in self.allowed_errors
+            ],
         }
 
     def _run_summary(self, name: str) -> dict[str, Any]:
@@ -375,9 +421,8 @@ def crosscheck(
     # Judge the run that the file's own engine makes with the settings of the file
     own_run: Judgement | None = None
     if mapping and mapping.simulation and runs:
-        what = "judging the file's own run"
         acting = [Event(entry.since or 0.0, what_acted(entry)) for entry in mapping.acting]
-        with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
+        with collecting_errors(JUDGING, note_stops), limited(JUDGING, SHORTER_RUN_ADVICE, progress):
             own_run = judge(mapping.simulation, acting)
     until = mapping.acting[0].since if mapping and mapping.acting else None
     # Compare equations and runs; runs are not comparable if the scene does not determine its motion

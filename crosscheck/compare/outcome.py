@@ -25,6 +25,8 @@ class ExitStatus(IntEnum):
     """Not all that was asked for was compared."""
     REDUCED = 4
     """All checks passed, but elements of the file acted that were not simulated."""
+    INACCURATE = 5
+    """All checks passed, but the run with the settings of the file has a larger error than allowed."""
 
 
 class Outcome(StrEnum):
@@ -47,6 +49,8 @@ class Outcome(StrEnum):
     """All checks passed, but a requested engine cannot represent the model."""
     DISAGREE = "DISAGREE"
     """A check failed."""
+    INACCURATE = "INACCURATE"
+    """No check failed, but the run with the settings of the file has a larger error than the user allows."""
     UNFINISHED = "UNFINISHED"
     """An engine or a part of the comparison stopped before its end."""
     ONE_ENGINE_ALONE = "ONE ENGINE ALONE"
@@ -79,7 +83,9 @@ class Outcome(StrEnum):
                 | Outcome.QUIET_ON_A_REDUCED_MODEL
             ):
                 return "doubtful"
-            case Outcome.DISAGREE | Outcome.UNFINISHED | Outcome.DIFFERENT | Outcome.MOVED:
+            case (
+                Outcome.DISAGREE | Outcome.INACCURATE | Outcome.UNFINISHED | Outcome.DIFFERENT | Outcome.MOVED
+            ):
                 return "fails"
             case _:
                 assert_never(self)
@@ -103,6 +109,8 @@ class Outcome(StrEnum):
                 return ExitStatus.AGREE if allow_reduced else ExitStatus.REDUCED
             case Outcome.DISAGREE | Outcome.DIFFERENT | Outcome.MOVED:
                 return ExitStatus.DISAGREE
+            case Outcome.INACCURATE:
+                return ExitStatus.INACCURATE
             case Outcome.UNFINISHED | Outcome.AGREE_OF_SOME_ENGINES | Outcome.NOT_COMPARED:
                 return ExitStatus.UNFINISHED
             case _:

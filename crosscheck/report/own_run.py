@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from crosscheck.own_run.allowed import length
 from crosscheck.own_run.errors import Band, RunError
 from crosscheck.own_run.judge import Judgement, MeasuredRemedy
 from crosscheck.report.table import Lines
@@ -91,14 +92,6 @@ def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
         cost = f"{remedy.run_time:.1f} times the run time"
     changes = " ".join(f'{name}="{value}"' for name, value in remedy.changes.items())
     return f"{changes}: {size(remedy.error, by_position)}, {cost}"
-
-
-def length(value: float) -> str:
-    """Word a length in m, mm or um with two or three digits."""
-    for unit, scale in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
-        if value >= scale:
-            return f"{value / scale:.3g} {unit}"
-    return f"{value:.1e} m"
 
 
 def percent(value: float) -> str:

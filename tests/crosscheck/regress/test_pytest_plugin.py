@@ -29,6 +29,11 @@ SUITE = """
     def test_arm(crosscheck):
         crosscheck("arm.xml", key="go", duration=0.05).assert_agrees()
 
+    def test_accurate(crosscheck):
+        arm = crosscheck("arm.xml", ["newton_euler", "mujoco"], key="go", duration=0.05)
+        arm.assert_accurate(0.2, opening=1e-2)
+        arm.assert_accurate(1e-3)
+
     def test_odd(crosscheck, monkeypatch):
         good = ENGINES["mujoco"]
         systems = lambda scene: good.systems(wrong(scene))
@@ -68,11 +73,24 @@ def test_models_that_agree_pass_and_others_name_the_engine_and_keep_the_recordin
     done = suite.runpytest_subprocess("-k", "arm or odd")
     done.assert_outcomes(passed=1, failed=1)
     text = done.stdout.str()
-    assert "DISAGREE: mujoco differs; newton_euler, pinocchio and the file agree to " in text
+    assert "DISAGREE: mujoco differs; newton_euler, pinocchio and the file agree within " in text
     assert "at level 'model': mass, rel: 0.001 > 1e-12, worst at coupler: newton_euler " in text
     recording = re.search(r"look: crosscheck view (\S+)", text)
     assert recording is not None
     assert Path(recording[1]).is_file()
+
+
+def test_a_run_with_a_large_error_fails_with_cause_and_fix(suite):
+    done = run(suite, "-k", "accurate")
+    done.assert_outcomes(failed=1)
+    text = done.stdout.str()
+    assert "INACCURATE: errors of the run with your settings: relative " in text
+    for part in ("your settings", "cause ", "fix ", 'timestep="'):
+        assert part in text
+    recording = re.search(r"look: crosscheck view (\S+)", text)
+    assert recording is not None
+    assert Path(recording[1]).is_file()
+    assert "crosscheck/verdict.py" not in text
 
 
 def test_what_cannot_be_checked_fails_in_one_line(suite):

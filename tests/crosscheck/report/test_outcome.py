@@ -46,7 +46,7 @@ def test_every_outcome_has_a_color_and_an_exit_status(outcome):
 
 
 def test_exit_statuses():
-    assert [int(status) for status in ExitStatus] == [0, 1, 2, 3, 4]
+    assert [int(status) for status in ExitStatus] == [0, 1, 2, 3, 4, 5]
     reduced = Outcome.AGREE_ON_A_REDUCED_MODEL
     assert (reduced.exit_status(), reduced.exit_status(allow_reduced=True)) == (4, 0)
     unchanged = set(Outcome) - {reduced, Outcome.QUIET_ON_A_REDUCED_MODEL}

@@ -1,0 +1,153 @@
+"""Largest errors that a user allows for the run of a model file, and their text form such as "position=1mm".
+
+`crosscheck run --max-error` and `Verdict.assert_accurate` compare a `Judgement` with these errors.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import assert_never
+
+from crosscheck.own_run.judge import Judgement
+from crosscheck.support.errors import CrosscheckError
+
+NUMBER_AND_UNIT = re.compile(r"\s*([-+0-9.eE]+)\s*([a-z%]*)\s*")
+"""Pattern of a value such as "1e-3", "0.1%" or "1 mm"."""
+
+
+class ErrorKind(StrEnum):
+    """Error of a run that can be limited; the value is its name on the command line."""
+
+    RELATIVE = "relative"
+    """Larger one of the relative errors of positions and of orientations."""
+    POSITION = "position"
+    """Largest error of a center of mass, m."""
+    ROTATION = "rotation"
+    """Largest error of an orientation, rad."""
+    OPENING = "opening"
+    """Largest error of the loop constraints, m or rad."""
+    ENERGY = "energy"
+    """Largest error of the total energy, divided by the energy that the reference exchanges."""
+
+    def of(self, judgement: Judgement) -> float:
+        """Return this error of a judged run; infinite for a run that diverged."""
+        if judgement.stopped:
+            return math.inf
+        error = judgement.error
+        return {
+            ErrorKind.RELATIVE: error.relative,
+            ErrorKind.POSITION: error.position,
+            ErrorKind.ROTATION: error.rotation,
+            ErrorKind.OPENING: judgement.opening,
+            ErrorKind.ENERGY: error.energy,
+        }[self]
+
+
+RATIOS = {"": 1.0, "%": 0.01}
+LENGTHS = {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6}
+ANGLES = {"": 1.0, "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}
+
+UNITS = {
+    ErrorKind.RELATIVE: RATIOS,
+    ErrorKind.POSITION: LENGTHS,
+    ErrorKind.ROTATION: ANGLES,
+    ErrorKind.OPENING: LENGTHS,
+    ErrorKind.ENERGY: RATIOS,
+}
+"""Factors to SI units by the name of the unit, for each kind of error; no name means SI units."""
+
+
+@dataclass(frozen=True)
+class AllowedError:
+    """Largest error that a run may have.
+
+    Attributes:
+        kind: kind of the error.
+        largest: largest value, m, rad, or a ratio.
+    """
+
+    kind: ErrorKind
+    largest: float
+
+    def __post_init__(self) -> None:
+        """Raise `CrosscheckError` for a value that is no positive number."""
+        if not 0.0 < self.largest < math.inf:
+            raise CrosscheckError(f"largest {self.kind} error: {self.largest:g} is not positive and finite")
+
+    @classmethod
+    def parse(cls, text: str) -> AllowedError:
+        """Read an allowed error, such as "1e-3" or "0.1%" (relative), "position=1mm" or "rotation=0.1deg".
+
+        Raises:
+            CrosscheckError: for another name, unit or number; the message has the allowed ones.
+        """
+        name, equals, value = text.rpartition("=")
+        if equals and name not in set(ErrorKind):
+            raise CrosscheckError(
+                f"--max-error {text}: unknown error {name!r}; choose from {_listed(ErrorKind)}"
+            )
+        kind = ErrorKind(name) if equals else ErrorKind.RELATIVE
+        units = UNITS[kind]
+        found = NUMBER_AND_UNIT.fullmatch(value)
+        try:
+            number = float(found[1]) if found else math.nan
+        except ValueError:
+            number = math.nan
+        if found is None or not math.isfinite(number):
+            example = "--max-error 1e-3 or --max-error position=1mm"
+            raise CrosscheckError(
+                f"--max-error {text}: {value!r} is no number with a unit; such as {example}"
+            )
+        if found[2] not in units:
+            allowed = _listed(unit for unit in units if unit)
+            raise CrosscheckError(
+                f"--max-error {text}: no unit {found[2]!r} of {kind}; choose from {allowed}"
+            )
+        if number <= 0.0:
+            raise CrosscheckError(f"--max-error {text}: needed: a number above 0")
+        return cls(kind, number * units[found[2]])
+
+    def is_exceeded_by(self, judgement: Judgement) -> bool:
+        """Return True if a judged run has a larger error, or diverged."""
+        return not self.kind.of(judgement) <= self.largest
+
+
+def _listed(names: Iterable[str]) -> str:
+    """List names, separated by commas."""
+    return ", ".join(names)
+
+
+def exceeded_text(judgement: Judgement, exceeded: Sequence[AllowedError]) -> str:
+    """Word the errors that exceed what the user allows, or why the run has no error."""
+    if judgement.stopped:
+        return f"the run with your settings diverged: {judgement.stopped}"
+    parts = []
+    for each in exceeded:
+        found, largest = (in_unit(value, each.kind) for value in (each.kind.of(judgement), each.largest))
+        parts.append(f"{each.kind} {found}, allowed {largest}")
+    return f"errors of the run with your settings: {'; '.join(parts)}"
+
+
+def in_unit(value: float, kind: ErrorKind) -> str:
+    """Word an error of a kind with its unit and three digits."""
+    match kind:
+        case ErrorKind.RELATIVE | ErrorKind.ENERGY:
+            return f"{100.0 * value:.3g} %"
+        case ErrorKind.POSITION | ErrorKind.OPENING:
+            return length(value)
+        case ErrorKind.ROTATION:
+            return f"{math.degrees(value):.3g} deg"
+        case _:
+            assert_never(kind)
+
+
+def length(value: float) -> str:
+    """Word a length in m, mm or um with two or three digits."""
+    for unit, scale in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
+        if value >= scale:
+            return f"{value / scale:.3g} {unit}"
+    return f"{value:.1e} m"

@@ -1,0 +1,156 @@
+"""Largest errors that a user allows for the run with the settings of a file: command line and Python."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from command_line import check_refused, run, verdict_of
+
+import crosscheck
+from crosscheck.compare.outcome import ExitStatus, Outcome
+from crosscheck.own_run.allowed import AllowedError, ErrorKind
+from crosscheck.support.errors import CrosscheckError
+
+ENGINES = ["newton_euler", "mujoco"]
+
+PENDULUM = """<mujoco model="swing"><option timestep="{step}" integrator="RK4"/><worldbody>
+  <body name="bar" euler="0 40 0"><joint name="hinge" axis="0 1 0" {limit}/>
+    <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.01" mass="0.4" contype="0"/></body>
+  </worldbody></mujoco>"""
+
+COARSE, FINE = 0.1, 0.002
+"""Steps, s, at which the error is about 0.5 %, and below 0.001 %."""
+
+
+@pytest.fixture
+def swing(tmp_path):
+    def write(step, limit=""):
+        path = tmp_path / "swing.xml"
+        path.write_text(PENDULUM.format(step=step, limit=limit))
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "largest"),
+    [
+        ("1e-3", "relative", 1e-3),
+        ("0.1%", "relative", 1e-3),
+        ("relative=0.1 %", "relative", 1e-3),
+        ("position=0.002", "position", 2e-3),
+        ("position=2mm", "position", 2e-3),
+        ("position=50um", "position", 5e-5),
+        ("rotation=180deg", "rotation", math.pi),
+        ("rotation=1mrad", "rotation", 1e-3),
+        ("opening=0.1mm", "opening", 1e-4),
+        ("energy=1%", "energy", 1e-2),
+    ],
+)
+def test_allowed_errors_have_units(text, kind, largest):
+    found = AllowedError.parse(text)
+    assert (found.kind, found.largest) == (kind, pytest.approx(largest))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1mm", "no unit 'mm' of relative; choose from %"),
+        ("position=3deg", "no unit 'deg' of position; choose from m, mm, um"),
+        ("positon=1", "unknown error 'positon'; choose from relative, position, rotation, opening, energy"),
+        ("0", "needed: a number above 0"),
+        ("-1", "needed: a number above 0"),
+        ("position=", "'' is no number with a unit"),
+        ("1e", "'1e' is no number with a unit"),
+        ("nan", "'nan' is no number with a unit"),
+    ],
+)
+def test_other_texts_are_refused(capsys, tmp_path, swing, text, message):
+    check_refused(
+        capsys, tmp_path, swing(FINE), f"--max-error={text}", message=f"--max-error {text}: {message}"
+    )
+
+
+def test_scenes_without_settings_are_refused(capsys, tmp_path):
+    check_refused(capsys, tmp_path, "pendulum", "--max-error=1", message="pendulum has no settings to judge")
+    check_refused(
+        capsys, tmp_path, "pendulum", "--max-error=1", "--against", "chain", message="without --against"
+    )
+
+
+def test_the_exit_status_is_of_the_error_only_with_the_option(capsys, tmp_path, swing):
+    out = tmp_path / "out"
+    arguments = [swing(COARSE), "--engines", ",".join(ENGINES), "--output", out]
+    status, text, _ = run(capsys, "run", *arguments)
+    assert (status, verdict_of(text).split(":")[0]) == (0, "AGREE")
+    position = json.loads((out / "summary.json").read_text())["own_run"]["error"]["position"]
+    # above the error, and below
+    assert run(capsys, "run", *arguments, f"--max-error=position={1.01 * position}")[0] == ExitStatus.AGREE
+    status, text, _ = run(
+        capsys, "run", *arguments, f"--max-error=position={0.99 * position}m", "--max-error=50%"
+    )
+    assert status == ExitStatus.INACCURATE == 5
+    assert verdict_of(text).startswith("INACCURATE: errors of the run with your settings: position ")
+    assert "relative" not in verdict_of(text).split("AGREE")[0]
+    found = json.loads((out / "summary.json").read_text())
+    assert (found["outcome"], found["agrees"]) == ("INACCURATE", False)
+    assert [each["exceeded"] for each in found["allowed_errors"]] == [True, False]
+    assert found["report"]["judged"]["verdict"] == "fails"
+
+
+def test_python(swing):
+    coarse = crosscheck.check(swing(COARSE), ENGINES)
+    assert coarse.own_run is coarse.crosscheck.own_run
+    assert coarse.outcome is Outcome.AGREE
+    with pytest.raises(AssertionError) as raised:
+        coarse.assert_accurate(1e-3)
+    message = str(raised.value)
+    for part in ("INACCURATE", "OFF BY", "cause", "time step", "fix", 'timestep="'):
+        assert part in message
+    error = coarse.own_run.error
+    coarse.assert_accurate(
+        1.01 * error.relative, position=1.01 * error.position, rotation=1.01 * error.rotation
+    )
+    with pytest.raises(AssertionError):
+        coarse.assert_accurate(None, rotation=0.99 * error.rotation)
+    with pytest.raises(CrosscheckError, match="not positive"):
+        coarse.assert_accurate(0.0)
+    crosscheck.check(swing(FINE), ENGINES).assert_accurate(1e-4)
+
+
+def test_what_acts_and_is_not_in_the_reference_is_no_plain_pass(swing):
+    limited = crosscheck.check(swing(FINE, 'range="-1 1" limited="true"'), ENGINES)
+    assert limited.own_run.events
+    with pytest.raises(AssertionError, match="limits of joint 'hinge'"):
+        limited.assert_accurate(1e-3)
+    limited.assert_accurate(1e-3, allow_reduced=True)
+
+
+def test_a_scene_without_settings_is_never_accurate():
+    with pytest.raises(AssertionError, match="UNFINISHED: your settings: not judged"):
+        crosscheck.check("pendulum", ENGINES).assert_accurate()
+
+
+def test_a_run_that_is_not_judged_is_unfinished(capsys, tmp_path, swing, monkeypatch):
+    def stops(*_):
+        raise CrosscheckError("out of time")
+
+    monkeypatch.setattr("crosscheck.compare.crosscheck.judge", stops)
+    arguments = [swing(FINE), "--engines", ",".join(ENGINES), "--output", tmp_path / "out"]
+    assert run(capsys, "run", *arguments)[0] == ExitStatus.AGREE
+    status, text, _ = run(capsys, "run", *arguments, "--max-error=1")
+    assert status == ExitStatus.UNFINISHED
+    assert verdict_of(text).startswith("UNFINISHED: your settings: out of time")
+
+
+def test_every_error_can_be_limited(swing):
+    found = crosscheck.check(swing(COARSE), ENGINES).own_run
+    assert {kind: kind.of(found) for kind in ErrorKind} == {
+        "relative": found.error.relative,
+        "position": found.error.position,
+        "rotation": found.error.rotation,
+        "opening": found.opening,
+        "energy": found.error.energy,
+    }
