@@ -79,7 +79,7 @@ OUTPUT = Path("output")
     "--max-error",
     "max_errors",
     multiple=True,
-    metavar="[ERROR=]VALUE[UNIT]",
+    metavar="[ERROR=]VALUE",
     help="Exit with 5 if the run with the settings of the file has a larger error: a part of the motion "
     "such as 1e-3 or 0.1%, or position=1mm, rotation=0.1deg, opening=0.1mm, energy=1%. Repeatable.",
 )
