@@ -1,9 +1,10 @@
-"""Random mechanisms at random consistent states, each reproducible from (seed, number).
+"""Random mechanisms at random consistent states, reproducible from a seed and a number.
 
-A tree of 2 to 8 bodies grows from the ground by joints of random kinds. Then up to three joints close loops.
-All joints are placed in one pose of the bodies, so that the loops are closed by construction. Then the
-mechanism is moved to a random state that its loops allow. One mechanism in six is planar: its hinges, slides
-and planes share one normal, and each loop has three redundant constraints.
+`random_scene(seed, number)` builds a mechanism in three steps. A tree of 2 to 8 bodies grows from the ground
+by joints of random kinds. Up to three further joints close loops; all joints are defined in the same pose of
+the bodies, so that the loops are closed in it. Then the mechanism moves to a random state that satisfies all
+constraints. One mechanism in six is planar: hinges, slides and planes share one normal, and each loop has
+three redundant constraints.
 """
 
 from __future__ import annotations
@@ -37,21 +38,22 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, cross
 
 STANDARD_GRAVITY = 9.81
-"""m/s^2, in a random direction."""
+"""Magnitude of gravity, m/s^2; its direction is random."""
 
 PLANAR_FRACTION = 1.0 / 6.0
 """Fraction of planar mechanisms."""
 
 REDUNDANT_LOOP_FRACTION = 0.2
-"""Fraction of loops in other mechanisms that may have redundant constraints."""
+"""Fraction of loops in mechanisms that are not planar that may have redundant constraints."""
 
 DISPLACEMENTS = (0.5, 0.2, 0.05, 0.0)
-"""rad or mechanism sizes, displacements of joints from the initial pose, tried in this order."""
+"""Largest displacements of joints from the initial pose, rad or mechanism sizes, tried in this order."""
 
 MAX_ATTEMPTS = 10
 """Largest number of attempts to add a joint or gear that leaves the mechanism a degree of freedom."""
 
 WRENCH_FRAMES: tuple[Literal["world", "body"], ...] = ("world", "body")
+"""Frames in which the force and torque of a wrench can be given."""
 
 KINDS = (
     "fixed",
@@ -68,10 +70,13 @@ KINDS = (
     "rod",
     "free",
 )
-"""Joint kinds. Another length or order of this list gives other mechanisms for the same numbers."""
+"""Joint kinds, which are chosen with equal probability.
+
+Another length or order of this list gives other mechanisms for the same seed and number.
+"""
 
 PARALLEL_HINGES_FRACTION = 0.25
-"""Fraction of revolute joints that become two parallel hinges."""
+"""Fraction of revolute joints that are replaced by two parallel hinges with a link between them."""
 
 PLANAR_KINDS = ("revolute", "prismatic", "planar", "fixed")
 """Joint kinds of planar mechanisms."""
@@ -81,43 +86,51 @@ KINDS_ALONG_AXIS = ("prismatic", "translational", "cylindrical", "screw", "point
 
 
 class _Draft:
-    """Mechanism under construction.
+    """Random mechanism under construction.
 
     Attributes:
-        rng, of_offsets, of_links: random generators. Features that were added later have their own
-            generators, so that the mechanisms of a number keep their other features.
-        length, mass: m and kg, orders of magnitude of lengths and masses.
-        normal: (3,) common normal of a planar mechanism, else None.
+        rng: random generator of all features, except those with a separate generator.
+        offset_rng: random generator of the offsets between hinges of compound joints.
+        link_rng: random generator of the links between parallel hinges. Features that were added to this
+            module later have separate generators, so that all others stay the same for a seed and number.
+        length: order of magnitude of lengths, m.
+        mass: order of magnitude of masses, kg.
+        normal: common normal (3,) of a planar mechanism, else None.
+        bodies: bodies so far, ground first.
+        joints: joints so far.
+        gears: gears so far.
     """
 
     def __init__(
-        self, rng: np.random.Generator, of_offsets: np.random.Generator, of_links: np.random.Generator
+        self, rng: np.random.Generator, offset_rng: np.random.Generator, link_rng: np.random.Generator
     ) -> None:
-        self.rng, self.of_offsets, self.of_links = rng, of_offsets, of_links
+        self.rng, self.offset_rng, self.link_rng = rng, offset_rng, link_rng
         self.length, self.mass = 10.0 ** rng.uniform(-1.0, 1.0, 2)
         self.normal = _direction(rng) if rng.random() < PLANAR_FRACTION else None
         self.bodies = [Body.ground()]
         self.joints: list[Joint] = []
         self.gears: list[Gear] = []
         for number in range(1, rng.integers(2, 9) + 1):
-            self._grow(f"body_{number}")
+            self._add_body(f"body_{number}")
         for number in range(1, rng.integers(0, 4) + 1):
-            self._close(f"loop_{number}")
+            self._close_loop(f"loop_{number}")
         if rng.random() < 0.3:
-            self._couple("gear")
+            self._add_gear("gear")
 
     @property
     def mechanism(self) -> Mechanism:
-        """The mechanism as far as it is built."""
+        """Mechanism of the bodies, joints and gears so far."""
         return Mechanism(self.bodies, self.joints, self.gears)
 
     def _vector(self, scale: float = 1.0) -> Array:
-        """Return a random vector (3,), m."""
+        """Return a random vector (3,), m, with components up to `scale` times `length`."""
         return scale * self.length * self.rng.uniform(-1.0, 1.0, 3)
 
-    def _grow(self, name: str) -> None:
-        """Add a body and a joint that connects it to an earlier body. The first joint of a mechanism can
-        move."""
+    def _add_body(self, name: str) -> None:
+        """Add a body, and a joint that connects the body to an earlier one.
+
+        The first joint of the mechanism is not a fixed joint, so that the mechanism can move.
+        """
         rng = self.rng
         parent = self.bodies[rng.integers(len(self.bodies))]
         center = parent.center_of_mass + _direction(rng) * self.length * rng.uniform(0.3, 1.0)
@@ -129,24 +142,27 @@ class _Draft:
 
     def _joint(self, name: str, one: Body, other: Body) -> Joint:
         """Make a joint of a random kind between two bodies, in random order of the bodies."""
+        # Kind, point and axis
         rng = self.rng
         kinds = KINDS if self.normal is None else PLANAR_KINDS
         kind = JOINT_KINDS[kinds[rng.integers(len(kinds))]]
         first, second = (one, other) if rng.random() < 0.5 else (other, one)
-        share = rng.uniform(0.2, 0.8)
-        point = share * first.center_of_mass + (1.0 - share) * second.center_of_mass + self._vector(0.2)
+        weight = rng.uniform(0.2, 0.8)
+        point = weight * first.center_of_mass + (1.0 - weight) * second.center_of_mass + self._vector(0.2)
         axis, shift = _direction(rng), self._vector(0.3)
         if self.normal is not None:
             axis = _across(axis, self.normal) if kind.kind == "prismatic" else self.normal
+        # Further axes and dimensions of the kind
         options: dict[str, Any] = dict.fromkeys(kind.axis_names, axis)
-        if kind.kind == "revolute" and self.of_links.random() < PARALLEL_HINGES_FRACTION:
+        if kind.kind == "revolute" and self.link_rng.random() < PARALLEL_HINGES_FRACTION:
             kind = JOINT_KINDS["parallel_hinges"]
-            options["offset"] = 0.3 * self.length * _direction(self.of_links)
-            options["opposed"] = bool(self.of_links.random() < 0.5)
+            options["offset"] = 0.3 * self.length * _direction(self.link_rng)
+            options["opposed"] = bool(self.link_rng.random() < 0.5)
         if kind.kind == "universal":
             options["axis_on_second"] = _across(_direction(rng), axis)
         if kind.kind == "screw":
             options["pitch"] = _sign(rng) * self.length * rng.uniform(0.05, 0.3)
+        # Point on the second body, where it may differ from the point on the first body
         if kind.kind in KINDS_ALONG_AXIS:
             options["point_on_second"] = point + (axis @ shift) * axis
         elif kind.kind == "planar":
@@ -156,35 +172,35 @@ class _Draft:
         elif kind.kind == "free":
             options["point_on_second"] = point + shift
         elif kind.kind == "compound":
-            options = _compound(rng)
-            beyond = shift[: len(options["slides"])] @ options["slides"]
-            missing = max(len(options["hinges"]) - 1, 0)
-            if missing and self.of_offsets.random() < 0.5:  # hinges whose axes do not meet
+            options = _compound_options(rng)
+            displacement = shift[: len(options["slides"])] @ options["slides"]
+            gaps = max(len(options["hinges"]) - 1, 0)
+            if gaps and self.offset_rng.random() < 0.5:  # hinges whose axes do not meet
                 reach = 0.3 * self.length
-                options["offsets"] = self.of_offsets.uniform(-reach, reach, (missing, 3))
-                beyond = beyond + options["offsets"].sum(axis=0)
-            options["point_on_second"] = point + beyond
+                options["offsets"] = self.offset_rng.uniform(-reach, reach, (gaps, 3))
+                displacement = displacement + options["offsets"].sum(axis=0)
+            options["point_on_second"] = point + displacement
         return kind(name, first.name, second.name, point, **options)
 
-    def _close(self, name: str) -> None:
+    def _close_loop(self, name: str) -> None:
         """Add a joint between two bodies that closes a loop.
 
         The joint leaves the mechanism a degree of freedom, and in most mechanisms adds no redundant
-        constraint.
+        constraint. After `MAX_ATTEMPTS` unsuccessful attempts the loop stays open.
         """
-        before = _rank(Mechanism(self.bodies, self.joints))[1]
+        _, redundant_before = _mobility(Mechanism(self.bodies, self.joints))
         for _ in range(MAX_ATTEMPTS):
             one, other = self.rng.choice(len(self.bodies), 2, replace=False)
             joint = self._joint(name, self.bodies[one], self.bodies[other])
             if joint.kind == "free":
                 continue  # a free joint closes no loop
-            freedoms, redundant = _rank(Mechanism(self.bodies, [*self.joints, joint]))
-            may_repeat = self.normal is not None or self.rng.random() < REDUNDANT_LOOP_FRACTION
-            if freedoms > 0 and (may_repeat or redundant == before):
+            freedoms, redundant = _mobility(Mechanism(self.bodies, [*self.joints, joint]))
+            may_be_redundant = self.normal is not None or self.rng.random() < REDUNDANT_LOOP_FRACTION
+            if freedoms > 0 and (may_be_redundant or redundant == redundant_before):
                 self.joints.append(joint)
                 return
 
-    def _couple(self, name: str) -> None:
+    def _add_gear(self, name: str) -> None:
         """Add a gear between two joint coordinates that leaves the mechanism a degree of freedom."""
         keys, rng = _coordinates(self.joints), self.rng
         for _ in range(MAX_ATTEMPTS if len(keys) > 1 else 0):
@@ -192,16 +208,20 @@ class _Draft:
             units = [self._unit(joint, number) for joint, number in ((driver, i), (follower, j))]
             ratio = _sign(rng) * rng.uniform(0.3, 3.0) * units[1] / units[0]
             gear = Gear(name, driver.name, follower.name, ratio, i, j)
-            freedoms, _ = _rank(Mechanism(self.bodies, self.joints, [gear]))
+            freedoms, _ = _mobility(Mechanism(self.bodies, self.joints, [gear]))
             if freedoms > 0:
                 self.gears.append(gear)
                 return
 
     def _unit(self, joint: Joint, number: int) -> float:
+        """Return the unit of a joint coordinate: `length` for a slide, m; 1 for a hinge, rad."""
         return float(self.length) if joint.coordinate_kinds[number] == "slide" else 1.0
 
     def forces(self) -> tuple[list[Force], list[Law]]:
-        """Make random springs, dampers, wrenches and PD controllers, of the order of the weight."""
+        """Make random springs, dampers, wrenches and PD controllers, of the order of the weight.
+
+        Joints with a controller become actuated.
+        """
         rng, weight = self.rng, self.mass * STANDARD_GRAVITY
         forces, control = list[Force](), list[Law]()
         for joint, coordinate in _coordinates(self.joints):
@@ -225,6 +245,7 @@ class _Draft:
         return forces, control
 
     def _spring(self) -> PointSpring:
+        """Make a random spring with a damper between points of two bodies."""
         rng, stiffness = self.rng, self.mass * STANDARD_GRAVITY / self.length
         one, other = (self.bodies[k] for k in rng.choice(len(self.bodies), 2, replace=False))
         return PointSpring(
@@ -244,41 +265,45 @@ def _direction(rng: np.random.Generator) -> Array:
     return _unit(rng.normal(size=3))
 
 
-def _compound(rng: np.random.Generator) -> dict[str, Any]:
-    """Make the options of a compound joint: slides, and hinges or a ball, whose axes are well independent."""
+def _compound_options(rng: np.random.Generator) -> dict[str, Any]:
+    """Make the options of a compound joint, which has up to three slides, followed by hinges or a ball."""
     slides, hinges = rng.integers(0, 4, 2)
     ball = bool(hinges == 0 and rng.random() < 0.5)
-    return {"slides": _askew(rng, slides), "hinges": _askew(rng, hinges), "ball": ball}
+    return {"slides": _independent_axes(rng, slides), "hinges": _independent_axes(rng, hinges), "ball": ball}
 
 
-def _askew(rng: np.random.Generator, count: int) -> Array:
-    """Return `count` orthonormal axes (count, 3), each rotated by some tenths of a radian."""
+def _independent_axes(rng: np.random.Generator, count: int) -> Array:
+    """Return `count` unit vectors (count, 3): orthogonal axes, each rotated by some tenths of a radian."""
     axes = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))[:count]
     return np.array([_unit(axis + rng.uniform(-0.2, 0.2, 3)) for axis in axes]).reshape(-1, 3)
 
 
-def _of_balls(
+def _ball_elements(
     rng: np.random.Generator, draft: _Draft
 ) -> tuple[tuple[BallSpring, ...], tuple[BallArmature, ...]]:
-    """Make random springs, dampers and rotors of balls, of the order of the weight and of the inertias."""
+    """Make random springs with dampers, and armatures (rotor inertias), of the balls in joints.
+
+    They are of the order of the weight and of the inertias of the mechanism.
+    """
     torque, inertia = draft.mass * STANDARD_GRAVITY * draft.length, 0.1 * draft.mass * draft.length**2
-    springs, rotors = list[BallSpring](), list[BallArmature]()
+    springs, armatures = list[BallSpring](), list[BallArmature]()
     for joint in draft.joints:
-        chances, (stiffness, damping, rotor) = rng.random(2), rng.uniform(0.1, 3.0, 3)
+        chances, (stiffness, damping, armature) = rng.random(2), rng.uniform(0.1, 3.0, 3)
         rest = rng.uniform(-1.0, 1.0, 3)
         if any(motion.kind == "ball" for motion in joint.motions):
             if chances[0] < 0.2:
                 springs.append(BallSpring(joint.name, stiffness * torque, damping * torque, rest))
             if chances[1] < 0.2:
-                rotors.append(BallArmature(joint.name, rotor * inertia))
-    return tuple(springs), tuple(rotors)
+                armatures.append(BallArmature(joint.name, armature * inertia))
+    return tuple(springs), tuple(armatures)
 
 
 def _wind(rng: np.random.Generator, draft: _Draft) -> tuple[WindLoad, ...]:
     """Make a random wind load on a plate of one body, of the order of the weight, in some mechanisms."""
     body = draft.bodies[rng.integers(1, len(draft.bodies))]
-    (first, second, _), sizes = _askew(rng, 3), draft.length * rng.uniform(0.2, 1.0, 2)
+    (first, second, _), sizes = _independent_axes(rng, 3), draft.length * rng.uniform(0.2, 1.0, 2)
     sides = {"first_side": sizes[0] * first, "second_side": sizes[1] * _across(second, first)}
+    # the speed in standard air whose pressure on the plate is of the order of the weight
     speed = np.sqrt(draft.mass * STANDARD_GRAVITY / (STANDARD_AIR * np.prod(sizes))) * rng.uniform(0.3, 3.0)
     point = body.center_of_mass + 0.3 * draft.length * rng.normal(size=3)
     load = WindLoad("wind", body.name, point, **sides, direction=_direction(rng), speed=float(speed))
@@ -286,6 +311,7 @@ def _wind(rng: np.random.Generator, draft: _Draft) -> tuple[WindLoad, ...]:
 
 
 def _unit(vector: Array) -> Array:
+    """Return a vector divided by its length."""
     return np.asarray(vector / np.linalg.norm(vector))
 
 
@@ -295,11 +321,16 @@ def _across(vector: Array, axis: Array) -> Array:
 
 
 def _sign(rng: np.random.Generator) -> float:
+    """Return a random sign, -1 or 1."""
     return float(rng.choice([-1.0, 1.0]))
 
 
 def _body(rng: np.random.Generator, name: str, mass: float, center: Array, length: float) -> Body:
-    """Make a body with a random realizable inertia: masses spread by different amounts along three axes."""
+    """Make a body at a center of mass (3,), m, with a random mass, orientation and inertia.
+
+    The inertia is that of masses spread by different amounts along three axes, so that a real body has it.
+    `mass`, kg, and `length`, m, are orders of magnitude.
+    """
     mass = mass * 10.0 ** rng.uniform(-1.0, 1.0)
     spread = (length * rng.uniform(0.03, 0.5, 3)) ** 2
     turn = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))
@@ -308,28 +339,32 @@ def _body(rng: np.random.Generator, name: str, mass: float, center: Array, lengt
 
 
 def _coordinates(joints: Sequence[Joint]) -> list[tuple[Joint, int]]:
-    """List all hinge and slide coordinates as joint and number."""
+    """List all hinge and slide coordinates, each as a joint and the number of its coordinate."""
     return [(joint, k) for joint in joints for k in range(len(joint.coordinate_kinds))]
 
 
-def _rank(mechanism: Mechanism) -> tuple[int, int]:
+def _mobility(mechanism: Mechanism) -> tuple[int, int]:
     """Return the numbers of degrees of freedom and of redundant constraints at the initial pose."""
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
-    return _rank_at(system, system.coordinates(initial_state(system.scene))[0])
+    return _mobility_at(system, system.coordinates(initial_state(system.scene))[0])
 
 
-def _rank_at(system: Relative, q: Array) -> tuple[int, int]:
+def _mobility_at(system: Relative, q: Array) -> tuple[int, int]:
+    """Return the numbers of degrees of freedom and of redundant constraints at coordinates q (nq,)."""
     jacobian = dimensionless_jacobian(system, q)
     found = rank(jacobian)
     return system.nv - found, len(jacobian) - found
 
 
-def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
-    """Find a state away from the initial pose, with velocities of 0.3 to 10 rad/s or mechanism sizes per
-    second."""
+def _random_state(rng: np.random.Generator, mechanism: Mechanism) -> State:
+    """Find a random state that satisfies all constraints, away from the initial pose if possible.
+
+    The state has the same numbers of freedoms and redundant constraints as the initial pose. Velocities are
+    of the order of 0.3 to 10 rad/s or mechanism sizes per second.
+    """
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
     start, _ = system.coordinates(initial_state(system.scene))
-    wanted = _rank_at(system, start)
+    wanted = _mobility_at(system, start)
     for reach in DISPLACEMENTS:
         step = reach * system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
         try:
@@ -338,7 +373,7 @@ def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
             continue
         if (
             largest(system.phi(q)) < 4.0 * RESIDUAL_ROUND_OFF * mechanism.size
-            and _rank_at(system, q) == wanted
+            and _mobility_at(system, q) == wanted
         ):
             break
     speed = 10.0 ** rng.uniform(-0.5, 1.0)
@@ -346,11 +381,14 @@ def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
     return system.state(q, project_velocity(system, q, v))  # a second projection removes round-off
 
 
-def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Prescribe the motion of one joint coordinate, if a degree of freedom remains."""
+def _with_prescribed_motion(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Return the scene with a prescribed motion of one joint coordinate, if a degree of freedom remains.
+
+    The motion continues the initial position and rate of the coordinate with a random acceleration.
+    """
     keys, state = _coordinates(scene.mechanism.joints), initial_state(scene)
     system, frames = Relative(scene), state.frames()
-    before = _rank_at(system, system.coordinates(state)[0])
+    freedoms, redundant = _mobility_at(system, system.coordinates(state)[0])
     for k in rng.permutation(len(keys)):
         joint, coordinate = keys[k]
         equations = scene.mechanism.joint_equations(joint.name)
@@ -362,7 +400,8 @@ def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
         motion = PrescribedMotion(joint.name, Polynomial((x, rate, unit * rng.normal())), coordinate)
         driven = replace(scene, motions=(motion,))
         system = Relative(driven)
-        if _rank_at(system, system.coordinates(state)[0]) == (before[0] - 1, before[1]) and before[0] > 1:
+        mobility = _mobility_at(system, system.coordinates(state)[0])
+        if mobility == (freedoms - 1, redundant) and freedoms > 1:
             return driven
     return scene
 
@@ -371,13 +410,14 @@ def random_scene(seed: int, number: int) -> Scene:
     """Generate a random mechanism whose initial state is a random consistent state.
 
     Args:
-        seed, number: whole numbers; equal pairs give equal scenes.
+        seed: whole number that selects a series of scenes.
+        number: whole number of the scene in the series. Equal pairs of seed and number give equal scenes.
     """
     rng = np.random.default_rng([seed, number])
     # separate generators for features that were added later, so that earlier features stay the same
     draft = _Draft(rng, np.random.default_rng([seed, number, 2]), np.random.default_rng([seed, number, 4]))
     forces, control = draft.forces()
-    springs, rotors = _of_balls(np.random.default_rng([seed, number, 1]), draft)
+    springs, armatures = _ball_elements(np.random.default_rng([seed, number, 1]), draft)
     mechanism = draft.mechanism
     scene = Scene(
         f"random_{seed}_{number}",
@@ -386,9 +426,9 @@ def random_scene(seed: int, number: int) -> Scene:
         output_period=0.1,
         gravity=STANDARD_GRAVITY * _direction(rng),
         control=tuple(control),
-        initial_state=_moved(rng, mechanism),
+        initial_state=_random_state(rng, mechanism),
         forces=(*forces, *springs, *_wind(np.random.default_rng([seed, number, 3]), draft)),
-        armatures=rotors,
+        armatures=armatures,
         description=f"random mechanism {number} of seed {seed}",
     )
-    return _motion(rng, scene) if rng.random() < 0.15 else scene
+    return _with_prescribed_motion(rng, scene) if rng.random() < 0.15 else scene

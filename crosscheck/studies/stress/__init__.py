@@ -1,6 +1,7 @@
-"""Stress tests: cases at the limits of every engine, and how many of them each engine passes.
+"""Stress tests of the dynamics engines: long runs, stiff gains, extreme masses, singular poses and more.
 
-In: letters of topics. Out: a report, `stress.md` and `stress.json`. A `Case` (`cases.py`) measures one value
-of one engine at one setting and judges it by a `Bound`; cases run in separate processes with a time limit.
-The other modules yield the cases of a topic. Start reading at `topics.py`, whose table `TOPICS` names them.
+The input is a string of topic letters, such as "ae". The output is a report, `stress.md` and `stress.json`,
+with the number of cases that each engine passes. A `Case` (`cases.py`) measures one value of one engine at
+one setting, and a `Bound` judges the value. Cases run in separate processes with a time limit. The other
+modules generate the cases of one or several topics. Start reading at `topics.py`, which lists all topics.
 """

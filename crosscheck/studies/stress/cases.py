@@ -1,6 +1,8 @@
-"""Cases of a stress test: one value of one engine at one setting, judged by a bound with a reason.
+"""Cases of a stress test, and their execution in separate processes with a time limit.
 
-Each case runs in a separate process with a time limit.
+A case measures one value, such as the energy error of a run, of one engine at one setting. A bound judges the
+value. Some cases have no answer, such as a run with an infinite force; there the engine must raise an error
+that names the cause.
 """
 
 from __future__ import annotations
@@ -19,13 +21,14 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 
 PROCESSES = 2
-"""Number of processes that run cases."""
+"""Number of processes that run cases at the same time."""
 
 Verdict = Literal["survives", "degrades", "fails", "refuses"]
-"""Result of a case: value within its bound, within the wider bound, beyond both, or an error with a
-reason."""
+"""Result of a case: "survives" for a value within its bound, "degrades" within a wider bound, "fails" beyond
+both, "refuses" for an error that names the cause."""
 
 Progress = Callable[[str], None]
+"""Function that shows one line on the progress of the test."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,13 @@ class Bound:
     """Bound on a measured value.
 
     Attributes:
-        quantity, unit: quantity and unit of the value.
-        survives: largest value of a passing case (smallest if `at_least`); NaN for cases without an answer,
-            in which the engine should raise an error.
-        degrades: wider bound; an engine beyond it fails, since its answer is useless.
-        reason: reason for these numbers.
-        at_least: True if large values are good.
+        quantity: name of the measured quantity.
+        unit: unit of the quantity.
+        survives: limit of values that pass: the largest one, or the smallest one if `at_least`. It is NaN for
+            cases without an answer, in which the engine should raise an error.
+        degrades: limit of values that are inaccurate but still useful. Beyond this limit the engine fails.
+        reason: reason for the two limits.
+        at_least: True if large values are good, False if small values are good.
     """
 
     quantity: str
@@ -54,7 +58,7 @@ class Bound:
         return not math.isnan(self.survives)
 
     def verdict(self, value: float) -> Verdict:
-        """Judge a value; a value that is not finite fails."""
+        """Return the verdict on a value; a value that is not finite fails."""
         if not math.isfinite(value):
             return "fails"
         sign = -1.0 if self.at_least else 1.0
@@ -66,16 +70,22 @@ class Bound:
         return f"{'>=' if self.at_least else '<='} {self.survives:.0e}" if self.has_answer else "refusal"
 
 
-# Bounds of several topics
+# Bounds that several topics use
 
 ENERGY_BOUND = Bound(
     "energy error", "rel", 1e-6, 1e-2, "1e-6 is invisible in a plot; beyond 1 % the motion is a different one"
 )
+"""Bound on the energy balance error, relative to the energy that the motion exchanges."""
+
 ANGLE_BOUND = Bound("angle error", "rad", 1e-6, 1e-2, "1e-6 is invisible in a plot; half a degree is visible")
+"""Bound on the error of an angle of a body."""
 
 
 def refusal(quantity: str, unit: str) -> Bound:
-    """Return the bound of cases without an answer: the engine must raise an error, no value passes."""
+    """Return the bound of cases without an answer: no value passes, the engine must raise an error.
+
+    `quantity` and `unit` describe the value that is reported if the engine raises no error.
+    """
     reason = "a case without an answer must end with an error that names the time or the element"
     return Bound(quantity, unit, math.nan, math.nan, reason)
 
@@ -85,7 +95,7 @@ class Measurement(NamedTuple):
 
     Attributes:
         value: the value, in the unit of the case's bound.
-        note: one line about it, or empty.
+        note: one line about the value, such as the number of steps, or empty.
     """
 
     value: float
@@ -100,9 +110,9 @@ class Case:
         name: description of the test.
         setting: the engine and its options.
         bound: bound on the measured value.
-        measure: measures the value; it can be pickled, as it runs in another process.
-        names: for cases without an answer, texts that the error must contain to be useful.
-        limit: s, CPU time after which the process of the case is ended.
+        measure: function that measures the value at a setting. It is pickled, as it runs in another process.
+        required_texts: for cases without an answer, texts that the error must contain, such as a joint name.
+        time_limit: CPU time, s, after which the process of the case is ended.
         topic: letter of the topic, see `TOPICS`.
     """
 
@@ -110,21 +120,21 @@ class Case:
     setting: Setting
     bound: Bound
     measure: Callable[[Setting], Measurement]
-    names: tuple[str, ...] = ()
-    limit: float = 30.0
+    required_texts: tuple[str, ...] = ()
+    time_limit: float = 30.0
     topic: str = ""
 
 
 @dataclass(frozen=True)
-class Row:
+class CaseResult:
     """Result of a case.
 
     Attributes:
         case: the case.
-        verdict: the verdict; `refuses` passes only if the case has no answer.
-        reason: reason of an error or a failure, else the note on the value.
+        verdict: the verdict; "refuses" passes only if the case has no answer.
+        reason: message of the error if there was one, else the note on the value.
         value: the measured value; None if the engine raised an error or reached the time limit.
-        wall_time: s.
+        wall_time: duration of the case, s.
     """
 
     case: Case
@@ -135,7 +145,7 @@ class Row:
 
     @property
     def passes(self) -> bool:
-        """True if the engine gives an accurate answer, or an error if there is no answer."""
+        """True if the engine gives an accurate answer, or raises an error in a case without an answer."""
         return self.verdict == ("survives" if self.case.bound.has_answer else "refuses")
 
     @property
@@ -159,16 +169,22 @@ class Row:
         }
 
 
-def of_run(
+def simulate_and_measure(
     scene: Scene, measure: Callable[[Scene, Trajectory], Measurement | float], setting: Setting
 ) -> Measurement:
-    """Simulate a scene at a setting and measure the run."""
+    """Simulate a scene at a setting and measure the run.
+
+    Args:
+        scene: the scene.
+        measure: function of the scene and the run that returns the value, with or without a note.
+        setting: engine and options.
+    """
     found = measure(scene, setting.simulate(scene))
     return found if isinstance(found, Measurement) else Measurement(found)
 
 
-def judge(case: Case) -> Row:
-    """Run a case; any exception becomes part of the result."""
+def run_case(case: Case) -> CaseResult:
+    """Run a case and judge the value; any exception becomes part of the result."""
     start, value = time.perf_counter(), None
     verdict: Verdict = "fails"
     try:
@@ -179,32 +195,36 @@ def judge(case: Case) -> Row:
         if not case.bound.has_answer:
             reason = f"completes without an error, {reason}".rstrip(", ")
     except NewtonEulerError as error:
-        reason, missing = str(error), [name for name in case.names if name not in str(error)]
+        reason = str(error)
+        missing = [text for text in case.required_texts if text not in reason]
         if missing:
             reason = f"the error does not name {' and '.join(missing)}: {reason}"
         else:
             verdict = "refuses"
     except Exception as error:  # engines should raise NewtonEulerError only
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return Row(case, verdict, reason, value, time.perf_counter() - start)
+    return CaseResult(case, verdict, reason, value, time.perf_counter() - start)
 
 
-def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
+def run_cases(cases: Sequence[Case], progress: Progress) -> list[CaseResult]:
     """Run all cases in `PROCESSES` processes, and return their results in order.
 
     A case that reaches its time limit fails, and its process is ended. Within a topic, cases with long limits
     start first.
     """
-    order = sorted(range(len(cases)), key=lambda k: (cases[k].topic, -cases[k].limit))
+    order = sorted(range(len(cases)), key=lambda k: (cases[k].topic, -cases[k].time_limit))
     found = run_in_processes(
-        judge,
+        run_case,
         [cases[k] for k in order],
         PROCESSES,
         lambda count, case: progress(f"{count} of {len(cases)} cases, last ({case.topic}) {case.name}"),
-        lambda case: case.limit,
+        lambda case: case.time_limit,
     )
     rows = dict(zip(order, found, strict=True))
+    # an error stands for a process that ended early or reached the time limit
     lost = {
-        k: Row(cases[k], "fails", str(row)) for k, row in rows.items() if isinstance(row, ProcessLostError)
+        k: CaseResult(cases[k], "fails", str(row))
+        for k, row in rows.items()
+        if isinstance(row, ProcessLostError)
     }
     return [(rows | lost)[k] for k in range(len(cases))]  # type: ignore[misc]

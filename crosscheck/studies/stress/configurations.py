@@ -1,4 +1,8 @@
-"""Stress cases (g) and (h): starts that violate the constraints, and singular configurations."""
+"""Stress cases (g) and (h): initial states that violate the constraints, and singular configurations.
+
+At a singular configuration a mechanism has more freedom than elsewhere, or its drive has none, as at the dead
+centers of a slider-crank.
+"""
 
 from __future__ import annotations
 
@@ -16,21 +20,21 @@ from crosscheck.studies.stress.cases import (
     Bound,
     Case,
     Measurement,
-    of_run,
     refusal,
+    simulate_and_measure,
 )
 from crosscheck.studies.stress.runs import (
-    COMBINATIONS,
-    ONE_EACH,
+    STABILIZED_SETTINGS,
     STANDARD_GRAVITY,
+    TYPICAL_SETTINGS,
     Setting,
     largest_drift,
     largest_energy_error,
-    lasting,
-    mujoco,
-    newton_euler,
+    mujoco_setting,
+    newton_euler_setting,
     parallelogram_error,
-    pinocchio,
+    pinocchio_setting,
+    with_duration,
 )
 from newton_euler.integrators.projection import joint_violations
 from newton_euler.model.control import PD
@@ -44,13 +48,17 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import CONSISTENT_STARTS, assemble, initial_state
 
-# (g) Starts that violate the constraints: the result of the assembly, and the run of each engine
+# (g) Starts that violate the constraints. Measured are the state after assembly (which moves bodies until
+# the constraints hold) and the run of each engine from the violated state.
 
 START_OFFSETS = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
-"""m and rad, offset of each body, in a random direction."""
+"""Displacements of each body, m, and rotations, rad, in random directions."""
 
 START_DURATION = 5.0
+"""Duration of runs from a violated start, s."""
+
 START_OUTPUTS = 50
+"""Number of output periods of runs from a violated start."""
 
 ASSEMBLED = Bound(
     "constraint violation after assembly",
@@ -59,38 +67,46 @@ ASSEMBLED = Bound(
     CLOSURE_TOLERANCE,
     "round-off of residuals on a machine of 0.1 m",
 )
+"""Bound on the constraint violation of the state after assembly."""
 
 VIOLATED_START = refusal("constraint violation at the start", "m or rad")
+"""Bound of scenes whose initial state violates the constraints by more than the tolerance."""
 
 START_SETTINGS: tuple[Setting, ...] = (
-    *COMBINATIONS,
-    mujoco(),
-    mujoco("implicitfast"),
-    pinocchio(),
-    pinocchio(stabilization="projection"),
-    pinocchio(stabilization="none"),
+    *STABILIZED_SETTINGS,
+    mujoco_setting(),
+    mujoco_setting("implicitfast"),
+    pinocchio_setting(),
+    pinocchio_setting(stabilization="projection"),
+    pinocchio_setting(stabilization="none"),
 )
+"""Settings that run from a violated start."""
 
 
-def starts(full: bool) -> Iterator[Case]:
-    """Yield the cases of (g)."""
+def violated_start_cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of topic (g), all of them or (unless `full`) the short form."""
     for offset in START_OFFSETS if full else START_OFFSETS[1::2]:
         name = f"tracker, bodies {offset:.0e} m and rad off"
+        # The assembly of a violated state
         setting = Setting("newton_euler", {"function": "assemble"})
-        yield Case(name, setting, ASSEMBLED, partial(measure_assembly, offset))
+        yield Case(name, setting, ASSEMBLED, partial(measure_assembled_violation, offset))
+        # A scene with a violated initial state, which must raise an error
         if offset > CLOSURE_TOLERANCE:
             setting = Setting("all", {"argument": "Scene(initial_state=...)"})
             names = ("joint", "initial state")
-            yield Case(name, setting, VIOLATED_START, partial(measure_scene, offset), names=names)
-        most = 10.0 * max(offset, CLOSURE_TOLERANCE)
+            yield Case(
+                name, setting, VIOLATED_START, partial(measure_rejected_start, offset), required_texts=names
+            )
+        # Runs from the violated state, without the check of initial states
+        degraded = 10.0 * max(offset, CLOSURE_TOLERANCE)
         reason = "the violation decreases, or at least does not grow"
-        bound = Bound("constraint violation at the end", "m or rad", CLOSURE_TOLERANCE, most, reason)
+        bound = Bound("constraint violation at the end", "m or rad", CLOSURE_TOLERANCE, degraded, reason)
         for setting in START_SETTINGS:
-            run = partial(measure_start, offset)
-            yield Case(f"{name}, unchecked, {START_DURATION:g} s", setting, bound, run, limit=40.0)
+            run = partial(measure_end_violation, offset)
+            yield Case(f"{name}, unchecked, {START_DURATION:g} s", setting, bound, run, time_limit=40.0)
 
 
-def off_state(scene: Scene, offset: float) -> State:
+def displaced_state(scene: Scene, offset: float) -> State:
     """Return the initial state with each moving body shifted and rotated by `offset` (m, rad).
 
     The directions are pseudorandom, and the same in each call.
@@ -104,40 +120,54 @@ def off_state(scene: Scene, offset: float) -> State:
     return state
 
 
-def measure_assembly(offset: float, setting: Setting) -> Measurement:
-    """Measure the constraint violation after assembly; note how far bodies were moved."""
+def measure_assembled_violation(offset: float, setting: Setting) -> Measurement:
+    """Measure the constraint violation of the tracker after assembly from a displaced state.
+
+    The note has the largest distance by which the assembly moved a body.
+
+    Args:
+        offset: displacement of each body, m and rad.
+        setting: not used; all functions that measure a case have this argument.
+    """
     scene = load("tracker")
-    guess = off_state(scene, offset)
+    guess = displaced_state(scene, offset)
     state = assemble(scene, guess)
     moved = float(np.max(np.linalg.norm(state.position - guess.position, axis=1)))
-    figure = float(np.max(joint_violations(scene.mechanism, state)))
+    violation = float(np.max(joint_violations(scene.mechanism, state)))
     return Measurement(
-        figure, f"bodies moved by {moved:.1e} m, {moved / offset:.1f} times as far as they were off"
+        violation, f"bodies moved by {moved:.1e} m, {moved / offset:.1f} times as far as they were off"
     )
 
 
-def measure_scene(offset: float, setting: Setting) -> Measurement:
-    """Measure the constraint violation of a scene with an offset initial state, which should raise an
-    error."""
+def measure_rejected_start(offset: float, setting: Setting) -> Measurement:
+    """Measure the constraint violation of the tracker's initial state if it is displaced by `offset`, m and
+    rad.
+
+    `initial_state` should raise an error, so that nothing is measured. `setting` is not used.
+    """
     scene = load("tracker")
-    changed = replace(scene, initial_state=off_state(scene, offset))
+    changed = replace(scene, initial_state=displaced_state(scene, offset))
     return Measurement(float(np.max(joint_violations(scene.mechanism, initial_state(changed)))))
 
 
-def measure_start(offset: float, setting: Setting) -> Measurement:
-    """Measure the constraint violation at the end of a run from an offset state."""
-    scene = lasting(load("tracker"), START_DURATION, START_OUTPUTS, "violation")
-    # bypass the check of initial states, to see the behavior of the engines
-    state = off_state(scene, offset)
+def measure_end_violation(offset: float, setting: Setting) -> Measurement:
+    """Measure the constraint violation at the end of a run of the tracker from a displaced state.
+
+    Each body is displaced by `offset`, m and rad. The note has the largest violation during the run.
+    """
+    scene = with_duration(load("tracker"), START_DURATION, START_OUTPUTS, "violation")
+    # `CONSISTENT_STARTS` caches checked initial states. The entry bypasses the check, so that the run shows
+    # the behavior of the engine.
+    state = displaced_state(scene, offset)
     scene = replace(scene, initial_state=state)
     CONSISTENT_STARTS[scene] = state
     run = setting.simulate(scene)
     assert run.constraint_violation is not None
-    openings = np.max(run.constraint_violation, axis=1)
-    return Measurement(float(openings[-1]), f"at most {np.max(openings):.1e} in between")
+    violation = np.max(run.constraint_violation, axis=1)
+    return Measurement(float(violation[-1]), f"at most {np.max(violation):.1e} in between")
 
 
-# (h) Singular configurations: passing them, starting in them, and the ends of travel
+# (h) Singular configurations: runs that pass one, runs that start in one, and the ends of a slider's travel
 
 SLIDER_BOUND = Bound(
     "position error",
@@ -146,58 +176,66 @@ SLIDER_BOUND = Bound(
     1e-2,
     "1e-6 m is invisible in a plot; a centimeter of 0.4 m of travel is visible",
 )
+"""Bound on the error of the slider's position in the slider-crank."""
 
 WINDOWS = (1, 2, 10)
-"""Numbers of windows of the four-bar mechanisms."""
+"""Numbers of windows (parallelograms in a row) of the scene `four_bar`. When all bars lie flat, each window
+can fold in its own way: the configuration is singular."""
 
 FLAT_SPEED = 4.0
-"""rad/s, angular velocity of bars that start flat."""
+"""Initial angular velocity of bars that start flat, rad/s."""
 
 SINGULAR_SETTINGS: tuple[Setting, ...] = (
-    *COMBINATIONS,
-    newton_euler("relative", integrator="Radau", rtol=1e-8, atol=1e-10),
-    newton_euler("relative", integrator="RK4", step=1e-3),
-    mujoco("RK4"),
-    mujoco("implicitfast"),
-    pinocchio(),
-    pinocchio(stabilization="projection"),
+    *STABILIZED_SETTINGS,
+    newton_euler_setting("relative", integrator="Radau", rtol=1e-8, atol=1e-10),
+    newton_euler_setting("relative", integrator="RK4", step=1e-3),
+    mujoco_setting("RK4"),
+    mujoco_setting("implicitfast"),
+    pinocchio_setting(),
+    pinocchio_setting(stabilization="projection"),
 )
+"""Settings of the cases with singular configurations, in the full form."""
 
 CRANK_LENGTH, ROD_LENGTH, CRANK_SPEED = 0.2, 0.7, 12.0
-"""m, m and rad/s, of `centered_slider_crank`."""
+"""Lengths, m, and prescribed angular velocity of the crank, rad/s, of `centered_slider_crank`."""
 
 UNREACHABLE_TARGETS = (-0.2, 0.2)
-"""m from the initial pose, targets of the tracker's sliders, which can travel less than half as far."""
+"""Targets of the tracker's sliders, m from the initial pose. The sliders can travel less than half as far."""
 
 
-def singular(full: bool) -> Iterator[Case]:
-    """Yield the cases of (h)."""
-    settings = SINGULAR_SETTINGS if full else ONE_EACH
+def singular_cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of topic (h), all of them or (unless `full`) the short form."""
+    settings = SINGULAR_SETTINGS if full else TYPICAL_SETTINGS
     for windows in WINDOWS if full else WINDOWS[:2]:
-        for setting in settings if windows < 10 else ONE_EACH:
+        for setting in settings if windows < 10 else TYPICAL_SETTINGS:
             limit = 15.0 if full else 11.0
-            passing = lasting(load("four_bar", N=windows), 5.0, 100, "violation")  # about six passages
-            starting = from_flat(lasting(passing, 2.0, 50, "violation"), windows)
+            passing = with_duration(load("four_bar", N=windows), 5.0, 100, "violation")  # about six passages
+            starting = with_flat_start(with_duration(passing, 2.0, 50, "violation"), windows)
             for scene, how in ((passing, "through"), (starting, "from")):
                 name = f"four_bar N = {windows}, {scene.duration:g} s, {how} flat bars"
-                yield Case(name, setting, ANGLE_BOUND, partial(of_run, scene, angle_of_bars), limit=limit)
+                yield Case(
+                    name,
+                    setting,
+                    ANGLE_BOUND,
+                    partial(simulate_and_measure, scene, angle_of_bars),
+                    time_limit=limit,
+                )
     for setting in settings:
         name = "slider-crank, 2 s, its crank driven through seven dead centers"
-        measure = partial(of_run, centered_slider_crank(), position_of_slider)
-        yield Case(name, setting, SLIDER_BOUND, measure, limit=12.0)
+        measure = partial(simulate_and_measure, centered_slider_crank(), position_of_slider)
+        yield Case(name, setting, SLIDER_BOUND, measure, time_limit=12.0)
     for target in UNREACHABLE_TARGETS:
         for setting in settings:
             name = f"tracker, 2 s, drawn to {target:+g} m, past its dead centers"
-            measure = partial(of_run, overdrawn_tracker(target), energy_at_ends)
-            yield Case(name, setting, ENERGY_BOUND, measure, limit=20.0)
+            measure = partial(simulate_and_measure, overdrawn_tracker(target), energy_at_ends)
+            yield Case(name, setting, ENERGY_BOUND, measure, time_limit=20.0)
 
 
 def centered_slider_crank() -> Scene:
-    """Return a slider-crank with a crank of 0.2 m at 12 rad/s about y, and a rod of 0.7 m, outstretched at
-    first.
+    """Return a slider-crank with a prescribed angular velocity of the crank about y, outstretched at first.
 
-    Crank and rod are in line twice per revolution. These dead centers are singular for a drive at the slider,
-    and regular for the drive at the crank.
+    The slider moves on a line through the crank's axis. Crank and rod are in line twice per revolution. These
+    dead centers are singular for a drive at the slider, and regular for the drive at the crank.
     """
     x, y, z = np.eye(3)
     pin, wrist = CRANK_LENGTH * x, (CRANK_LENGTH + ROD_LENGTH) * x
@@ -222,8 +260,11 @@ def centered_slider_crank() -> Scene:
 
 
 def position_of_slider(scene: Scene, run: Trajectory) -> Measurement:
-    """Measure the error of the slider's position r cos a + sqrt(l^2 - r^2 sin^2 a), over seven dead
-    centers."""
+    """Measure the largest error of the slider's position in `centered_slider_crank`, m.
+
+    The exact position is r cos a + sqrt(l^2 - r^2 sin^2 a), with the angle a and the length r of the crank
+    and the length l of the rod. The note has the constraint drift.
+    """
     angle = CRANK_SPEED * run.time
     wanted = CRANK_LENGTH * np.cos(angle) + np.sqrt(ROD_LENGTH**2 - (CRANK_LENGTH * np.sin(angle)) ** 2)
     error = float(np.max(np.abs(run.position[:, 3, 0] - wanted)))
@@ -231,14 +272,20 @@ def position_of_slider(scene: Scene, run: Trajectory) -> Measurement:
 
 
 def angle_of_bars(scene: Scene, run: Trajectory) -> Measurement:
-    """Measure the error of the bars' angle."""
+    """Measure the largest error of the bars' angle in a run of `four_bar`, rad; note the constraint drift."""
     return Measurement(parallelogram_error(scene, run), f"drift {largest_drift(run):.1e} m or rad")
 
 
-def from_flat(scene: Scene, windows: int) -> Scene:
-    """Return four-bar windows whose bars lie flat to the right at first, and move down."""
+def with_flat_start(scene: Scene, windows: int) -> Scene:
+    """Return the scene `four_bar` with another start: all bars lie flat to the right and move down.
+
+    Args:
+        scene: scene `four_bar` with upright bars.
+        windows: number of windows of the scene.
+    """
     x, y, z = np.eye(3)
     state = State.initial(scene.mechanism)
+    # order of the bodies: ground, windows + 1 bars, windows couplers
     bars, couplers = slice(1, windows + 2), slice(windows + 2, None)
     state.position[bars] += 0.5 * (x - y)
     state.quaternion[bars] = [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)]
@@ -250,15 +297,16 @@ def from_flat(scene: Scene, windows: int) -> Scene:
 
 
 def overdrawn_tracker(target: float) -> Scene:
-    """Return the tracker with unreachable targets of both sliders; it oscillates at the ends of its
+    """Return the tracker with an unreachable target of both sliders, m; it oscillates at the ends of its
     travel."""
     scene = load("tracker")
     control = tuple(replace(law, target=target) for law in scene.control if isinstance(law, PD))
-    return lasting(replace(scene, control=control), 2.0, 100, "violation", "energy", "velocities")
+    return with_duration(replace(scene, control=control), 2.0, 100, "violation", "energy", "velocities")
 
 
 def energy_at_ends(scene: Scene, run: Trajectory) -> Measurement:
-    """Measure the energy balance error; note how far the sliders travel."""
+    """Measure the largest energy error of the tracker's run; note the travel of the sliders and the drift."""
+    # bodies 1 and 2 are the sliders, which move along z
     travel = run.position[:, 1:3, 2] - run.position[0, 1:3, 2]
     note = f"sliders travel {travel.min():+.3f} to {travel.max():+.3f} m; drift {largest_drift(run):.1e}"
     return Measurement(largest_energy_error(scene, run), note)

@@ -1,5 +1,7 @@
-"""Stress cases (e), (f) and (k): stiff gains, extreme mass ratios, and numbers at the limits of floating
-point."""
+"""Stress cases (e), (f) and (k): stiff control gains, extreme mass ratios, and extreme or invalid numbers.
+
+Each function `..._cases` yields the cases of a topic; the `measure_...` functions measure their values.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +18,22 @@ from crosscheck.studies.stress.cases import (
     Bound,
     Case,
     Measurement,
-    of_run,
     refusal,
+    simulate_and_measure,
 )
 from crosscheck.studies.stress.runs import (
-    ONE_EACH,
+    TYPICAL_SETTINGS,
     Setting,
-    distance,
-    formulations,
+    both_formulations,
+    largest_distance,
     largest_energy_error,
-    lasting,
-    mujoco,
-    newton_euler,
+    mujoco_setting,
+    newton_euler_setting,
     parallelogram_error,
-    pinocchio,
+    pinocchio_setting,
     symmetric_top,
     top_error,
+    with_duration,
 )
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Controller, Sampled
@@ -45,7 +47,8 @@ from newton_euler.model.trajectory import Trajectory
 # (e) Stiff gains: control of the tracker's sliders
 
 GAINS = ((50.0, 20.0), (1e4, 1e2), (1e6, 1e3), (1e6, 1e6), (1e2, 1e6), (1e6, 1e2))
-"""K_p in N/m and K_d in N s/m: the paper's gains, then stiffer ones; the last pair has little damping."""
+"""PD gains K_p, N/m, and K_d, N s/m, of the tracker's sliders: those of the paper that describes the tracker,
+then stiffer gains. The last pair has little damping."""
 
 STIFF_BOUND = Bound(
     "position error",
@@ -54,63 +57,76 @@ STIFF_BOUND = Bound(
     1e-3,
     "a hundredth of a millimeter on a machine of 0.1 m; a millimeter is visible",
 )
+"""Bound on the distance from the reference motion."""
 
 STIFF_SETTINGS: tuple[Setting, ...] = (
-    *formulations(),
-    newton_euler("relative", "baumgarte"),
-    newton_euler(integrator="Radau", rtol=1e-6, atol=1e-9),
-    newton_euler(integrator="RK4", step=1e-3),
-    newton_euler(integrator="Euler", step=1e-3),
-    *(mujoco(integrator) for integrator in ("RK4", "Euler", "implicit", "implicitfast")),
-    pinocchio(),
-    pinocchio(integrator="Radau", rtol=1e-6, atol=1e-9),
+    *both_formulations(),
+    newton_euler_setting("relative", "baumgarte"),
+    newton_euler_setting(integrator="Radau", rtol=1e-6, atol=1e-9),
+    newton_euler_setting(integrator="RK4", step=1e-3),
+    newton_euler_setting(integrator="Euler", step=1e-3),
+    *(mujoco_setting(integrator) for integrator in ("RK4", "Euler", "implicit", "implicitfast")),
+    pinocchio_setting(),
+    pinocchio_setting(integrator="Radau", rtol=1e-6, atol=1e-9),
 )
+"""Settings that run with stiff gains."""
 
 
-def stiff_gains(full: bool) -> Iterator[Case]:
-    """Yield the cases of (e). The short form simulates 0.1 s, long enough for the stiff part of the
-    motion."""
+def stiff_gain_cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of topic (e), all of them or (unless `full`) the short form.
+
+    The short form simulates 0.1 s, long enough for the stiff part of the motion.
+    """
     duration, limit = (0.5, 9.0) if full else (0.1, 5.0)
     for stiffness, damping in GAINS if full else GAINS[2:4]:
         for setting in STIFF_SETTINGS:
             name = f"tracker, {duration:g} s, K_p {stiffness:g}, K_d {damping:g}"
-            measure = partial(measure_stiff, stiffness, damping, duration)
-            yield Case(name, setting, STIFF_BOUND, measure, limit=limit)
+            measure = partial(measure_distance_from_reference, stiffness, damping, duration)
+            yield Case(name, setting, STIFF_BOUND, measure, time_limit=limit)
 
 
 @lru_cache
 def stiff_tracker(stiffness: float, damping: float, duration: float) -> tuple[Scene, Trajectory]:
-    """Return the tracker with gains of both sliders, N/m and N s/m, and its reference motion.
+    """Return the tracker with other PD gains, and its reference motion.
 
-    The reference is Radau's run at rtol 1e-8, whose error is far below the bound.
+    The reference is a run with Radau at rtol 1e-8, whose error is far below the bound.
+
+    Args:
+        stiffness: K_p of both sliders, N/m.
+        damping: K_d of both sliders, N s/m.
+        duration: duration of the run, s.
     """
     scene = load("tracker")
     control = tuple(
         PD(law.joint, stiffness, damping, law.target) for law in scene.control if isinstance(law, PD)
     )
-    scene = lasting(replace(scene, control=control), duration, round(duration / 0.01))
-    return scene, newton_euler(integrator="Radau", rtol=1e-8, atol=1e-11).simulate(scene)
+    scene = with_duration(replace(scene, control=control), duration, round(duration / 0.01))
+    return scene, newton_euler_setting(integrator="Radau", rtol=1e-8, atol=1e-11).simulate(scene)
 
 
-def measure_stiff(stiffness: float, damping: float, duration: float, setting: Setting) -> Measurement:
-    """Measure the largest distance from the reference motion."""
+def measure_distance_from_reference(
+    stiffness: float, damping: float, duration: float, setting: Setting
+) -> Measurement:
+    """Measure the largest distance, m, of a run of `stiff_tracker` from its reference motion."""
     scene, reference = stiff_tracker(stiffness, damping, duration)
     run = setting.simulate(scene)
-    return Measurement(distance(run, reference), f"{run.settings['steps']} steps")
+    return Measurement(largest_distance(run, reference), f"{run.settings['steps']} steps")
 
 
-# (f) Extreme mass ratios, and inertias at the limit of realizable ones
+# (f) Extreme mass ratios, and extreme moments of inertia. No principal moment of a rigid body exceeds the sum
+# of the other two; thin rods and plates are at this limit.
 
 MASS_RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)
-"""Mass of the coupler divided by the mass of a bar; mass of the last rod of a chain divided by the
-first's."""
+"""Mass of the coupler divided by the mass of a bar, for a four-bar linkage; mass of the last rod divided by
+the mass of the first rod, for a chain of two."""
 
 MASS_SETTINGS = (
-    *ONE_EACH,
-    newton_euler("relative", "baumgarte"),
-    newton_euler("cartesian", "baumgarte"),
-    mujoco("implicitfast"),
+    *TYPICAL_SETTINGS,
+    newton_euler_setting("relative", "baumgarte"),
+    newton_euler_setting("cartesian", "baumgarte"),
+    mujoco_setting("implicitfast"),
 )
+"""Settings that run with extreme mass ratios, in the full form."""
 
 LIMIT_INERTIAS = {
     "thin rod, A = 1e-8 C": (1e-8, 1.0),
@@ -118,31 +134,41 @@ LIMIT_INERTIAS = {
     "plate, A + B = C": (2.0, 1.0),
     "plate, A + B = C (1 + 1e-9)": (2.0 - 1e-9, 1.0),
 }
-"""Axial and transverse moments of inertia of symmetric tops, kg m^2."""
+"""Axial and transverse moments of inertia of symmetric tops, kg m^2. A, B and C are principal moments."""
 
 TOP_ANGULAR_VELOCITY = np.array([0.3, -0.7, 1.1])
-"""rad/s, initial angular velocity of the tops, body frame."""
+"""Initial angular velocity (3,) of the tops, rad/s, in the body frame."""
 
 
-def masses(full: bool) -> Iterator[Case]:
-    """Yield the cases of (f)."""
+def mass_ratio_cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of topic (f), all of them or (unless `full`) the short form."""
     for ratio in MASS_RATIOS if full else (1e-8, 1.0, 1e8):
-        for setting in MASS_SETTINGS if full else ONE_EACH:
-            # the bars never lie flat within 0.5 s
-            loop = lasting(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, 10)
-            angle = partial(of_run, loop, parallelogram_error)
+        for setting in MASS_SETTINGS if full else TYPICAL_SETTINGS:
+            # Four-bar linkage, for 0.5 s: in this time the bars do not reach the singular flat configuration
+            loop = with_duration(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, 10)
+            angle = partial(simulate_and_measure, loop, parallelogram_error)
             yield Case(
-                f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}", setting, ANGLE_BOUND, angle, limit=20.0
+                f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}",
+                setting,
+                ANGLE_BOUND,
+                angle,
+                time_limit=20.0,
             )
-            chain = lasting(_changed(load("chain", N=2), "rod_1", ratio), 2.0, 20, "energy", "velocities")
-            energy = partial(of_run, chain, largest_energy_error)
+            # Chain of two rods
+            chain = with_duration(
+                _changed(load("chain", N=2), "rod_1", ratio), 2.0, 20, "energy", "velocities"
+            )
+            energy = partial(simulate_and_measure, chain, largest_energy_error)
             yield Case(
-                f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY_BOUND, energy, limit=20.0
+                f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY_BOUND, energy, time_limit=20.0
             )
+    # Symmetric tops
     duration = 10.0 if full else 2.0
     for name, moments in LIMIT_INERTIAS.items():
-        for setting in ONE_EACH:
-            measure = partial(of_run, symmetric_top(*moments, TOP_ANGULAR_VELOCITY, duration), top_error)
+        for setting in TYPICAL_SETTINGS:
+            measure = partial(
+                simulate_and_measure, symmetric_top(*moments, TOP_ANGULAR_VELOCITY, duration), top_error
+            )
             yield Case(f"free top, {duration:g} s, {name}", setting, ANGLE_BOUND, measure)
 
 
@@ -158,49 +184,64 @@ def _changed(scene: Scene, name: str, factor: float) -> Scene:
 # (k) Floating-point limits: numbers that overflow, underflow, or are not finite
 
 PUSH_DIRECTION = np.array([1.0, 0.0, 0.0])
+"""Direction (3,) of the rail on which the block moves."""
 
 PUSH_DURATION = 1.0
+"""Duration of runs of the block, s."""
 
 FLOATING_POINT_SETTINGS: tuple[Setting, ...] = (
-    *formulations(),
-    newton_euler("cartesian", "baumgarte"),
-    newton_euler(integrator="Radau"),
-    newton_euler(integrator="RK4", step=1e-2),
-    newton_euler(integrator="Euler", step=1e-2),
-    mujoco("RK4"),
-    mujoco("implicitfast"),
-    pinocchio(),
+    *both_formulations(),
+    newton_euler_setting("cartesian", "baumgarte"),
+    newton_euler_setting(integrator="Radau"),
+    newton_euler_setting(integrator="RK4", step=1e-2),
+    newton_euler_setting(integrator="Euler", step=1e-2),
+    mujoco_setting("RK4"),
+    mujoco_setting("implicitfast"),
+    pinocchio_setting(),
 )
+"""Settings that run with extreme and invalid numbers, in the full form."""
 
 VELOCITY_BOUND = Bound(
     "velocity error", "rel", 1e-6, 1e-2, "as accurate as for usual numbers; underflow to zero gives 1"
 )
+"""Bound on the relative error of the block's final velocity."""
 
 NO_END_POSITION = refusal("end position", "m")
+"""Bound of cases in which the engine must raise an error."""
 
 
 def block(mass: float = 1.0, **more: object) -> Scene:
-    """Return a block of a mass, kg, on a rail along x; `more` are arguments of `Scene`."""
+    """Return the scene of a block on a rail along x without gravity.
+
+    Args:
+        mass: mass of the block, kg.
+        **more: other arguments of `Scene`, such as forces.
+    """
     body = Body("block", mass, np.zeros(3), mass * np.eye(3))
     rail = Prismatic("rail", "ground", "block", np.zeros(3), axis=PUSH_DIRECTION, actuated=True)
     return Scene("block", Mechanism([Body.ground(), body], [rail]), PUSH_DURATION, 0.1, **more)  # type: ignore[arg-type]
 
 
-def _sampled(wrong: Callable[[float], object]) -> Scene:
-    """Return a block with a controller that returns 1 N, and an invalid value from 0.3 s on."""
+def _sampled(invalid: Callable[[float], object]) -> Scene:
+    """Return a block with a controller that is called every 0.1 s.
+
+    The controller returns 1 N, and from t = 0.3 s the value of `invalid(t)`, which is no finite force.
+    """
 
     def control(time: float, x: object, rate: object) -> float:
-        return 1.0 if time < 0.25 else wrong(time)  # type: ignore[return-value]
+        return 1.0 if time < 0.25 else invalid(time)  # type: ignore[return-value]
 
     law: Controller = control
     return block(control=(Sampled("rail", law, 0.1),))
 
 
 def _pushed(force: float, mass: float = 1.0) -> Scene:
+    """Return a block of a mass, kg, on which a constant force, N, acts along the rail."""
     return block(mass, forces=(Wrench("push", "block", np.zeros(3), force=np.array([force, 0.0, 0.0])),))
 
 
 def _moving(speed: float) -> Scene:
+    """Return a block with an initial speed, m/s."""
     scene = block()
     state = State.initial(scene.mechanism)
     state.linear_velocity[1] = speed * PUSH_DIRECTION
@@ -228,7 +269,7 @@ WITHOUT_ANSWER: dict[str, tuple[Callable[[], Scene], tuple[str, ...]]] = {
     ),
     "a start at 1e200 m/s, its energy asked for": (lambda: _moving(1e200), ("t = ",)),
 }
-"""Scenes without an answer, and texts that the error must contain."""
+"""Cases without an answer: a function that makes the scene, and texts that the error must contain."""
 
 WITH_ANSWER: dict[str, tuple[float, float]] = {
     "a denormal force, 1e-310 N on 1 kg": (1e-310, 1.0),
@@ -238,27 +279,30 @@ WITH_ANSWER: dict[str, tuple[float, float]] = {
     "a huge body, 1e300 N on 1e300 kg": (1e300, 1e300),
     "a huge force, 1e150 N on 1 kg": (1e150, 1.0),
 }
-"""Force F (N) and mass m (kg) of a block, whose velocity after t = 1 s is F t / m."""
+"""Cases with an answer: force F, N, on the block, and mass m, kg. The velocity after t = 1 s is F t / m."""
 
 
-def traps(full: bool) -> Iterator[Case]:
-    """Yield the cases of (k)."""
+def floating_point_cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of topic (k), all of them or (unless `full`) those of four settings."""
     few = (*FLOATING_POINT_SETTINGS[:2], *FLOATING_POINT_SETTINGS[-3::2])
     for setting in FLOATING_POINT_SETTINGS if full else few:
         for name, (_, names) in WITHOUT_ANSWER.items():
-            yield Case(name, setting, NO_END_POSITION, partial(measure_trap, name), names=names)
+            yield Case(
+                name, setting, NO_END_POSITION, partial(measure_end_position, name), required_texts=names
+            )
         for name in WITH_ANSWER:
-            yield Case(name, setting, VELOCITY_BOUND, partial(measure_push, name))
+            yield Case(name, setting, VELOCITY_BOUND, partial(measure_end_velocity, name))
 
 
-def measure_trap(name: str, setting: Setting) -> Measurement:
-    """Measure the end position of the block, if the engine raises no error."""
-    run = setting.simulate(WITHOUT_ANSWER[name][0]())
+def measure_end_position(name: str, setting: Setting) -> Measurement:
+    """Measure the end position, m, of a scene of `WITHOUT_ANSWER`, if the engine raises no error."""
+    make_scene, _ = WITHOUT_ANSWER[name]
+    run = setting.simulate(make_scene())
     return Measurement(float(run.position[-1, 1, 0]))
 
 
-def measure_push(name: str, setting: Setting) -> Measurement:
-    """Measure the relative error of the velocity at the end."""
+def measure_end_velocity(name: str, setting: Setting) -> Measurement:
+    """Measure the relative error of the final velocity of a block of `WITH_ANSWER`."""
     force, mass = WITH_ANSWER[name]
     scene = replace(_pushed(force, mass), outputs=frozenset({"velocities"}))
     run = setting.simulate(scene)

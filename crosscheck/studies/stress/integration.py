@@ -1,4 +1,8 @@
-"""Stress cases (a) and (b): drift and energy of long runs, and the largest usable steps."""
+"""Stress cases (a) and (b): constraint drift and energy error of long runs, and the largest usable steps.
+
+Topic (a) runs scenes for up to 10,000 s. Topic (b) searches for the largest step, or the loosest tolerance of
+adaptive integrators, whose motion is still usable.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +16,17 @@ from crosscheck.library import load
 from crosscheck.studies.bisection import smallest
 from crosscheck.studies.stress.cases import ENERGY_BOUND, Bound, Case, Measurement
 from crosscheck.studies.stress.runs import (
-    COMBINATIONS,
-    TIGHT,
+    REFERENCE_SETTING,
+    STABILIZED_SETTINGS,
     Setting,
-    balance,
-    distance,
-    formulations,
+    balance_of,
+    both_formulations,
+    largest_distance,
     largest_drift,
-    lasting,
-    mujoco,
-    newton_euler,
-    pinocchio,
+    mujoco_setting,
+    newton_euler_setting,
+    pinocchio_setting,
+    with_duration,
 )
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
@@ -34,36 +38,38 @@ from newton_euler.scalars import Array
 # (a) Long runs: energy error, drift, and the part of the error that is accumulated round-off
 
 LONG_RUN_OUTPUTS = 200
+"""Number of output periods of a long run."""
 
 LAST_DIGIT = 4.0 * np.finfo(float).eps
-"""Relative change of a start after which all results are rounded differently."""
+"""Relative change of an initial state that changes the rounding of all results."""
 
 DRIFT_BOUND = Bound("drift", "m or rad", 1e-6, 1e-4, "a thousandth of a millimeter on a machine of 0.1 m")
+"""Bound on the largest constraint violation in a long run."""
 
 LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
     "pendulum": (
         20.0,
         {
             1e4: (
-                *COMBINATIONS,
-                newton_euler(integrator="Radau", rtol=1e-6, atol=1e-8),
-                newton_euler(integrator="RK4", step=1e-2),
-                newton_euler(integrator="Euler", step=1e-3),
-                *(mujoco(integrator, 1e-2) for integrator in ("RK4", "Euler", "implicitfast")),
+                *STABILIZED_SETTINGS,
+                newton_euler_setting(integrator="Radau", rtol=1e-6, atol=1e-8),
+                newton_euler_setting(integrator="RK4", step=1e-2),
+                newton_euler_setting(integrator="Euler", step=1e-3),
+                *(mujoco_setting(integrator, 1e-2) for integrator in ("RK4", "Euler", "implicitfast")),
             ),
-            1e3: (mujoco("RK4", 1e-3),),
-            100.0: (pinocchio(),),
+            1e3: (mujoco_setting("RK4", 1e-3),),
+            100.0: (pinocchio_setting(),),
         },
     ),
     "four_bar": (
         20.0,
         {
-            1e3: (newton_euler("relative"), mujoco("implicitfast", 2e-3)),
-            200.0: (newton_euler("cartesian"), mujoco("RK4", 2e-3)),
+            1e3: (newton_euler_setting("relative"), mujoco_setting("implicitfast", 2e-3)),
+            200.0: (newton_euler_setting("cartesian"), mujoco_setting("RK4", 2e-3)),
             10.0: (
-                *(newton_euler(form, how) for how in ("baumgarte", "none") for form in FORMULATIONS),
-                pinocchio(),
-                pinocchio(stabilization="projection"),
+                *(newton_euler_setting(form, how) for how in ("baumgarte", "none") for form in FORMULATIONS),
+                pinocchio_setting(),
+                pinocchio_setting(stabilization="projection"),
             ),
         },
     ),
@@ -71,89 +77,113 @@ LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
         40.0,
         {
             3600.0: (
-                *COMBINATIONS,
-                newton_euler(integrator="Radau", rtol=1e-8, atol=1e-10),
-                newton_euler(integrator="RK4", step=1e-2),
-                mujoco("RK4", 1e-2),
-                mujoco("implicitfast", 1e-2),
+                *STABILIZED_SETTINGS,
+                newton_euler_setting(integrator="Radau", rtol=1e-8, atol=1e-10),
+                newton_euler_setting(integrator="RK4", step=1e-2),
+                mujoco_setting("RK4", 1e-2),
+                mujoco_setting("implicitfast", 1e-2),
             ),
-            60.0: (pinocchio(),),
+            60.0: (pinocchio_setting(),),
         },
     ),
 }
-"""Ratio of durations of the full and the short form, and settings by full duration (s), of each scene.
+"""Long runs of each scene: a factor, and settings by the duration, s, of the full form.
 
-Runs of the tracker can be much shorter: it comes to rest, and its errors do not grow.
+The short form divides durations by the factor. Runs of the tracker can be much shorter: it comes to rest, and
+its errors do not grow.
 """
 
-TIGHT_RUN_DURATIONS = {"pendulum": 1e4, "four_bar": 1e3}
-"""s, durations of runs at the tightest tolerance."""
+REFERENCE_RUN_DURATIONS = {"pendulum": 1e4, "four_bar": 1e3}
+"""Durations, s, of runs with `REFERENCE_SETTING`, by scene."""
 
 
-def long_runs(full: bool) -> Iterator[Case]:
-    """Yield the cases of (a)."""
+def long_run_cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of topic (a), all of them or (unless `full`) the short form."""
     for scene, (shorter, runs) in LONG_RUNS.items():
         for duration, settings in runs.items():
             for setting in settings:
-                # MuJoCo would call Python at every step to integrate the work of control
-                works = scene != "tracker" or setting.engine != "mujoco"
-                bound = ENERGY_BOUND if works else DRIFT_BOUND
+                # The energy error needs the work of controllers. To integrate this work, MuJoCo would call
+                # Python at every step, so only the drift is measured.
+                measures_drift = scene == "tracker" and setting.engine == "mujoco"
+                bound = DRIFT_BOUND if measures_drift else ENERGY_BOUND
                 yield _long_run(scene, setting, duration, 1.0 if full else shorter, bound)
-    for scene, duration in TIGHT_RUN_DURATIONS.items():
-        each = duration / 1000.0
+    for scene, duration in REFERENCE_RUN_DURATIONS.items():
+        thousands = duration / 1000.0
         reason = "1e-11 per thousand seconds, the error expected at tolerances of 1e-13"
-        bound = replace(ENERGY_BOUND, survives=1e-11 * each, degrades=1e-9 * each, reason=reason)
-        yield _long_run(scene, TIGHT, duration, 1.0 if full else LONG_RUNS[scene][0], bound)
+        bound = replace(ENERGY_BOUND, survives=1e-11 * thousands, degrades=1e-9 * thousands, reason=reason)
+        yield _long_run(scene, REFERENCE_SETTING, duration, 1.0 if full else LONG_RUNS[scene][0], bound)
 
 
 def _long_run(scene: str, setting: Setting, duration: float, shorter: float, bound: Bound) -> Case:
+    """Return the case of a long run, which measures the drift or the energy error.
+
+    Args:
+        scene: name of the scene.
+        setting: engine and options.
+        duration: duration of the full form, s.
+        shorter: factor by which the run is shorter; 1 for the full form.
+        bound: bound on the value; it selects what is measured.
+    """
     measure = measure_drift if bound is DRIFT_BOUND else measure_energy
     limit = 10.0 if shorter > 1.0 else 150.0 if duration >= 1e3 else 40.0
     time = duration / shorter
-    return Case(f"{scene}, {time:g} s", setting, bound, partial(measure, scene, time), limit=limit)
+    return Case(f"{scene}, {time:g} s", setting, bound, partial(measure, scene, time), time_limit=limit)
 
 
 def measure_energy(name: str, duration: float, setting: Setting) -> Measurement:
-    """Measure the largest energy error; note its growth, the accumulated round-off, and the drift.
+    """Measure the largest energy error of a long run, relative to the energy that the motion exchanges.
 
-    The accumulated round-off is the change of the error if the start differs in its last digits. The run then
-    has the same truncation errors (except at steps that round-off decides to reject) and other rounding
-    errors. If the error exceeds `ENERGY_BOUND`, the error is not round-off.
+    The note has the growth of the error, the accumulated round-off, and the constraint drift.
+
+    The accumulated round-off is measured by a second run whose initial state differs in its last digits. Both
+    runs have the same truncation errors (except at steps that round-off decides to reject) and different
+    rounding errors, so that the difference of their energy errors is round-off. An error above `ENERGY_BOUND`
+    is no round-off, and there is no second run.
+
+    Args:
+        name: name of the scene.
+        duration: duration of the run, s.
+        setting: engine and options.
     """
-    scene = lasting(load(name), duration, LONG_RUN_OUTPUTS, "violation", "energy", "velocities")
+    scene = with_duration(load(name), duration, LONG_RUN_OUTPUTS, "violation", "energy", "velocities")
     run = setting.simulate(scene)
-    found = balance(scene, run)
-    unit = max(found.exchanged, _exchanged(name))
-    errors = np.abs(found.residual) / unit
-    grows = growth(scene.times, np.maximum.accumulate(errors))
-    note = f"drift {largest_drift(run):.1e} m or rad; {grows}"
+    found = balance_of(scene, run)
+    exchanged = max(found.exchanged, _exchanged_energy(name))
+    errors = np.abs(found.residual) / exchanged
+    growth_text = growth(scene.times, np.maximum.accumulate(errors))
+    note = f"drift {largest_drift(run):.1e} m or rad; {growth_text}"
     if np.max(errors) < ENERGY_BOUND.survives:
-        other = off_in_the_last_digit(scene)
-        residual = balance(other, setting.simulate(other)).residual
-        rounding = float(np.max(np.abs(residual - found.residual))) / unit
+        other = with_changed_last_digit(scene)
+        residual = balance_of(other, setting.simulate(other)).residual
+        rounding = float(np.max(np.abs(residual - found.residual))) / exchanged
         note = f"accumulated round-off {rounding:.1e}; {note}"
     return Measurement(float(np.max(errors)), note)
 
 
-def off_in_the_last_digit(scene: Scene) -> Scene:
-    """Return the scene with gravity and initial state multiplied by 1 + `LAST_DIGIT`."""
-    more, state = 1.0 + LAST_DIGIT, initial_state(scene)
+def with_changed_last_digit(scene: Scene) -> Scene:
+    """Return the scene with gravity, initial positions and velocities multiplied by 1 + `LAST_DIGIT`."""
+    factor, state = 1.0 + LAST_DIGIT, initial_state(scene)
     names = ("position", "linear_velocity", "angular_velocity")
-    state = replace(state, **{name: more * getattr(state, name) for name in names})
-    return replace(scene, gravity=more * scene.gravity, initial_state=state)
+    state = replace(state, **{name: factor * getattr(state, name) for name in names})
+    return replace(scene, gravity=factor * scene.gravity, initial_state=state)
 
 
 @lru_cache
-def _exchanged(name: str) -> float:
-    """Return the energy, J, that the scene exchanges in its first seconds; long runs have too few outputs for
-    it."""
+def _exchanged_energy(name: str) -> float:
+    """Return the energy, J, that the motion of a library scene exchanges in the scene's usual duration.
+
+    The outputs of a long run are too far apart to find this energy.
+    """
     scene = load(name)
-    return balance(scene, newton_euler().simulate(scene)).exchanged
+    return balance_of(scene, newton_euler_setting().simulate(scene)).exchanged
 
 
 def measure_drift(name: str, duration: float, setting: Setting) -> Measurement:
-    """Measure the largest drift; note its growth."""
-    scene = lasting(load(name), duration, LONG_RUN_OUTPUTS, "violation")
+    """Measure the largest constraint violation of a long run, m or rad; note its growth.
+
+    Arguments are as for `measure_energy`.
+    """
+    scene = with_duration(load(name), duration, LONG_RUN_OUTPUTS, "violation")
     run = setting.simulate(scene)
     assert run.constraint_violation is not None
     drift = np.max(run.constraint_violation, axis=1)
@@ -161,7 +191,14 @@ def measure_drift(name: str, duration: float, setting: Setting) -> Measurement:
 
 
 def growth(times: Array, envelope: Array) -> str:
-    """Report the power of time with which an envelope (n,) of errors grows after the first tenth of a run."""
+    """Fit the growth of errors with time, and format it, as "grows like t^0.50" or "does not grow".
+
+    The first tenth of the run is ignored.
+
+    Args:
+        times: output times (n,), s.
+        envelope: largest error (n,) from the start until each time.
+    """
     late = (times > 0.1 * times[-1]) & (envelope > 0.0)
     if np.count_nonzero(late) < 3 or envelope[late][-1] < 1.2 * envelope[late][0]:
         return "does not grow"
@@ -178,60 +215,79 @@ MAX_STEPS_PER_OUTPUT = 20_000
 """Largest number of fixed steps between two outputs; shorter steps are impractical for seconds of motion."""
 
 STEP_BOUND = Bound(
-    "largest step", "s", 1e-3, 1e-4, "MuJoCo's usual step is 2 ms; a tenth of that costs too much", True
+    "largest step",
+    "s",
+    1e-3,
+    1e-4,
+    "MuJoCo's usual step is 2 ms; a tenth of that costs too much",
+    at_least=True,
 )
+"""Bound on the largest usable fixed step."""
+
 TOLERANCE_BOUND = Bound(
-    "loosest rtol", "", 1e-4, 1e-7, "scipy's default is 1e-3; a tenth of that should be enough", True
+    "loosest rtol", "", 1e-4, 1e-7, "scipy's default is 1e-3; a tenth of that should be enough", at_least=True
 )
+"""Bound on the loosest usable tolerance of adaptive integrators."""
 
 ADAPTIVE = ("DOP853", "Radau")
+"""Integrators that choose their steps by a tolerance."""
 
 STEP_DURATIONS = {"tracker": 5.0, "pendulum": 10.0}
-"""s, durations of the runs by scene."""
+"""Durations of runs, s, by scene."""
 
 
-def largest_steps(full: bool) -> Iterator[Case]:
-    """Yield the cases of (b). The short form has the tracker only."""
-    stepped = [setting for integrator in ("RK4", "Euler") for setting in formulations(integrator=integrator)]
+def step_size_cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of topic (b), all of them or (unless `full`) those of the tracker."""
+    stepped = [
+        setting for integrator in ("RK4", "Euler") for setting in both_formulations(integrator=integrator)
+    ]
     stepped += [Setting("mujoco", {"integrator": i}) for i in ("RK4", "Euler", "implicit", "implicitfast")]
-    stepped += [pinocchio(integrator=i) for i in ("RK4", "Euler")]
-    adaptive = [setting for integrator in ADAPTIVE for setting in formulations(integrator=integrator)]
+    stepped += [pinocchio_setting(integrator=i) for i in ("RK4", "Euler")]
+    adaptive = [setting for integrator in ADAPTIVE for setting in both_formulations(integrator=integrator)]
     if not full:
         adaptive.pop()  # Radau in Cartesian coordinates compiles for half a minute
-    adaptive += [pinocchio(integrator=i) for i in ADAPTIVE]
+    adaptive += [pinocchio_setting(integrator=i) for i in ADAPTIVE]
     for scene, duration in STEP_DURATIONS.items() if full else [("tracker", STEP_DURATIONS["tracker"])]:
         for bound, settings in ((STEP_BOUND, stepped), (TOLERANCE_BOUND, adaptive)):
             for setting in settings:
                 name = f"{scene}, {duration:g} s within {USABLE_ERROR:.0%}"
-                yield Case(name, setting, bound, partial(measure_largest, scene), limit=100.0)
+                yield Case(name, setting, bound, partial(measure_largest, scene), time_limit=100.0)
 
 
 @lru_cache
 def _reference(name: str) -> tuple[Scene, Trajectory]:
-    scene = lasting(load(name), STEP_DURATIONS[name], 10)
-    return scene, TIGHT.simulate(scene)
+    """Return a scene of `STEP_DURATIONS` with ten outputs, and its reference run."""
+    scene = with_duration(load(name), STEP_DURATIONS[name], 10)
+    return scene, REFERENCE_SETTING.simulate(scene)
 
 
 def measure_largest(name: str, setting: Setting) -> Measurement:
-    """Find the largest usable step (s), or relative tolerance of an adaptive method, by bisection."""
+    """Find the largest usable step, s, or the loosest relative tolerance of an adaptive method, by bisection.
+
+    Args:
+        name: name of the scene.
+        setting: engine, and options with the integrator but without a step or tolerance.
+    """
     scene, reference = _reference(name)
     adaptive = setting.options["integrator"] in ADAPTIVE
 
-    def size(n: int) -> float:
-        """Return candidate n: ten tolerances per decade, or n steps from one output to the next."""
+    def candidate(n: int) -> float:
+        """Return the step, s, of n steps per output period; or tolerance n, of ten tolerances per decade."""
         return float(10.0 ** (-n / 10.0)) if adaptive else scene.output_period / n
 
     def succeeds(n: int) -> bool:
-        tried = {"timestep" if setting.engine == "mujoco" else "step": size(n)}
+        """Return True if the run with candidate n is usable."""
+        tried = {"timestep" if setting.engine == "mujoco" else "step": candidate(n)}
         if adaptive:
-            tried = {"rtol": size(n), "atol": 1e-2 * size(n)}
+            tried = {"rtol": candidate(n), "atol": 1e-2 * candidate(n)}
         try:
             run = replace(setting, options={**setting.options, **tried}).simulate(scene)
         except (NewtonEulerError, np.linalg.LinAlgError):
             return False
-        return distance(run, reference) < USABLE_ERROR * scene.mechanism.size
+        return largest_distance(run, reference) < USABLE_ERROR * scene.mechanism.size
 
+    # 120 tolerances: from 1 to 1e-12
     n = smallest(succeeds, 120 if adaptive else MAX_STEPS_PER_OUTPUT)
     if n is None:
         return Measurement(float("nan"), "no candidate is small enough")
-    return Measurement(size(n), "the largest candidate" if n == 1 else "")
+    return Measurement(candidate(n), "the largest candidate" if n == 1 else "")

@@ -1,8 +1,9 @@
 """Stress cases (j): equations of motion of all engines for random mechanisms at random consistent states.
 
-Each engine's rigid equations are compared with newton_euler's joint coordinates in the same way as by
-`crosscheck run`: by the levels of equations, with tolerances of round-off times the condition number. For
-some mechanisms native code is compared with its float form.
+A consistent state satisfies all constraints. At each state the equations of an engine are compared with
+newton_euler's equations in joint coordinates, as `crosscheck run` does: masses, kinematics, accelerations and
+reactions, with tolerances of round-off times the condition number. For some mechanisms, newton_euler's
+compiled (native) code is compared with the same equations evaluated in Python.
 """
 
 from __future__ import annotations
@@ -30,17 +31,19 @@ from newton_euler.model.scene import Scene
 from newton_euler.runs.assemble import initial_state
 
 NATIVE_TOLERANCE = 1e-8
-"""Tolerance of native code relative to the largest acceleration.
+"""Tolerance of accelerations from native code, relative to the largest acceleration.
 
-Native code and float form evaluate the same equations in another order, at condition numbers up to 1e7.
+Native code evaluates the equations in another order than Python, at condition numbers up to 1e7.
 """
 
 COMPILED_EVERY = 50
-"""One of so many mechanisms is compiled; compilation takes ten times as long as the rest."""
+"""Every 50th mechanism is compiled to native code; compilation takes ten times as long as the comparison."""
 
 MECHANISMS_PER_CASE = 20
+"""Number of mechanisms in one case."""
 
-MECHANISM_SEED = 0
+RANDOM_SEED = 0
+"""Seed of the random mechanisms, see `random_scene`."""
 
 TOLERANCE_RATIO = Bound(
     "value divided by its tolerance",
@@ -49,83 +52,103 @@ TOLERANCE_RATIO = Bound(
     1.0,
     "tolerances of `crosscheck run`: round-off times the condition of the mechanism",
 )
+"""Bound on the worst value of a mechanism, in units of its tolerance."""
 
 COMPARED_SYSTEMS = (
     Setting("newton_euler", {"formulation": "cartesian"}),
     Setting("pinocchio", {"equations": "constraintDynamics"}),
     Setting("mujoco", {"equations": "rigid constraints"}),
 )
-"""Systems that are compared with newton_euler's joint coordinates."""
+"""Equations that are compared with newton_euler's equations in joint coordinates."""
 
 NATIVE_SETTINGS = tuple(
     Setting("newton_euler", {"formulation": name, "code": "native"}) for name in FORMULATIONS
 )
+"""Native code of both formulations of newton_euler, compared with the equations evaluated in Python."""
 
 
 def cases(full: bool) -> Iterator[Case]:
-    """Yield the cases of (j)."""
+    """Yield the cases of topic (j): 1000 mechanisms, or (unless `full`) 40 mechanisms."""
     count = 1000 if full else 40
     for start in range(0, count, MECHANISMS_PER_CASE):
         numbers = range(start, start + MECHANISMS_PER_CASE)
         for setting in COMPARED_SYSTEMS:
             name = f"random mechanisms {start} to {start + MECHANISMS_PER_CASE - 1}"
-            yield Case(name, setting, TOLERANCE_RATIO, partial(measure, MECHANISM_SEED, numbers), limit=60.0)
+            yield Case(
+                name, setting, TOLERANCE_RATIO, partial(measure, RANDOM_SEED, numbers), time_limit=60.0
+            )
     numbers = range(0, count, COMPILED_EVERY)
     for setting in NATIVE_SETTINGS:
         name = f"random mechanisms 0 to {numbers[-1]}, every {COMPILED_EVERY}th"
-        yield Case(name, setting, TOLERANCE_RATIO, partial(measure, MECHANISM_SEED, numbers), limit=100.0)
+        yield Case(name, setting, TOLERANCE_RATIO, partial(measure, RANDOM_SEED, numbers), time_limit=100.0)
 
 
-class Worst(NamedTuple):
-    """Worst check of a mechanism.
+class WorstCheck(NamedTuple):
+    """Worst of all checks of one mechanism.
 
     Attributes:
-        share: value divided by its tolerance; infinite if the system failed.
-        reason: description of the check, or the error.
+        ratio: value of the check divided by its tolerance; infinite if the engine raised an error.
+        reason: description of the check, or the error message.
     """
 
-    share: float
+    ratio: float
     reason: str
 
 
 def measure(seed: int, numbers: Sequence[int], setting: Setting) -> Measurement:
-    """Compare a system with newton_euler on random mechanisms; measure the worst value by tolerance."""
+    """Compare the equations of an engine with newton_euler's for several random mechanisms.
+
+    The measured value is the largest ratio of a value to its tolerance.
+
+    Args:
+        seed: seed of the mechanisms.
+        numbers: numbers of the mechanisms, see `random_scene`.
+        setting: one of `COMPARED_SYSTEMS` or `NATIVE_SETTINGS`.
+    """
     found = {}
     for number in numbers:
-        worst = compare(_scene(seed, number), setting)
+        worst = compare_on_mechanism(_scene(seed, number), setting)
         if worst is not None:
             found[f"random_scene({seed}, {number})"] = worst
-    agree = sum(worst.share <= 1.0 for worst in found.values())
-    name, worst = max(found.items(), key=lambda item: item[1].share)
-    return Measurement(worst.share, f"{agree} of {len(found)} agree; worst: {name}, {worst.reason}")
+    agree = sum(worst.ratio <= 1.0 for worst in found.values())
+    name, worst = max(found.items(), key=lambda item: item[1].ratio)
+    return Measurement(worst.ratio, f"{agree} of {len(found)} agree; worst: {name}, {worst.reason}")
 
 
 @lru_cache(maxsize=2 * MECHANISMS_PER_CASE)
 def _scene(seed: int, number: int) -> Scene:
+    """Return a random scene; the cache keeps it for the next engine."""
     return random_scene(seed, number)
 
 
-def compare(scene: Scene, setting: Setting) -> Worst | None:
-    """Compare one system on one mechanism; None if native code falls back to its float form."""
+def compare_on_mechanism(scene: Scene, setting: Setting) -> WorstCheck | None:
+    """Compare the equations of an engine with newton_euler's for one mechanism; return the worst check.
+
+    None if native code cannot evaluate the state and leaves it to Python.
+    """
     if "code" in setting.options:
-        off = native_difference(scene, setting.options["formulation"])
-        return None if off is None else Worst(off / NATIVE_TOLERANCE, f"acceleration, rel {off:.1e}")
+        error = native_code_difference(scene, setting.options["formulation"])
+        if error is None:
+            return None
+        return WorstCheck(error / NATIVE_TOLERANCE, f"acceleration, rel {error:.1e}")
     states = States(scene, (initial_state(scene),))
     try:
         pair = [Samples(Relative(scene), states)], [Samples(_system(setting.engine, scene), states)]
         rows = [row for row in compare_pair(("relative", setting.engine), *pair) if row.judged]
     except (NewtonEulerError, CrosscheckError, np.linalg.LinAlgError) as error:
-        return Worst(np.inf, str(error))
-    worst = max(rows, key=_share)
-    return Worst(_share(worst), f"{worst.level}: {worst.quantity} {worst.value:.1e}")
+        return WorstCheck(np.inf, str(error))
+    worst = max(rows, key=_tolerance_ratio)
+    return WorstCheck(_tolerance_ratio(worst), f"{worst.level}: {worst.quantity} {worst.value:.1e}")
 
 
-def _share(row: Check) -> float:
-    share = row.value / row.tolerance
-    return np.inf if np.isnan(share) else share
+def _tolerance_ratio(row: Check) -> float:
+    """Return the value of a check divided by its tolerance; infinity for NaN."""
+    ratio = row.value / row.tolerance
+    return np.inf if np.isnan(ratio) else ratio
 
 
 def _system(engine: str, scene: Scene) -> System:
+    """Return the equations of motion of a scene by an engine; newton_euler's in Cartesian coordinates."""
     from mjcf.rigid import RigidMuJoCo
     from urdf.dynamics import PinocchioSystem
 
@@ -134,16 +157,23 @@ def _system(engine: str, scene: Scene) -> System:
     return system
 
 
-def native_difference(scene: Scene, formulation: str) -> float | None:
-    """Return the relative difference of native and float accelerations; None if native code falls back to
-    those."""
+def native_code_difference(scene: Scene, formulation: str) -> float | None:
+    """Return the relative difference of accelerations between native code and Python at the initial state.
+
+    None if the elimination without pivoting fails in native code at this state. Runs then use Python there.
+
+    Args:
+        scene: the scene.
+        formulation: "relative" or "cartesian".
+    """
     code = CompiledEquations(scene, formulation)
     system = code.system
     x = code.packed(*system.coordinates(initial_state(scene)))
-    found = code.function("derivative")(x)
-    if not found[-1] > 0.0:
+    # native code returns dq/dt, dv/dt, and the smallest relative pivot of the elimination
+    *derivatives, pivot_ratio = code.function("derivative")(x)
+    if not pivot_ratio > 0.0:
         return None
     units, size = system.velocity_units, scene.mechanism.size
-    wanted = system.acceleration(x[: system.nq], x[system.nq : code.size]) / units
-    scale = max(float(np.max(np.abs(wanted))), STANDARD_GRAVITY / size)
-    return float(np.max(np.abs(found[system.nq : -1] / units - wanted))) / scale
+    exact = system.acceleration(x[: system.nq], x[system.nq : code.size]) / units
+    scale = max(float(np.max(np.abs(exact))), STANDARD_GRAVITY / size)
+    return float(np.max(np.abs(derivatives[system.nq :] / units - exact))) / scale

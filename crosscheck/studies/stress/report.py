@@ -1,4 +1,8 @@
-"""Report of a stress test: numbers of cases that each engine passes, and the cases that do not pass."""
+"""Report of a stress test: numbers of cases that each engine passes, and the cases that do not pass.
+
+Results of cases go in. A report for the terminal, `stress.json` and `stress.md` come out. A row of a table is
+a topic or a case, a column is an engine.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +22,29 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
-from crosscheck.studies.stress.cases import PROCESSES, Row
+from crosscheck.studies.stress.cases import PROCESSES, CaseResult
 from crosscheck.studies.stress.topics import TOPICS
 from crosscheck.support.files import write_files
 from crosscheck.support.versions import versions
 
 STRESS_FILES = ("stress.json", "stress.md")
+"""Names of the files that `write` writes."""
 
-FIRST_COLUMN, LAST_COLUMN = "newton_euler", "all"
-"""Engines of the first and the last column; "all" has the cases that do not depend on the engine."""
+FIRST_COLUMN = "newton_euler"
+"""Engine of the first column of tables."""
+
+LAST_COLUMN = "all"
+"""Heading of the last column of tables, for cases that do not depend on the engine."""
 
 
-def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
-    """Make the report: numbers of passed cases by engine, and (with `-v`) the other cases by topic."""
+def report(rows: Sequence[CaseResult], full: bool, wall_time: float) -> Report:
+    """Make the report: numbers of passed cases by engine, and the cases that do not pass, by topic.
+
+    Args:
+        rows: results of all cases.
+        full: True if all cases ran, False for the short form.
+        wall_time: duration of the test, s.
+    """
     form = "full" if full else "ci"
     made_with = ", ".join(f"{name} {number}" for name, number in versions().items())
     preface = (
@@ -51,15 +65,15 @@ def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
     return Report("Stress", f"{passes} of {len(rows)} cases pass", Cell(""), parts, wall_time)
 
 
-def _bound(row: Row) -> str:
-    """Format a bound with its reason."""
+def _bound(row: CaseResult) -> str:
+    """Format the bound of a case with its reason."""
     bound = row.case.bound
     what = f"{bound.quantity} {bound}" if bound.has_answer else "cases without an answer"
     return f"{what}: {bound.reason}"
 
 
-def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
-    """Tabulate cases with a row for each case that does not pass in every engine, and one for all others."""
+def _cases(title: str, rows: Sequence[CaseResult], engines: Sequence[str]) -> Table:
+    """Tabulate cases: a row for each case that does not pass in every engine, and one row for the others."""
     heads = [*text_columns("case"), *number_columns(*engines), Column("not passed", below=True)]
     cells: Rows = []
     lost = dict.fromkeys(row.case.name for row in rows if not row.passes)
@@ -73,25 +87,26 @@ def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
     return Table(title, heads, cells, folded=True)
 
 
-def _failure_text(row: Row) -> str:
-    """Report a case that does not pass: engine, setting, verdict and value."""
+def _failure_text(row: CaseResult) -> str:
+    """Format engine, setting, verdict and value of a case that does not pass."""
     setting, value = row.case.setting, "" if row.value is None else f" {row.value:.1e}"
     return f"{setting.engine}, {setting}: {row.verdict}{value}"
 
 
-def _passes(rows: Sequence[Row], engine: str) -> str:
+def _passes(rows: Sequence[CaseResult], engine: str) -> str:
     """Format the number of cases of an engine that pass; empty if the engine has no case."""
     passes = [row.passes for row in rows if row.case.setting.engine == engine]
     return f"{sum(passes)} of {len(passes)}" if passes else ""
 
 
-def _engines(rows: Sequence[Row]) -> list[str]:
+def _engines(rows: Sequence[CaseResult]) -> list[str]:
+    """List the engines of the cases in the order of columns: newton_euler, others by name, "all"."""
     found = {row.case.setting.engine for row in rows}
     return sorted(found, key=lambda name: (name == LAST_COLUMN, name != FIRST_COLUMN, name))
 
 
-def counts(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
-    """Return the numbers of passed cases by topic and engine, as "3 of 4"."""
+def counts(rows: Sequence[CaseResult]) -> dict[str, dict[str, str]]:
+    """Return texts such as "3 of 4" (number of passed cases) by title of the topic and by engine."""
     table = {}
     for letter, (topic, _) in TOPICS.items():
         of_topic = [row for row in rows if row.case.topic == letter]
@@ -100,15 +115,22 @@ def counts(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
     return table
 
 
-def _summary(rows: Sequence[Row]) -> Table:
+def _summary(rows: Sequence[CaseResult]) -> Table:
+    """Tabulate the numbers of passed cases: a row for each topic, a column for each engine."""
     found = counts(rows)
     engines = [Column(engine, numeric=True) for engine in next(iter(found.values()), {})]
     lines: Rows = [[topic, *cells.values()] for topic, cells in found.items()]
     return Table("passed cases", [Column(""), *engines], lines)
 
 
-def write(rows: Sequence[Row], found: Report, full: bool, folder: Path) -> list[Path]:
-    """Write stress.json and stress.md into a folder.
+def write(rows: Sequence[CaseResult], found: Report, full: bool, folder: Path) -> list[Path]:
+    """Write stress.json and stress.md into a folder; return their paths.
+
+    Args:
+        rows: results of all cases.
+        found: the report of these results.
+        full: as for `report`.
+        folder: folder of the files.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.

@@ -1,4 +1,8 @@
-"""Stress cases (i): rotation through pi and 2 pi, by many turns, and at high speeds."""
+"""Stress cases (i): rotation by half a turn, whole turns and many turns, and rotation at high speeds.
+
+Free symmetric tops are compared with their closed form, a hinge under PD control with the exact torque, and
+the heavy top of the scene library with published values.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +13,22 @@ import numpy as np
 
 from crosscheck.library import REFERENCE_QUANTITIES, load
 from crosscheck.library.references import reference_values
-from crosscheck.studies.stress.cases import ANGLE_BOUND, ENERGY_BOUND, Bound, Case, Measurement, of_run
+from crosscheck.studies.stress.cases import (
+    ANGLE_BOUND,
+    ENERGY_BOUND,
+    Bound,
+    Case,
+    Measurement,
+    simulate_and_measure,
+)
 from crosscheck.studies.stress.runs import (
-    COMBINATIONS,
-    ONE_EACH,
-    TIGHT,
+    REFERENCE_SETTING,
+    STABILIZED_SETTINGS,
+    TYPICAL_SETTINGS,
     Setting,
-    mujoco,
-    newton_euler,
-    pinocchio,
+    mujoco_setting,
+    newton_euler_setting,
+    pinocchio_setting,
     symmetric_top,
     top_error,
 )
@@ -29,71 +40,107 @@ from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.trajectory import Trajectory
 
 SPIN_DIRECTION = np.array([0.3, -0.7, 1.1]) / np.linalg.norm([0.3, -0.7, 1.1])
+"""Direction (3,) of the initial angular velocity of free tops, in no symmetry plane."""
 
 SPIN_SPEEDS = (1.0, 1e2, 1e3, 1e4)
-"""rad/s, angular speeds of free tops, for 1 s."""
+"""Angular speeds of free tops, rad/s, for 1 s."""
 
 HINGE_TURNS = (0.499, 0.5, 0.501, 1.0, 10.0, 1e3)
+"""Numbers of turns by which PD control rotates a hinge; orientations at half a turn are ambiguous."""
 
 TORQUE_BOUND = Bound(
     "torque error", "rel", 1e-6, 1e-2, "1e-6 is invisible in a plot; a miscounted turn gives far more"
 )
+"""Bound on the error of the actuator torque of the driven hinge."""
+
 REFERENCE_BOUND = Bound("largest error", "SI", 1e-6, 1e-2, "1e-6 is invisible in a plot; 1 % is visible")
+"""Bound on the error of the heavy top's reference values."""
 
 FIXED_STEP_SETTINGS: tuple[Setting, ...] = (
-    *(newton_euler(form, integrator="Euler", step=step) for form in FORMULATIONS for step in (1e-3, 1e-4)),
-    newton_euler("relative", integrator="RK4", step=1e-3),
-    newton_euler("cartesian", integrator="RK4", step=1e-3),
-    mujoco("Euler"),
-    mujoco("implicitfast"),
-    mujoco("RK4"),
+    *(
+        newton_euler_setting(form, integrator="Euler", step=step)
+        for form in FORMULATIONS
+        for step in (1e-3, 1e-4)
+    ),
+    newton_euler_setting("relative", integrator="RK4", step=1e-3),
+    newton_euler_setting("cartesian", integrator="RK4", step=1e-3),
+    mujoco_setting("Euler"),
+    mujoco_setting("implicitfast"),
+    mujoco_setting("RK4"),
 )
 """Fixed steps of 0.1 or 0.01 rad at `FIXED_STEP_SPEED`."""
 
 FIXED_STEP_SPEED = 100.0
-"""rad/s."""
+"""Angular speed of the tops that are simulated with fixed steps, rad/s."""
 
 HINGE_STIFFNESS, HINGE_DAMPING = 100.0, 20.0
-"""N m/rad and N m s/rad, critical damping of 1 kg m^2: x = X (1 - (1 + 10 t) exp(-10 t))."""
+"""PD gains of the driven hinge, N m/rad and N m s/rad. A moment of inertia of 1 kg m^2 is critically damped:
+its angle is x(t) = X (1 - (1 + 10 t) exp(-10 t)) for the target X."""
 
 
 def cases(full: bool) -> Iterator[Case]:
-    """Yield the cases of (i)."""
-    tops = (*COMBINATIONS, newton_euler(integrator="Radau", rtol=1e-8, atol=1e-10)) if full else ONE_EACH[:2]
+    """Yield the cases of topic (i), all of them or (unless `full`) the short form."""
+    # Free tops, against the closed form
+    tops = (
+        (*STABILIZED_SETTINGS, newton_euler_setting(integrator="Radau", rtol=1e-8, atol=1e-10))
+        if full
+        else TYPICAL_SETTINGS[:2]
+    )
     slow = 0.1 if full else 0.02
     for speed in SPIN_SPEEDS if full else SPIN_SPEEDS[::3]:
-        quick = (mujoco("RK4", 0.1 / speed),) if speed > 100.0 else ()
-        for setting in (*tops, mujoco(), *quick, pinocchio()):
+        quick = (mujoco_setting("RK4", 0.1 / speed),) if speed > 100.0 else ()
+        for setting in (*tops, mujoco_setting(), *quick, pinocchio_setting()):
             duration = slow if setting.engine == "pinocchio" and speed > 1e3 else 1.0
             turns = speed * duration / (2.0 * np.pi)
             name = f"free symmetric top, {speed:g} rad/s, {turns:.3g} turns"
             yield Case(
-                name, setting, ANGLE_BOUND, partial(of_run, top(speed, duration), orientation), limit=40.0
+                name,
+                setting,
+                ANGLE_BOUND,
+                partial(simulate_and_measure, top(speed, duration), orientation),
+                time_limit=40.0,
             )
+    # Free tops with fixed steps: the kinetic energy should stay constant
     for setting in FIXED_STEP_SETTINGS:
         name = f"free symmetric top, {FIXED_STEP_SPEED:g} rad/s, 1 s, fixed steps"
-        yield Case(name, setting, ENERGY_BOUND, partial(of_run, top(FIXED_STEP_SPEED, 1.0), kinetic_energy))
+        yield Case(
+            name,
+            setting,
+            ENERGY_BOUND,
+            partial(simulate_and_measure, top(FIXED_STEP_SPEED, 1.0), kinetic_energy),
+        )
+    # A driven hinge, against the closed form of the torque
     for turns in HINGE_TURNS if full else HINGE_TURNS[1::2]:
-        for setting in ONE_EACH:
+        for setting in TYPICAL_SETTINGS:
             name = f"hinge turned {turns:g} times by PD, 3 s"
-            yield Case(name, setting, TORQUE_BOUND, partial(of_run, driven_hinge(turns), torque_of_hinge))
-    for setting in (*ONE_EACH, TIGHT):
-        measure = partial(of_run, load("heavy_top"), reference_error)
+            yield Case(
+                name,
+                setting,
+                TORQUE_BOUND,
+                partial(simulate_and_measure, driven_hinge(turns), torque_of_hinge),
+            )
+    # The heavy top, against published values
+    for setting in (*TYPICAL_SETTINGS, REFERENCE_SETTING):
+        measure = partial(simulate_and_measure, load("heavy_top"), reference_error)
         yield Case("heavy_top, 150 rad/s, reference values", setting, REFERENCE_BOUND, measure)
 
 
 def top(speed: float, duration: float) -> Scene:
-    """Return a free symmetric top with moments of inertia of 1 (axial) and 2 kg m^2 (transverse)."""
+    """Return the scene of a free symmetric top with an angular speed, rad/s, for `duration`, s.
+
+    The moments of inertia are 1 kg m^2 (axial) and 2 kg m^2 (transverse).
+    """
     return symmetric_top(1.0, 2.0, speed * SPIN_DIRECTION, duration)
 
 
 def orientation(scene: Scene, run: Trajectory) -> Measurement:
-    """Measure the error of the orientation relative to the closed form."""
+    """Measure the largest error of a free top's orientation, rad; note the number of steps."""
     return Measurement(top_error(scene, run), f"{run.settings['steps']} steps")
 
 
 def kinetic_energy(scene: Scene, run: Trajectory) -> Measurement:
-    """Measure the relative change of the kinetic energy, which is constant."""
+    """Measure the largest relative change of a free top's kinetic energy, which is constant in the exact
+    motion; note the orientation error."""
     energy = run.kinetic_energy
     assert energy is not None
     error = float(np.max(np.abs(energy / energy[0] - 1.0)))
@@ -101,7 +148,7 @@ def kinetic_energy(scene: Scene, run: Trajectory) -> Measurement:
 
 
 def driven_hinge(turns: float) -> Scene:
-    """Return a wheel of 1 kg m^2 on a hinge, driven from rest to a number of turns by PD control."""
+    """Return a wheel of 1 kg m^2 on a hinge; PD control drives it from rest by a number of turns, 3 s."""
     wheel = Body("wheel", 1.0, np.zeros(3), np.diag([0.6, 0.6, 1.0]))
     hinge = Revolute("hinge", "ground", "wheel", np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), actuated=True)
     law = PD("hinge", HINGE_STIFFNESS, HINGE_DAMPING, 2.0 * np.pi * turns)
@@ -112,22 +159,25 @@ def driven_hinge(turns: float) -> Scene:
 
 
 def torque_of_hinge(scene: Scene, run: Trajectory) -> float:
-    """Measure the error of the actuator torque, relative to the largest; it shows whether turns are
-    counted."""
+    """Measure the error of the driven hinge's torque relative to the largest torque.
+
+    An engine that does not count whole turns has a wrong hinge angle, and so a wrong torque.
+    """
     assert run.actuator_force is not None
     (law,) = scene.control
     assert isinstance(law, PD)
     assert isinstance(law.target, float)
     t = scene.times
+    # K_p (X - x) - K_d x' of the closed form at `HINGE_STIFFNESS`
     torque = law.target * np.exp(-10.0 * t) * (HINGE_STIFFNESS * (1.0 + 10.0 * t) - HINGE_DAMPING * 100.0 * t)
     return float(np.max(np.abs(run.actuator_force[:, 0] - torque))) / (HINGE_STIFFNESS * law.target)
 
 
 def reference_error(scene: Scene, run: Trajectory) -> Measurement:
-    """Measure the largest error of the heavy top's reference values, SI."""
+    """Measure the largest error of the heavy top's reference values, SI; note the quantity and the time."""
     errors = []
     for known in reference_values("heavy_top"):
         at = int(np.argmin(np.abs(run.time - known.time)))
-        off = abs(float(REFERENCE_QUANTITIES["heavy_top"][known.quantity](run)[at]) - known.value)
-        errors.append((off, f"{known.quantity} at t = {known.time:g} s"))
+        simulated = float(REFERENCE_QUANTITIES["heavy_top"][known.quantity](run)[at])
+        errors.append((abs(simulated - known.value), f"{known.quantity} at t = {known.time:g} s"))
     return Measurement(*max(errors))

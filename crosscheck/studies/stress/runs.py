@@ -1,4 +1,8 @@
-"""Settings of engines, scenes whose motion has a closed form, and errors of runs."""
+"""Helpers of all stress tests: engine settings, error measures of runs, and two exact reference motions.
+
+A setting is an engine with options of its simulation function. The reference motions, each computed
+independently of the engines, are those of a parallelogram linkage and of a free symmetric top.
+"""
 
 from __future__ import annotations
 
@@ -26,18 +30,23 @@ from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
 
 STANDARD_GRAVITY = 9.81
-"""m/s^2."""
+"""Acceleration of gravity, m/s^2, in the scenes of the stress tests."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """An engine and options of its `simulate`."""
+    """An engine, and options of its simulation function.
+
+    Attributes:
+        engine: name of the engine, a key of `SIMULATE`. Cases that simulate nothing may have other names.
+        options: keyword arguments of the simulation function, such as the integrator and its step.
+    """
 
     engine: str
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def simulate(self, scene: Scene) -> Trajectory:
-        """Simulate a scene; raises the errors of the engine."""
+        """Simulate a scene with the engine and the options; errors of the engine are passed on."""
         return SIMULATE[self.engine](scene, **self.options)
 
     def __str__(self) -> str:
@@ -52,47 +61,69 @@ SIMULATE: dict[str, Callable[..., Trajectory]] = {
     "mujoco": mjcf.simulate,
     "pinocchio": urdf.simulate,
 }
+"""Simulation function of each engine."""
 
 
-def newton_euler(formulation: str = "relative", stabilization: str = "projection", **more: Any) -> Setting:
-    """Return a setting of newton_euler."""
+def newton_euler_setting(
+    formulation: str = "relative", stabilization: str = "projection", **more: Any
+) -> Setting:
+    """Return a setting of newton_euler.
+
+    Args:
+        formulation: "relative" (joint coordinates) or "cartesian" (coordinates of all bodies).
+        stabilization: how constraint violations are kept small: "projection", "baumgarte" or "none".
+        **more: other options, such as `integrator`, `rtol`, `atol` and `step`.
+    """
     return Setting("newton_euler", {"formulation": formulation, "stabilization": stabilization, **more})
 
 
-def mujoco(integrator: str = "RK4", timestep: float = 1e-3, **more: Any) -> Setting:
-    """Return a setting of MuJoCo."""
+def mujoco_setting(integrator: str = "RK4", timestep: float = 1e-3, **more: Any) -> Setting:
+    """Return a setting of MuJoCo with an integrator of MuJoCo and a timestep, s."""
     return Setting("mujoco", {"integrator": integrator, "timestep": timestep, **more})
 
 
-def pinocchio(**options: Any) -> Setting:
-    """Return a setting of Pinocchio."""
+def pinocchio_setting(**options: Any) -> Setting:
+    """Return a setting of Pinocchio, whose equations an integrator of newton_euler integrates."""
     return Setting("pinocchio", options)
 
 
-COMBINATIONS = tuple(
-    newton_euler(formulation, stabilization)
+STABILIZED_SETTINGS = tuple(
+    newton_euler_setting(formulation, stabilization)
     for formulation, stabilization in product(FORMULATIONS, ("projection", "baumgarte", "none"))
 )
-"""newton_euler's formulations with each stabilization, at the default tolerance."""
+"""newton_euler's two formulations with each method of stabilization, at the default tolerance."""
 
-TIGHT = newton_euler("relative", rtol=1e-13, atol=1e-15)
-"""newton_euler's most accurate setting, used as reference."""
+REFERENCE_SETTING = newton_euler_setting("relative", rtol=1e-13, atol=1e-15)
+"""newton_euler's most accurate setting; its runs are references for other settings."""
 
-ONE_EACH = (newton_euler("relative"), newton_euler("cartesian"), mujoco(), pinocchio())
-"""Each engine at its default setting, newton_euler in both formulations."""
+TYPICAL_SETTINGS = (
+    newton_euler_setting("relative"),
+    newton_euler_setting("cartesian"),
+    mujoco_setting(),
+    pinocchio_setting(),
+)
+"""One setting of each engine, two of newton_euler (one for each formulation); used where a case need not try
+all settings. For MuJoCo it is RK4 with 1 ms."""
 
 
-def formulations(**options: Any) -> tuple[Setting, ...]:
+def both_formulations(**options: Any) -> tuple[Setting, ...]:
     """Return settings of newton_euler in both formulations with projection and the given options."""
-    return tuple(newton_euler(formulation, **options) for formulation in FORMULATIONS)
+    return tuple(newton_euler_setting(formulation, **options) for formulation in FORMULATIONS)
 
 
-def lasting(scene: Scene, duration: float, outputs: int, *names: OutputName) -> Scene:
-    """Return the scene with another duration, s, and so many equal output periods of the named outputs."""
-    return replace(scene, duration=duration, output_period=duration / outputs, outputs=frozenset(names))
+def with_duration(scene: Scene, duration: float, periods: int, *names: OutputName) -> Scene:
+    """Return the scene with another duration and other outputs.
+
+    Args:
+        scene: the scene.
+        duration: new duration, s.
+        periods: number of equal output periods in the duration.
+        *names: optional quantities that runs save in addition to the positions, such as "energy".
+    """
+    return replace(scene, duration=duration, output_period=duration / periods, outputs=frozenset(names))
 
 
-def balance(scene: Scene, run: Trajectory) -> Balance:
+def balance_of(scene: Scene, run: Trajectory) -> Balance:
     """Return the energy balance of a run that saved energies and velocities."""
     found = energy_balance(scene, run)
     assert found is not None
@@ -100,8 +131,11 @@ def balance(scene: Scene, run: Trajectory) -> Balance:
 
 
 def largest_energy_error(scene: Scene, run: Trajectory) -> float:
-    """Return the largest energy balance error divided by the largest energy that was exchanged."""
-    found = balance(scene, run)
+    """Return the largest energy balance error in a run, divided by the energy that the motion exchanges.
+
+    The exchanged energy is the largest change of the total energy plus the largest kinetic energy.
+    """
+    found = balance_of(scene, run)
     return float(np.max(np.abs(found.residual))) / found.exchanged
 
 
@@ -111,28 +145,31 @@ def largest_drift(run: Trajectory) -> float:
     return float(np.max(run.constraint_violation))
 
 
-def distance(first: Trajectory, second: Trajectory) -> float:
-    """Return the largest distance between positions of bodies at equal times, m."""
+def largest_distance(first: Trajectory, second: Trajectory) -> float:
+    """Return the largest distance between the positions of a body in two runs at the same time, m."""
     return float(np.max(positions_apart(first, second)))
 
 
 def parallelogram_angle(scene: Scene) -> Array:
-    """Compute the angle (n,) of the bars of the scene `four_bar`, rad, clockwise from upright.
+    """Compute the exact angle (n,) of the bars of the scene `four_bar` at its output times, rad.
 
-    The masses may differ from the library's. With angle a, N windows, bars of mass m and couplers of mass c,
-    all of length L, the equation of motion is ((N + 1) m / 3 + N c) L a'' = ((N + 1) m / 2 + N c) g sin a.
-    The start is the initial state of the scene.
+    The scene has N parallelograms in a row: N + 1 parallel bars on hinges at their feet, and N couplers
+    between the tops. The masses may differ from those of the scene library. The angle a of all bars is
+    measured clockwise from upright. With bars of total mass m and couplers of total mass c, all 1 m long, the
+    equation of motion is (m / 3 + c) a'' = (m / 2 + c) g sin a. The equation is integrated from the initial
+    state of the scene.
     """
     from scipy.integrate import solve_ivp
 
     bodies = scene.mechanism.bodies
+    # order of the bodies: ground, N + 1 bars, N couplers
     windows = (len(bodies) - 2) // 2
     bars, couplers = bodies[1 : windows + 2], bodies[windows + 2 :]
     inertia = sum(bar.mass for bar in bars) / 3.0 + sum(coupler.mass for coupler in couplers)
     weight = sum(bar.mass for bar in bars) / 2.0 + sum(coupler.mass for coupler in couplers)
     state = initial_state(scene)
-    # body frames are parallel to the world frame in the initial pose of the mechanism, not in the initial
-    # state
+    # The quaternions of a scene that starts with flat bars are not those of upright bars. The angle is
+    # therefore computed from positions. Angular velocity about z is counterclockwise.
     start = [bar_angles(state.position[None, :2], bodies)[0], -state.angular_velocity[1, 2]]
     solution = solve_ivp(
         lambda t, y: [y[1], weight / inertia * STANDARD_GRAVITY * np.sin(y[0])],
@@ -147,45 +184,55 @@ def parallelogram_angle(scene: Scene) -> Array:
 
 
 def bar_angles(position: Array, bodies: tuple[Body, ...]) -> Array:
-    """Compute the angle (n,) of the first bar, rad in (-pi, pi], clockwise from upright, from positions (n,
-    b, 3)."""
+    """Compute the angle (n,) of the first bar of `four_bar`, rad in (-pi, pi], clockwise from upright.
+
+    Args:
+        position: positions (n, b, 3) of b bodies, or of the first ones, m.
+        bodies: bodies of the mechanism.
+    """
+    # In the pose in which the mechanism is defined, the bar stands upright on the x axis
     foot = bodies[1].center_of_mass * [1.0, 0.0, 0.0]
     along = position[:, 1] - foot
     return np.asarray(np.arctan2(along[:, 0], along[:, 1]))
 
 
 def parallelogram_error(scene: Scene, run: Trajectory) -> float:
-    """Return the largest error of the bars' angle in a run of `four_bar`, rad."""
-    off = bar_angles(run.position, scene.mechanism.bodies) - parallelogram_angle(scene)
-    return float(np.max(np.abs(np.angle(np.exp(1j * off)))))
+    """Return the largest error of the bars' angle in a run of `four_bar`, rad; whole turns do not count."""
+    error = bar_angles(run.position, scene.mechanism.bodies) - parallelogram_angle(scene)
+    return float(np.max(np.abs(np.angle(np.exp(1j * error)))))
 
 
-def symmetric_top(axial: float, transverse: float, spin: Array, duration: float, outputs: int = 10) -> Scene:
-    """Return a free symmetric top of 1 kg with its axis along x and the angular velocity `spin` (3,), rad/s.
+def symmetric_top(axial: float, transverse: float, spin: Array, duration: float, periods: int = 10) -> Scene:
+    """Return the scene of a free symmetric top of 1 kg without gravity, its axis along x at first.
 
-    `axial` and `transverse` are moments of inertia, kg m^2. There is no gravity.
+    Args:
+        axial: moment of inertia about the axis of the top, kg m^2.
+        transverse: moment of inertia about any line across the axis, kg m^2.
+        spin: initial angular velocity (3,), rad/s.
+        duration: duration, s.
+        periods: number of equal output periods in the duration.
     """
     top = Body("top", 1.0, np.zeros(3), np.diag([axial, transverse, transverse]))
     mechanism = Mechanism([Body.ground(), top], [Free("floating", "ground", "top", np.zeros(3))])
     state = State.initial(mechanism)
     state.angular_velocity[1] = spin
     wanted: frozenset[OutputName] = frozenset({"velocities", "energy"})
-    return Scene("top", mechanism, duration, duration / outputs, initial_state=state, outputs=wanted)
+    return Scene("top", mechanism, duration, duration / periods, initial_state=state, outputs=wanted)
 
 
 def top_error(scene: Scene, run: Trajectory) -> float:
-    """Return the largest error of the orientation of a free symmetric top, rad.
+    """Return the largest error of the orientation in a run of `symmetric_top`, rad.
 
-    The orientation is R(t) = exp(t L / I) exp(t w (1 - A / I) e). A and I are the axial and transverse
-    moments of inertia, L is the angular momentum, and w is the angular velocity about the axis e (Landau,
-    Lifshitz, Mechanics, section 33).
+    The exact orientation is R(t) = exp(t L / I) exp(t w (1 - A / I) e). A and I are the axial and transverse
+    moments of inertia, L is the angular momentum, and w is the angular velocity about the axis e. L / I is
+    the velocity of precession (Landau, Lifshitz, Mechanics, section 33).
     """
     axial, transverse = (float(scene.mechanism.bodies[1].inertia[k, k]) for k in (0, 1))
     spin = initial_state(scene).angular_velocity[1]
-    nutation = np.array([axial, transverse, transverse]) * spin / transverse
-    own = np.array([spin[0] * (1.0 - axial / transverse), 0.0, 0.0])
-    turned = [
-        quaternion_product(from_rotation_vector(t * nutation), from_rotation_vector(t * own))
+    precession = np.array([axial, transverse, transverse]) * spin / transverse
+    spin_about_axis = np.array([spin[0] * (1.0 - axial / transverse), 0.0, 0.0])
+    exact = [
+        quaternion_product(from_rotation_vector(t * precession), from_rotation_vector(t * spin_about_axis))
         for t in scene.times
     ]
-    return float(np.max(angle_between(np.array(turned), run.quaternion[:, 1])))
+    return float(np.max(angle_between(np.array(exact), run.quaternion[:, 1])))

@@ -1,4 +1,7 @@
-"""Topics of stress tests, and the function that runs their cases."""
+"""Topics of stress tests, such as stiff gains or singular configurations, and the function that runs them.
+
+A topic has a letter, a title, and a function that yields its cases. `crosscheck stress` calls `stress`.
+"""
 
 from __future__ import annotations
 
@@ -13,30 +16,30 @@ from crosscheck.studies.stress import (
     random_mechanisms,
     rotation,
 )
-from crosscheck.studies.stress.cases import Case, Progress, Row, run_cases
+from crosscheck.studies.stress.cases import Case, CaseResult, Progress, run_cases
 from crosscheck.support.errors import CrosscheckError
 
 TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
-    "a": ("drift and energy over long runs", integration.long_runs),
-    "b": ("largest stable step, loosest tolerance", integration.largest_steps),
-    "e": ("stiff gains", extremes.stiff_gains),
-    "f": ("mass ratios, inertias near the realisable limit", extremes.masses),
-    "g": ("start poses off the constraints", configurations.starts),
-    "h": ("singular configurations", configurations.singular),
+    "a": ("drift and energy over long runs", integration.long_run_cases),
+    "b": ("largest stable step, loosest tolerance", integration.step_size_cases),
+    "e": ("stiff gains", extremes.stiff_gain_cases),
+    "f": ("mass ratios, inertias near the realisable limit", extremes.mass_ratio_cases),
+    "g": ("start poses off the constraints", configurations.violated_start_cases),
+    "h": ("singular configurations", configurations.singular_cases),
     "i": ("many turns and high speeds", rotation.cases),
     "j": ("random mechanisms", random_mechanisms.cases),
-    "k": ("floating-point traps", extremes.traps),
+    "k": ("floating-point traps", extremes.floating_point_cases),
     "l": ("noise in overconstrained loops", noise.cases),
 }
 """Title of each topic, and a function of `full` that yields its cases, by the topic's letter."""
 
 
-def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
+def stress(letters: str, full: bool, progress: Progress) -> list[CaseResult]:
     """Run the cases of some topics.
 
     Args:
-        letters: letters of topics; all topics if empty.
-        full: True for all cases, False for the short form.
+        letters: letters of topics, as in "ae"; all topics if empty.
+        full: True for all cases, False for the short form that continuous integration runs.
         progress: called with the number of finished cases.
 
     Returns:
@@ -53,5 +56,5 @@ def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
 
 
 def cases_of(letter: str, full: bool) -> list[Case]:
-    """Return the cases of one topic."""
+    """Return the cases of the topic with a letter; `full` as for `stress`."""
     return [replace(case, topic=letter) for case in TOPICS[letter][1](full)]

@@ -16,8 +16,8 @@ import newton_euler
 import urdf
 from crosscheck.library import REFERENCE_QUANTITIES, load
 from crosscheck.library.references import reference_values
-from crosscheck.studies.stress.configurations import from_flat
-from crosscheck.studies.stress.runs import lasting
+from crosscheck.studies.stress.configurations import with_flat_start
+from crosscheck.studies.stress.runs import with_duration
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.relative import Relative
 from newton_euler.model.mechanism import Mechanism
@@ -223,7 +223,7 @@ def test_windows_pass_flat_ten_times(windows):
 )
 def test_windows_start_flat(windows, simulate):
     """From a singular configuration, where the constraints in use cannot be told from its own Jacobian."""
-    scene = from_flat(lasting(load("four_bar", N=windows), 2.0, 50), windows)
+    scene = with_flat_start(with_duration(load("four_bar", N=windows), 2.0, 50), windows)
     run = simulate(scene)
     bars = run.position[:, 1 : windows + 2] - np.array([[k, 0.0, 0.0] for k in range(windows + 1)])
     assert np.abs(bars - bars[:, :1]).max() < 1e-8  # parallel; another branch is off by 1

@@ -11,12 +11,12 @@ import pytest
 
 from crosscheck.studies.random_scenes import KINDS, random_scene
 from crosscheck.studies.stress import random_mechanisms
-from crosscheck.studies.stress.cases import judge
+from crosscheck.studies.stress.cases import run_case
 from crosscheck.studies.stress.random_mechanisms import (
     COMPARED_SYSTEMS,
     NATIVE_SETTINGS,
     NATIVE_TOLERANCE,
-    compare,
+    compare_on_mechanism,
     measure,
 )
 from crosscheck.studies.stress.topics import stress
@@ -44,7 +44,7 @@ def test_engines_agree(setting):
 
 @pytest.mark.parametrize("setting", NATIVE_SETTINGS, ids=lambda setting: setting.options["formulation"])
 def test_native_code_is_its_float_form_in_another_order(setting):
-    assert compare(random_scene(0, 0), setting).share < 1e-12 / NATIVE_TOLERANCE
+    assert compare_on_mechanism(random_scene(0, 0), setting).ratio < 1e-12 / NATIVE_TOLERANCE
 
 
 def test_what_they_cover():
@@ -136,7 +136,7 @@ class Failing(Cartesian):
 def test_an_error_is_found_and_named(monkeypatch, kind, named):
     monkeypatch.setattr(random_mechanisms, "Cartesian", kind)
     case = next(random_mechanisms.cases(False))
-    row = judge(replace(case, measure=partial(measure, 0, [3])))
+    row = run_case(replace(case, measure=partial(measure, 0, [3])))
     assert (row.verdict, row.passes, np.isinf(row.value)) == ("fails", False, kind is not Wrong)
     assert row.reason.startswith("0 of 1 agree; worst: random_scene(0, 3), ")
     assert named in row.reason

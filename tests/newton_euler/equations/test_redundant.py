@@ -21,7 +21,7 @@ from overconstrained import LOOPS, linkage
 import newton_euler
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import load
-from crosscheck.studies.stress.configurations import from_flat
+from crosscheck.studies.stress.configurations import with_flat_start
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, minimum_norm, rank, solve_constrained
 from newton_euler.equations.redundancy import mobility
@@ -197,7 +197,7 @@ def test_a_flat_start_leaves_no_pivot_that_is_usually_zero(formulation):
 def test_from_flat_bars_the_rows_are_those_of_upright_ones(windows, formulation, own):
     """Where bars lie flat a row a window is dependent that is not elsewhere."""
     upright = load("four_bar", N=windows)
-    flat = from_flat(upright, windows)
+    flat = with_flat_start(upright, windows)
     if own:
         flat = replace(flat, mechanism=drawn_at(flat.mechanism, initial_state(flat)))
     assert len(rows_in_use(formulation(flat)).numbers) == len(rows_in_use(formulation(upright)).numbers)
