@@ -1,13 +1,13 @@
-"""MuJoCo's model under rigid constraints.
+"""Equations of motion with hard constraints, from the matrices of a MuJoCo model.
 
-MuJoCo's equality constraints are soft, so that its own accelerations have an error for any model. This module
-takes MuJoCo's mass matrix, bias, actuator forces and constraint Jacobian of the compiled MJCF. They enter the
-equations of motion with hard constraints,
+MuJoCo's equality constraints are soft, so that its own accelerations differ from those of rigid constraints
+for any model. This module takes the mass matrix, bias forces, applied forces and constraint Jacobian of the
+compiled MJCF, and solves
 
     M qacc = qfrc_passive + qfrc_actuator - qfrc_bias + J^T lambda
-    J qacc = -Jdot qvel + f''(t)                 (f of prescribed motions)
+    J qacc = -Jdot qvel + f''(t)                 (f: functions of prescribed motions)
 
-so that errors of the model can be distinguished from the softness of the solver.
+If the result differs from another engine, the compiled model is wrong: softness cannot be the reason.
 """
 
 from __future__ import annotations
@@ -30,28 +30,36 @@ from newton_euler.scalars import Array
 
 
 class RigidMuJoCo(EvaluatedScene):
-    """A `newton_euler.equations.system.System` in tree coordinates q (nq,), v (nv,)."""
+    """A `newton_euler.equations.system.System` with hard constraints and MuJoCo's matrices.
+
+    Coordinates q (nq,) and velocities v (nv,) belong to newton_euler's spanning tree; MuJoCo's velocities are
+    qvel = layout.to_qvel v. Constraint rows (k,) are those of MuJoCo's equalities, in the order of the MJCF:
+    first all loop closures, then all couplings (gears, screws and prescribed motions).
+    """
 
     name = "mujoco_rigid"
 
     def __init__(self, scene: Scene) -> None:
         """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         super().__init__(scene)
-        of_weld = np.repeat([self.welded.mechanism.size, 1.0], 3)
-        closing = {
-            mujoco.mjtEq.mjEQ_WELD: of_weld,
-            mujoco.mjtEq.mjEQ_CONNECT: of_weld[:3],
-            mujoco.mjtEq.mjEQ_TENDON: of_weld[:1],
+        # units of the rows of each loop closure: the size of the mechanism for lengths, 1 for angles
+        units_of_weld = np.repeat([self.welded.mechanism.size, 1.0], 3)
+        units_of_closure = {
+            mujoco.mjtEq.mjEQ_WELD: units_of_weld,
+            mujoco.mjtEq.mjEQ_CONNECT: units_of_weld[:3],
+            mujoco.mjtEq.mjEQ_TENDON: units_of_weld[:1],
         }
-        cut = [index for index in range(self.model.neq) if closes_loop(self.model, index)]
-        units = [closing[mujoco.mjtEq(self.model.eq_type[index])] for index in cut]
+        closures = [index for index in range(self.model.neq) if closes_loop(self.model, index)]
+        units = [units_of_closure[mujoco.mjtEq(self.model.eq_type[index])] for index in closures]
+        # couplings follow the closures in MuJoCo's equalities, and have one row each
         units += list(self.couplings.units[:, None])
-        self._constraint = np.repeat(np.arange(len(units)), [len(unit) for unit in units])
+        self._equality_of_row = np.repeat(np.arange(len(units)), [len(unit) for unit in units])
         self.phi_units = np.concatenate([np.zeros(0), *units])
-        self._coupled = slice(len(self.phi_units) - len(self.couplings.units), None)
+        self._coupling_rows = slice(len(self.phi_units) - len(self.couplings.units), None)
         self.velocity_units = self.tree.velocity_units
 
     def engine_control(self, scene: Scene) -> EngineControl:
+        """Return the inverse dynamics of model-based control laws, which uses the matrices of this class."""
         return EngineControl(scene, RigidMuJoCo)
 
     def rate(self, q: Array, v: Array) -> Array:
@@ -62,48 +70,52 @@ class RigidMuJoCo(EvaluatedScene):
         """Move q by a small step (nv,); quaternions keep norm 1."""
         return self.tree.retract(q, step)
 
-    def _present(self) -> Array:
-        """Mark the rows (k,) that MuJoCo has at this state; MuJoCo drops constraints with zero rows."""
-        if self.data.nefc == len(self._constraint):
+    def _present_rows(self) -> Array:
+        """Return a mask (k,) of the rows that MuJoCo has at this state; MuJoCo drops rows of zeros."""
+        if self.data.nefc == len(self._equality_of_row):
             return np.ones(self.data.nefc, dtype=bool)
-        return np.isin(self._constraint, self.data.efc_id)
+        return np.isin(self._equality_of_row, self.data.efc_id)
 
     def phi(self, q: Array) -> Array:
-        """Return the residuals (k,) of MuJoCo's equality constraints."""
+        """Return the residuals (k,) of MuJoCo's equality constraints, m or rad."""
         self.move(q, np.zeros(self.nv))
-        residuals = np.zeros(len(self._constraint))
-        residuals[self._present()] = self.data.efc_pos
-        # MuJoCo's equalities of joints hold the values at t = 0
-        residuals[self._coupled] += self.couplings.value(0.0) - self.couplings.value(self.time)
+        residuals = np.zeros(len(self._equality_of_row))
+        residuals[self._present_rows()] = self.data.efc_pos
+        # MuJoCo's equalities of joints are compiled with the values of prescribed motions at t = 0
+        residuals[self._coupling_rows] += self.couplings.value(0.0) - self.couplings.value(self.time)
         return residuals
 
     def phi_t(self) -> Array:
         """Return the partial derivative (k,) of `phi` with respect to time."""
-        rates = np.zeros(len(self._constraint))
-        rates[self._coupled] = -self.couplings.rate(self.time)
+        rates = np.zeros(len(self._equality_of_row))
+        rates[self._coupling_rows] = -self.couplings.rate(self.time)
         return rates
 
     def phi_jacobian(self, q: Array) -> Array:
-        """Return the derivative (k, nv) of `phi` along `retract`, also of its rate with respect to v."""
+        """Return the Jacobian J (k, nv) of `phi`: d phi = J step for q = retract(q, step).
+
+        For a motion, d phi/dt = J v + phi_t.
+        """
         self.move(q, np.zeros(self.nv))
         return self._jacobian()
 
     def _jacobian(self) -> Array:
-        """Return efc_J (k, nv) for tree velocities at the state in `data`."""
-        jacobian = np.zeros((len(self._constraint), self.nv))
-        jacobian[self._present()] = constraint_jacobian(self.model, self.data) @ self.layout.to_qvel
+        """Return MuJoCo's constraint Jacobian efc_J (k, nv) for tree velocities, at the state in `data`."""
+        jacobian = np.zeros((len(self._equality_of_row), self.nv))
+        jacobian[self._present_rows()] = constraint_jacobian(self.model, self.data) @ self.layout.to_qvel
         return jacobian
 
     def velocity_product(self, q: Array, v: Array) -> Array:
-        """Return Jdot v (k,), the second rate of the constraints at zero acceleration."""
+        """Return Jdot v (k,), the second time derivative of the residuals at zero acceleration."""
         self.move(q, v)
+        # accelerations of bodies for qacc = 0, which `Loop.velocity_product` reads
         self.data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(self.model, self.data)
-        product = np.zeros(len(self._constraint))  # stays 0 for sums of joint coordinates
+        product = np.zeros(len(self._equality_of_row))  # stays 0 for linear couplings (fixed tendons)
         for index in np.flatnonzero(self.model.eq_type == mujoco.mjtEq.mjEQ_JOINT).tolist():
-            product[self._constraint == index] = self._polynomial_product(index)
+            product[self._equality_of_row == index] = self._polynomial_product(index)
         for loop in loops_with_rows(self.model, self.data):
-            product[self._constraint == loop.index] = loop.velocity_product()
+            product[self._equality_of_row == loop.index] = loop.velocity_product()
         return product
 
     def _polynomial_product(self, equality: int) -> float:
@@ -112,26 +124,29 @@ class RigidMuJoCo(EvaluatedScene):
         driver = int(model.eq_obj2id[equality])
         if driver < 0:
             return 0.0
-        place = model.jnt_qposadr[driver]
-        x = data.qpos[place] - model.qpos0[place]
-        bend = np.polynomial.Polynomial(model.eq_data[equality, :5]).deriv(2)
-        return float(-bend(x) * data.qvel[model.jnt_dofadr[driver]] ** 2)
+        qpos_index = model.jnt_qposadr[driver]
+        x = data.qpos[qpos_index] - model.qpos0[qpos_index]
+        second_derivative = np.polynomial.Polynomial(model.eq_data[equality, :5]).deriv(2)
+        return float(-second_derivative(x) * data.qvel[model.jnt_dofadr[driver]] ** 2)
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Return vdot (nv,)."""
         return self._solve(q, v)[0]
 
     def velocity_transformation(self, q: Array) -> Array:
-        """Return velocities (6 b, nv) of bodies 0, 1, ... per velocity v, by MuJoCo's Jacobians."""
+        """Return the body Jacobian (6 b, nv) by MuJoCo: linear and angular velocity of each body per v.
+
+        Bodies 0, 1, ... of the mechanism have six rows each; the rows of the ground, body 0, are zero.
+        """
         self.move(q, np.zeros(self.nv))
         count = len(self.mechanism.bodies)
-        rows = np.zeros((2 * count, 3, self.model.nv))
+        jacobian = np.zeros((2 * count, 3, self.model.nv))
         for k, index in enumerate(self.body_id[1:count], start=1):
-            mujoco.mj_jacBodyCom(self.model, self.data, rows[2 * k], rows[2 * k + 1], index)
-        return rows.reshape(6 * count, self.model.nv) @ self.layout.to_qvel
+            mujoco.mj_jacBodyCom(self.model, self.data, jacobian[2 * k], jacobian[2 * k + 1], index)
+        return jacobian.reshape(6 * count, self.model.nv) @ self.layout.to_qvel
 
     def joint_geometry(self) -> dict[str, JointGeometry]:
-        """Return the joints of the compiled model at its initial pose."""
+        """Return kinds, axes and points of the joints in the compiled model at its initial pose, by name."""
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_fwdPosition(model, data)
@@ -142,6 +157,7 @@ class RigidMuJoCo(EvaluatedScene):
         }
 
         def read(name: str) -> tuple[str, Array, Array]:
+            """Return kind, axis (3,) and anchor (3,), world frame, of MuJoCo's joint `name`."""
             index = model.joint(name).id
             return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
 
@@ -155,10 +171,13 @@ class RigidMuJoCo(EvaluatedScene):
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Compute accelerations, reactions and energies at a state."""
         acceleration, multipliers = self._solve(q, v)
-        return self.evaluation(self.layout.to_qvel @ acceleration, multipliers[self._present()])
+        return self.evaluation(self.layout.to_qvel @ acceleration, multipliers[self._present_rows()])
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Solve for vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
+        """Solve for vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows.
+
+        Redundant rows are set to zero. Their multipliers are zero, too.
+        """
         unused = rows_left_out(self)
         gamma = self._gamma(q, v)
         mass, force = self._mass_and_force()
@@ -167,15 +186,25 @@ class RigidMuJoCo(EvaluatedScene):
         return solve_constrained(mass, force, rows, gamma, *units, constraint_rank(self))
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
-        """Compute the forces on joint coordinates, N or N m, for accelerations, by MuJoCo's matrices."""
+        """Compute by inverse dynamics the forces on joint coordinates that cause given accelerations.
+
+        Args:
+            q: (nq,) tree coordinates.
+            v: (nv,) tree velocities.
+            keys: joint and coordinate of each force.
+            accelerations: accelerations of these coordinates, m/s^2 or rad/s^2.
+
+        Returns:
+            Forces, N or N m.
+        """
         gamma = self._gamma(q, v)
         terms, jacobian = self._mass_and_force(), self._jacobian()
         return servo_forces(self, self.tree, terms, (jacobian, gamma), keys, accelerations)
 
     def _gamma(self, q: Array, v: Array) -> Array:
-        """Return J vdot (k,) of MuJoCo's constraint rows."""
+        """Return gamma (k,), the right side of J vdot = gamma = -Jdot v + f''(t)."""
         gamma = -self.velocity_product(q, v)
-        gamma[self._coupled] += self.couplings.acceleration(self.time)
+        gamma[self._coupling_rows] += self.couplings.acceleration(self.time)
         return gamma
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -190,21 +219,31 @@ class RigidMuJoCo(EvaluatedScene):
         return to_qvel.T @ mass @ to_qvel, to_qvel.T @ force
 
     def move_anchor(self, joint: str, shift: Array) -> None:
-        """Move the point of a loop closure on its second body by `shift` (3,), m, world frame."""
+        """Move the point of a loop closure on its second body, to inject a fault into the compiled model.
+
+        Args:
+            joint: name of the joint that closes the loop.
+            shift: (3,) m, world frame at the initial pose.
+        """
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
-        loop = model.equality(self._closure(joint)).id
-        welds = model.eq_type[loop] == mujoco.mjtEq.mjEQ_WELD
-        turn = data.xmat[model.eq_obj2id[loop]].reshape(3, 3)
-        anchor = slice(0, 3) if welds else slice(3, 6)
-        model.eq_data[loop, anchor] += turn.T @ shift
+        equality = model.equality(self._closing_equality(joint)).id
+        is_weld = model.eq_type[equality] == mujoco.mjtEq.mjEQ_WELD
+        rotation = data.xmat[model.eq_obj2id[equality]].reshape(3, 3)
+        # eq_data: a weld has the anchor in body 2 first, a connect the anchor in body 1, then in body 2
+        anchor_in_second = slice(0, 3) if is_weld else slice(3, 6)
+        model.eq_data[equality, anchor_in_second] += rotation.T @ shift
 
-    def _closure(self, joint: str) -> str:
-        """Return the name of the equality that closes the loop of a joint: its own, or a weld of halves."""
+    def _closing_equality(self, joint: str) -> str:
+        """Return the name of the equality that closes the loop of a joint.
+
+        A joint that MuJoCo has no equality for, such as a hinge, stays in the tree. One of its bodies is cut
+        into two halves instead, and a weld joins the halves.
+        """
         mechanism, welded = self.mechanism, self.welded.mechanism
-        cut = welded.joints[mechanism.joint_index(joint)]
+        closing_joint = welded.joints[mechanism.joint_index(joint)]
         for weld in welded.joints[len(mechanism.joints) :]:
-            if weld.second in (cut.first, cut.second):
+            if weld.second in (closing_joint.first, closing_joint.second):
                 return weld.name
         return joint

@@ -1,6 +1,7 @@
-"""Parts of the MJCF reader, which `mjcf.reader` calls in order.
+"""Modules that import an MJCF file as a scene; `mjcf.reader` calls them in this order.
 
 `source` checks and compiles a file. `start` closes its loops. `bodies`, `joints`, `loops`, `forces` and
-`actuators` turn elements of the compiled model into elements of a scene. `force_limits` and `leftovers`
-report elements that are not simulated, `plausibility` reports likely mistakes. `laws` excites actuators.
+`actuators` convert elements of the compiled model to elements of a scene. `laws` builds control laws and
+excites actuators. `force_limits` and `leftovers` report elements that scenes do not simulate. `plausibility`
+reports likely mistakes in the file.
 """

@@ -1,16 +1,17 @@
-"""Import actuators of a compiled model as forces and control laws.
+"""Import the actuators of a compiled MuJoCo model as control laws and forces, for `mjcf.reader`.
 
-Controls are held at the start, or follow a sine about it. MuJoCo's force on a transmission of length l is
-gain * ctrl + b_0 + b_1 l + b_2 dl/dt. With l = g q for a joint coordinate, and x = q minus its value at the
-start, the force on the joint is
+A control keeps its value at the start, or follows a sine about this value. MuJoCo's force on a transmission
+of length l is gain * ctrl + b_0 + b_1 l + b_2 dl/dt (MuJoCo's documentation, Computation, section
+Actuation). For a transmission l = g q of a joint coordinate, let x be q minus its value at the start. The
+force on the joint is
 
     u = g (gain ctrl + b_0) + g^2 b_1 (q_start + x) + g^2 b_2 dx/dt,
 
 a PD law with stiffness -g^2 b_1, damping -g^2 b_2, target 0, and the other terms as feedforward.
 
-If l is a sum of coordinates that gears couple, l - l_start = s x for each of them. A law on the first
-coordinate with s instead of g does the same work. If l = sum_j g_j q_j of independent coordinates, each of
-them has the state feedback
+If l is a sum of coordinates that gears make proportional to each other, l - l_start = s x for each of the
+coordinates. A law on the first coordinate with s instead of g does the same work. If l = sum_j g_j q_j is a
+sum of independent coordinates, each coordinate i has the state feedback
 
     u_i = g_i (gain ctrl + b_0 + b_1 l_start) + g_i sum_j g_j (b_1 x_j + b_2 dx_j/dt).
 
@@ -20,7 +21,7 @@ A sine of the control adds g gain times the sine to the feedforward.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from collections.abc import Mapping as Given
+from collections.abc import Mapping as ReadOnlyMapping
 from dataclasses import replace
 from typing import Any
 
@@ -52,24 +53,25 @@ from newton_euler.reading.import_report import CONTROL, CONTROL_RANGE, FORCE, RO
 from newton_euler.scalars import Array
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
+"""MuJoCo's types of transmissions, activation dynamics, gains and biases of actuators."""
 
 ACTUATOR_GROUPS = 31
-"""Number of groups of actuators that a file can disable."""
+"""Number of groups of actuators that a file can disable, from 0: bits of `opt.disableactuator`."""
 
 
 def driven_joints(model: Any) -> set[int]:
     """Return the numbers of MuJoCo's joints that actuators may drive."""
-    found: set[int] = set()
+    joints: set[int] = set()
     for actuator in range(model.nactuator):
         kind, target = TRANSMISSION(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
         if kind in JOINT_TRANSMISSIONS:
-            found.add(target)
+            joints.add(target)
         elif kind == TRANSMISSION.mjTRN_TENDON:
             first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
             for wrap in range(first, first + count):
                 if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
-                    found.add(int(model.wrap_objid[wrap]))
-    return found
+                    joints.add(int(model.wrap_objid[wrap]))
+    return joints
 
 
 class Actuators:
@@ -88,17 +90,27 @@ class Actuators:
         gear_groups: GearGroups,
         forces: Forces,
         report: ImportReport,
-        swings: Given[int, Sine],
+        sines: ReadOnlyMapping[int, Sine],
     ) -> None:
-        """Import all actuators; `swings` are the sines of controls, by number of the actuator."""
+        """Import and report all actuators.
+
+        Args:
+            start: MuJoCo's model and data at the start state.
+            bodies: imported bodies.
+            joints: imported joints of the tree.
+            gear_groups: joint coordinates that gears make proportional to each other.
+            forces: imported forces; actuators on sites add wrenches to them.
+            report: report that receives the entries.
+            sines: sines that are added to controls, by number of the actuator.
+        """
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._gear_groups = bodies, joints, gear_groups
         self._forces, self._report = forces, report
-        self._swings = swings
-        self._acting: dict[Key, JointActuation] = {}
+        self._sines = sines
+        self._actuations: dict[Key, JointActuation] = {}
         self.armatures: dict[Key, float] = {}
         self.drives: dict[int, Drive] = {}
-        self._pushed: list[int] = []  # numbers of MuJoCo's bodies with wrenches of actuators
+        self._bodies_with_wrenches: list[int] = []  # MuJoCo's numbers; wrenches of actuators on sites
         self._compute_forces()
         for actuator in range(self._model.nactuator):
             self._add(actuator)
@@ -106,21 +118,22 @@ class Actuators:
             self._report_joint_limit(joint)
 
     def _compute_forces(self) -> None:
-        """Compute the forces of actuators at the start, without limits, in MuJoCo's data."""
-        limits = [getattr(self._model, f"{name}limited") for name in FORCE_LIMITS]
-        kept = [each.copy() for each in limits]
-        for each in limits:
-            each[:] = 0
+        """Compute the forces of actuators at the start in MuJoCo's data, with all limits switched off."""
+        limited_flags = [getattr(self._model, f"{name}limited") for name in FORCE_LIMITS]
+        saved = [flags.copy() for flags in limited_flags]
+        for flags in limited_flags:
+            flags[:] = 0
         mujoco.mj_fwdActuation(self._model, self._data)
-        for each, before in zip(limits, kept, strict=True):
-            each[:] = before
+        for flags, values in zip(limited_flags, saved, strict=True):
+            flags[:] = values
 
     @property
     def laws(self) -> tuple[PD | StateFeedback, ...]:
         """Control laws, one for each driven joint coordinate."""
-        return tuple(acting.law(key) for key, acting in self._acting.items())
+        return tuple(actuation.law(key) for key, actuation in self._actuations.items())
 
     def _add(self, actuator: int) -> None:
+        """Import actuator number `actuator`: as part of control laws, as a wrench, or as left out."""
         model = self._model
         element = element_name(model, "actuator", actuator)
         kind = TRANSMISSION(model.actuator_trntype[actuator])
@@ -134,20 +147,24 @@ class Actuators:
             return
         self._report_damping(actuator, element)
         if moments is not None:
-            acts = self._add_to_joints(actuator, element, law, moments)
+            is_imported = self._add_to_joints(actuator, element, law, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
-            self._report_exactly(actuator, "no force at the control of the start", CONTROL)
-            acts = True
+            self._report_imported(actuator, "no force at the control of the start", CONTROL)
+            is_imported = True
         elif kind == TRANSMISSION.mjTRN_SITE:
-            acts = self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
+            is_imported = self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
         else:
-            self._report.left_out(element, f"no control law acts {self._through(actuator, kind)}")
-            acts = False
-        if acts:
+            transmission = self._describe_transmission(actuator, kind)
+            self._report.left_out(element, f"no control law acts {transmission}")
+            is_imported = False
+        if is_imported:
             self._report_limits(actuator, element, law, moments)
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
-        """Return the moment arm at each joint; None unless the actuator acts on hinges and slides alone."""
+        """Return the moment arm of an actuator at each of MuJoCo's joints, by number.
+
+        The result is None if the actuator acts on anything but hinges and slides.
+        """
         target, gear = int(self._model.actuator_trnid[actuator, 0]), self._model.actuator_gear[actuator, 0]
         weights: dict[int, float] | None = None
         if kind in JOINT_TRANSMISSIONS:
@@ -158,8 +175,8 @@ class Actuators:
             return None
         return {joint: weight * float(gear) for joint, weight in weights.items()}
 
-    def _through(self, actuator: int, kind: mujoco.mjtTrn) -> str:
-        """Describe a transmission that control laws do not have."""
+    def _describe_transmission(self, actuator: int, kind: mujoco.mjtTrn) -> str:
+        """Describe, for the report, a transmission on which control laws cannot act."""
         if kind not in JOINT_TRANSMISSIONS:
             return f"through its transmission, {kind.name.removeprefix('mjTRN_').lower()}"
         joint = int(self._model.actuator_trnid[actuator, 0])
@@ -177,7 +194,7 @@ class Actuators:
         return ""
 
     def _control(self, actuator: int) -> float:
-        """Return the control at the start, clipped to its range."""
+        """Return the control at the start, clipped to the range of controls."""
         model = self._model
         ctrl = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
         if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
@@ -185,52 +202,71 @@ class Actuators:
         return ctrl
 
     def _activation(self, actuator: int) -> float | None:
-        """Return the activation (or control) that multiplies the gain; None if the activation changes."""
+        """Return the number that multiplies the gain: the activation, or the control without dynamics.
+
+        The result is None if the activation is not constant for the control at the start.
+        """
         kind, ctrl = DYNAMICS(self._model.actuator_dyntype[actuator]), self._control(actuator)
         if kind == DYNAMICS.mjDYN_NONE:
             return ctrl
         first = int(self._model.actuator_actadr[actuator])
         activation = float(self._data.act[first]) if first >= 0 else np.nan
-        rests = {
+        # integrator: d act/dt = ctrl; filters: d act/dt is proportional to ctrl - act
+        is_constant = {
             DYNAMICS.mjDYN_INTEGRATOR: ctrl == 0.0,
             DYNAMICS.mjDYN_FILTER: ctrl == activation,
             DYNAMICS.mjDYN_FILTEREXACT: ctrl == activation,
         }
-        return activation if rests.get(kind, False) else None
+        return activation if is_constant.get(kind, False) else None
 
     def _affine(self, actuator: int, element: str) -> Affine | None:
-        """Return the force at a held control; None if the force is not affine in length and rate."""
+        """Return the force for the control at the start, as a function of length and rate.
+
+        If the force is not affine in length and rate, the actuator is reported as left out and the result is
+        None.
+        """
         model = self._model
-        known = (
+        is_affine = (
             model.actuator_plugin[actuator] < 0
             and not model.actuator_delay[actuator]
             and GAIN(model.actuator_gaintype[actuator]) in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE)
             and BIAS(model.actuator_biastype[actuator]) in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE)
         )
         activation = self._activation(actuator)
-        if not known or activation is None:
+        if not is_affine or activation is None:
             self._report.left_out(
                 element,
                 "its activation changes at the start, or it has a delay, a plugin, or no affine gain or bias",
             )
             return None
-        gain, bias = model.actuator_gainprm[actuator][:3] * activation, model.actuator_biasprm[actuator][:3]
+        # coefficients of 1, l and dl/dt; a fixed gain has the first one only
+        coefficients = model.actuator_gainprm[actuator][:3] * activation
         if GAIN(model.actuator_gaintype[actuator]) == GAIN.mjGAIN_FIXED:
-            gain = gain * [1.0, 0.0, 0.0]
+            coefficients = coefficients * [1.0, 0.0, 0.0]
         if BIAS(model.actuator_biastype[actuator]) == BIAS.mjBIAS_AFFINE:
-            gain = gain + bias
-        return Affine(*(float(x) for x in gain))
+            coefficients = coefficients + model.actuator_biasprm[actuator][:3]
+        return Affine(*(float(x) for x in coefficients))
 
-    def _report_exactly(self, actuator: int, how: str, became: str) -> None:
+    def _report_imported(self, actuator: int, how: str, became: str) -> None:
+        """Report an actuator as imported.
+
+        Args:
+            actuator: number of the actuator.
+            how: counterpart of the actuator in the scene, in words.
+            became: kind of the counterpart, see `ImportedElement.became`.
+        """
         model, numbers = self._model, dict[str, Sequence[float]]()
-        given = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
-        if given != (control := self._control(actuator)):
-            how += f"; its control {given:g} is clipped to {control:g} by its range, as in MuJoCo"
-        silent = control == 0.0 and actuator not in self._swings
+        ctrl_of_file, control = (
+            float(self._data.ctrl[int(model.actuator_ctrladr[actuator])]),
+            self._control(actuator),
+        )
+        if ctrl_of_file != control:
+            how += f"; its control {ctrl_of_file:g} is clipped to {control:g} by its range, as in MuJoCo"
+        moves_nothing = control == 0.0 and actuator not in self._sines
         if model.actuator_ctrllimited[actuator]:
             numbers[CONTROL_RANGE] = model.actuator_ctrlrange[actuator].tolist()
         element = element_name(model, "actuator", actuator)
-        self._report.imported(element, how, became, moves_nothing=silent, numbers=numbers)
+        self._report.imported(element, how, became, moves_nothing=moves_nothing, numbers=numbers)
 
     def _report_limits(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
@@ -241,12 +277,13 @@ class Actuators:
             low, high = (float(x) for x in model.actuator_forcerange[actuator])
             terms = tuple((self._joints.coordinate_keys[k], moment) for k, moment in (moments or {}).items())
             constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
-            moving = constant_plus_sines(constant, tuple(self._swing_force(actuator, 1.0)))
+            force_of_time = constant_plus_sines(constant, tuple(self._sine_of_force(actuator, 1.0)))
             unit = actuator_force_unit(model, actuator)
-            watch = Bounds(terms, low, high, unit, moving, law.by_length, law.by_rate)
-            known = moments is not None or not (law.by_length or law.by_rate)
+            watch = Bounds(terms, low, high, unit, force_of_time, law.by_length, law.by_rate)
+            # the force is a function of joint coordinates and time
+            can_watch = moments is not None or not (law.by_length or law.by_rate)
             why = f"its limit of the force, {low:g} to {high:g}"
-            watches = [watch] if known else []
+            watches = [watch] if can_watch else []
             report.left_out(element, why, topic="limit of the force", watches=watches, numbers=[low, high])
         if (tendon := limited_tendon(model, actuator)) is not None:
             low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
@@ -257,73 +294,88 @@ class Actuators:
         """Report a joint's limit of the sum of its actuator forces."""
         model, data = self._model, self._data
         key, element = self._joints.coordinate_keys.get(joint), element_name(self._model, "joint", joint)
-        low, high = bounds = [float(x) for x in model.jnt_actfrcrange[joint]]
+        limits = [float(x) for x in model.jnt_actfrcrange[joint]]
+        low, high = limits
         why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
-        law = None if key is None else self._acting.get(key)
+        actuation = None if key is None else self._actuations.get(key)
         if others := self._other_forces(joint):
-            self._report.left_out(element, f"{why}, which includes {others}", topic=topic, numbers=bounds)
-        elif key is not None and law is not None:
-            watch = joint_force_watch(law, low, high, joint_force_unit(model, joint))
+            self._report.left_out(element, f"{why}, which includes {others}", topic=topic, numbers=limits)
+        elif actuation is not None:
+            watch = joint_force_watch(actuation, low, high, joint_force_unit(model, joint))
             watches = [watch] if watch else []
-            self._report.left_out(element, why, topic=topic, watches=watches, numbers=bounds)
+            self._report.left_out(element, why, topic=topic, watches=watches, numbers=limits)
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
-            self._report.left_out(element, why, topic=topic, numbers=bounds)
+            self._report.left_out(element, why, topic=topic, numbers=limits)
 
     def _other_forces(self, joint: int) -> str:
-        """Describe forces in a joint's limit that are not part of its control law."""
-        model, found = self._model, []
-        if any(self._moves(joint, body) for body in self._pushed):
-            found.append("forces on sites")
+        """Describe the forces that a joint's limit includes and its control law does not; "" for none."""
+        model, forces = self._model, []
+        if any(self._moves(joint, body) for body in self._bodies_with_wrenches):
+            forces.append("forces on sites")
         if model.jnt_actgravcomp[joint] and any(
             self._moves(joint, int(body)) for body in np.flatnonzero(model.body_gravcomp)
         ):
-            found.append("gravity compensation")
-        return " and ".join(found)
+            forces.append("gravity compensation")
+        return " and ".join(forces)
 
     def _moves(self, joint: int, body: int) -> bool:
-        """True if a joint of MuJoCo moves a body; parents have lower numbers than children."""
-        above = int(self._model.jnt_bodyid[joint])
-        while body > above:
+        """Return True if a joint of MuJoCo moves a body: the body is the joint's body or a descendant."""
+        joint_body = int(self._model.jnt_bodyid[joint])
+        while body > joint_body:  # parents have lower numbers than children
             body = int(self._model.body_parentid[body])
-        return body == above
+        return body == joint_body
 
     def _report_damping(self, actuator: int, element: str) -> None:
+        """Report the damping attribute of an actuator, which scenes do not simulate."""
         model = self._model
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
             self._report.left_out(element, "the damping of the actuator", topic="damping")
 
     def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> bool:
-        """Add the force to the laws of joint coordinates; False if the actuator is left out."""
+        """Add the force of an actuator to the control laws of joint coordinates.
+
+        Args:
+            actuator: number of the actuator.
+            element: name of the actuator in the report.
+            law: force as a function of the length of the transmission.
+            moments: moment arm by number of MuJoCo's joint.
+
+        Returns:
+            False if the actuator is left out.
+        """
         keys = self._joints.coordinate_keys
+        # derivative of the length by each coordinate, if gears make all coordinates proportional
         slopes = self._gear_groups.slopes({keys[joint]: moment for joint, moment in moments.items()})
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
-        shares = {keys[joint]: moment for joint, moment in moments.items()}
-        # the sum acts on one coordinate, unless joints with limits need their own force
-        limited = any(self._model.jnt_actfrclimited[k] for k in moments)
-        if slopes and (law.by_length or law.by_rate) and not limited:
+        # moment arm of the actuator at each coordinate that gets a part of the force
+        arms = {keys[joint]: moment for joint, moment in moments.items()}
+        # proportional coordinates: the whole force acts on the first one, unless a joint has a limit of its
+        # actuator forces, for which its own part is needed
+        has_limits = any(self._model.jnt_actfrclimited[k] for k in moments)
+        if slopes and (law.by_length or law.by_rate) and not has_limits:
             key, slope = next(iter(slopes.items()))
             if slope == 0.0:
                 why = "equalities keep its length constant, so that it does no work"
                 self._report.left_out(element, why, moves_nothing=True)
                 return False
-            shares = {key: slope}
-        for key, share in shares.items():
-            # the change of length by one coordinate, or by all coordinates of the sum
-            length = {key: slopes[key]} if slopes else shares
-            acting = self._acting.get(key, JointActuation())
-            for other, slope in length.items() if law.by_length or law.by_rate else ():
-                acting = acting.with_feedback(
-                    other, -share * slope * law.by_length, -share * slope * law.by_rate
+            arms = {key: slope}
+        for key, arm in arms.items():
+            # the length as a function of this coordinate, or of all coordinates if they are independent
+            length_slopes = {key: slopes[key]} if slopes else arms
+            actuation = self._actuations.get(key, JointActuation())
+            for other, slope in length_slopes.items() if law.by_length or law.by_rate else ():
+                actuation = actuation.with_feedback(
+                    other, -arm * slope * law.by_length, -arm * slope * law.by_rate
                 )
-            self._acting[key] = acting._replace(
-                constant=acting.constant + share * constant,
-                swings=(*acting.swings, *self._swing_force(actuator, share)),
+            self._actuations[key] = actuation._replace(
+                constant=actuation.constant + arm * constant,
+                sines=(*actuation.sines, *self._sine_of_force(actuator, arm)),
             )
-        self._add_drive(actuator, shares, moments)
-        names = ", ".join(repr(joint) for joint, _ in shares)
-        how = f"control law of joint {names}, its {self._control_text(actuator)}"
-        self._report_exactly(actuator, how, CONTROL)
+        self._add_drive(actuator, arms, moments)
+        names = ", ".join(repr(joint) for joint, _ in arms)
+        how = f"control law of joint {names}, its {self._describe_control(actuator)}"
+        self._report_imported(actuator, how, CONTROL)
         return True
 
     def _gain(self, actuator: int) -> float:
@@ -331,57 +383,78 @@ class Actuators:
         fixed_gain = GAIN(self._model.actuator_gaintype[actuator]) == GAIN.mjGAIN_FIXED
         return float(self._model.actuator_gainprm[actuator, 0]) if fixed_gain else 0.0
 
-    def _swing_force(self, actuator: int, share: float) -> Iterator[Sine]:
-        """Yield the sine of the force, times `share`, if the control follows a sine."""
-        if swing := self._swings.get(actuator):
-            yield replace(swing, amplitude=share * self._gain(actuator) * swing.amplitude)
+    def _sine_of_force(self, actuator: int, arm: float) -> Iterator[Sine]:
+        """Yield the sine of the generalized force with moment arm `arm`, if the control follows a sine."""
+        if sine := self._sines.get(actuator):
+            yield replace(sine, amplitude=arm * self._gain(actuator) * sine.amplitude)
 
-    def _control_text(self, actuator: int) -> str:
-        """Describe the control."""
-        swing = self._swings.get(actuator)
-        if swing is None:
+    def _describe_control(self, actuator: int) -> str:
+        """Describe the control of an actuator, for the report."""
+        sine = self._sines.get(actuator)
+        if sine is None:
             return f"control held at {self._control(actuator):g}"
-        what = "control" if self._is_direct(actuator) else "activation"
-        sine = f"{swing.amplitude:.3g} sin({swing.angular_frequency:.4g} t)"
-        return f"{what} {self._activation(actuator):g} + {sine}"
+        what = "activation" if self._has_dynamics(actuator) else "control"
+        function = f"{sine.amplitude:.3g} sin({sine.angular_frequency:.4g} t)"
+        return f"{what} {self._activation(actuator):g} + {function}"
 
-    def _is_direct(self, actuator: int) -> bool:
-        """True if the actuator has no activation dynamics."""
-        return DYNAMICS(self._model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
+    def _has_dynamics(self, actuator: int) -> bool:
+        """Return True if the actuator has activation dynamics."""
+        return DYNAMICS(self._model.actuator_dyntype[actuator]) != DYNAMICS.mjDYN_NONE
 
-    def _add_drive(self, actuator: int, shares: dict[Key, float], moments: dict[int, float]) -> None:
-        """Add the range of the control or activation in which no limit is exceeded to `drives`."""
+    def _add_drive(self, actuator: int, arms: dict[Key, float], moments: dict[int, float]) -> None:
+        """Add an actuator to `drives`, with the range of its control in which no limit is exceeded.
+
+        Args:
+            actuator: number of the actuator.
+            arms: moment arm by joint coordinate.
+            moments: moment arm by number of MuJoCo's joint.
+        """
         gain, control = self._gain(actuator), self._activation(actuator)
         if not gain or control is None:
             return
         model, data, low, high = self._model, self._data, -np.inf, np.inf
+        # range of the control; with dynamics, the control has a larger amplitude than the activation
         if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
-            needed, now = control_per_activation(model, actuator), self._control(actuator)
-            low, high = (control + (float(x) - now) / needed for x in model.actuator_ctrlrange[actuator])
+            amplification, now = control_per_activation(model, actuator), self._control(actuator)
+            low, high = (
+                control + (float(x) - now) / amplification for x in model.actuator_ctrlrange[actuator]
+            )
+        # range of the activation
         if model.actuator_actlimited[actuator]:
             down, up = (float(x) for x in model.actuator_actrange[actuator])
             low, high = max(low, down), min(high, up)
-        for factor, room in distances_from_limits(model, data, actuator, moments):
-            down, up = sorted(float(x) / (gain * factor) for x in room)
+        # limits of forces
+        for force_factor, distances in distances_from_limits(model, data, actuator, moments):
+            down, up = sorted(float(x) / (gain * force_factor) for x in distances)
             low, high = max(low, control + down), min(high, control + up)
-        gains = {key: gain * x for key, x in shares.items()}
-        self.drives[actuator] = Drive(control, gains, low, high, not self._is_direct(actuator))
+        gains = {key: gain * arm for key, arm in arms.items()}
+        self.drives[actuator] = Drive(control, gains, low, high, self._has_dynamics(actuator))
 
     def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
-        """Add the armature, which MuJoCo also applies for disabled actuators."""
+        """Add the armature of an actuator; MuJoCo applies the armatures of disabled actuators, too."""
         inertia = float(self._model.actuator_armature[actuator])
         if not inertia:
             return
-        rotor = reduced_inertia(self._start, self._joints, self._gear_groups, moments or {}, inertia)
-        if rotor is None:
+        reduced = reduced_inertia(self._start, self._joints, self._gear_groups, moments or {}, inertia)
+        if reduced is None:
             why = f"its armature {inertia:g}: no single joint coordinate determines its length"
             self._report.left_out(element, why, topic="armature")
             return
-        self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
-        self._report.imported(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
+        key, inertia_of_coordinate = reduced
+        joint, _ = key
+        self.armatures[key] = self.armatures.get(key, 0.0) + inertia_of_coordinate
+        self._report.imported(element, f"its armature {inertia:g} at joint {joint!r}", ROTOR)
 
     def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> bool:
-        """Add a constant force and torque at a site, in the frame of the site or of a fixed site.
+        """Add the constant force and torque of an actuator on a site as a wrench.
+
+        The force has a constant direction in the frame of the site, or of a reference site on the ground.
+
+        Args:
+            actuator: number of the actuator.
+            element: name of the actuator in the report.
+            law: force as a function of the length of the transmission.
+            gear: (6,) factors of force and torque along the axes of the frame.
 
         Returns:
             False if the actuator is left out.
@@ -389,19 +462,20 @@ class Actuators:
         model, data = self._model, self._data
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
         body = self._bodies.names[int(model.site_bodyid[site])]
-        turning = reference < 0
+        turns_with_body = reference < 0  # no reference site
         if law.by_length or law.by_rate or body == GROUND:
             self._report.left_out(element, "its force on a site depends on the place of the site")
             return False
-        if not turning and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
+        if not turns_with_body and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
             self._report.left_out(element, "its force on a site has the direction of another moving body")
             return False
-        axes = data.site_xmat[site if turning else reference].reshape(3, 3)
+        axes = data.site_xmat[site if turns_with_body else reference].reshape(3, 3)
         force, torque = law.constant * (gear.reshape(2, 3) @ axes.T)
-        own = model.actuator(actuator).name.removeprefix("wrench ")
-        name = self._forces.name(own, f"actuator_{actuator}")
-        self._pushed.append(int(model.site_bodyid[site]))
-        frame: Any = "body" if turning else "world"
+        # `mjcf.write` puts "wrench" in front of the name
+        wanted_name = model.actuator(actuator).name.removeprefix("wrench ")
+        name = self._forces.name(wanted_name, f"actuator_{actuator}")
+        self._bodies_with_wrenches.append(int(model.site_bodyid[site]))
+        frame: Any = "body" if turns_with_body else "world"
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
-        self._report_exactly(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
+        self._report_imported(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
         return True

@@ -1,7 +1,7 @@
-"""Limits of actuator forces in a compiled model: units, distances from limits, and watches.
+"""Limits of actuator forces in a compiled MuJoCo model.
 
-Scenes do not simulate these limits. Reports name them, runs are watched for them, and excitation stays within
-them.
+Scenes do not simulate these limits. The import report names each limit. A watch tests, after a run, whether
+the force would have exceeded the limit. Excitation chooses controls whose forces stay within the limits.
 """
 
 from __future__ import annotations
@@ -17,15 +17,17 @@ from newton_euler.reading.activity import Bounds
 from newton_euler.scalars import Array
 
 TRANSMISSION, JOINT = mujoco.mjtTrn, mujoco.mjtJoint
+"""MuJoCo's types of transmissions and joints."""
 
 JOINT_TRANSMISSIONS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
+"""Transmissions of actuators that act on one joint."""
 
 FORCE_LIMITS = ("actuator_force", "tendon_actfrc", "jnt_actfrc")
-"""Prefixes of the force limits in MuJoCo's model."""
+"""Prefixes of the arrays `...limited` and `...range` of force limits in MuJoCo's model."""
 
 
 def joint_force_unit(model: Any, joint: int) -> str:
-    """Return the unit of forces on a joint; a free joint has forces of both units."""
+    """Return the unit of generalized forces on a joint; a free joint has forces and torques."""
     units = {JOINT.mjJNT_SLIDE: "N", JOINT.mjJNT_FREE: "N, N m"}
     return units.get(JOINT(model.jnt_type[joint]), "N m")
 
@@ -35,12 +37,13 @@ def actuator_force_unit(model: Any, actuator: int) -> str:
     kind = TRANSMISSION(model.actuator_trntype[actuator])
     if kind in JOINT_TRANSMISSIONS:
         return joint_force_unit(model, int(model.actuator_trnid[actuator, 0]))
-    turns = kind == TRANSMISSION.mjTRN_SITE and not np.any(model.actuator_gear[actuator, :3])
-    return "N m" if turns else "N"
+    # the gear of a site has three components of the force, then three of the torque
+    is_torque = kind == TRANSMISSION.mjTRN_SITE and not np.any(model.actuator_gear[actuator, :3])
+    return "N m" if is_torque else "N"
 
 
 def limited_tendon(model: Any, actuator: int) -> int | None:
-    """Return the number of an actuator's tendon if the tendon limits actuator forces, otherwise None."""
+    """Return the number of an actuator's tendon if the tendon limits the forces of actuators, else None."""
     tendon = int(model.actuator_trnid[actuator, 0])
     on_tendon = model.actuator_trntype[actuator] == TRANSMISSION.mjTRN_TENDON
     return tendon if on_tendon and model.tendon_actfrclimited[tendon] else None
@@ -49,7 +52,9 @@ def limited_tendon(model: Any, actuator: int) -> int | None:
 def distances_from_limits(
     model: Any, data: Any, actuator: int, moments: Mapping[int, float]
 ) -> Iterator[tuple[float, Array]]:
-    """Yield the distances of forces at the start from the limits of an actuator, its tendon and its joints.
+    """Yield the distances of the force at the start from each limit that an actuator contributes to.
+
+    There can be a limit of the actuator itself, of its tendon, and of each joint that it moves.
 
     Args:
         model: `MjModel`.
@@ -58,7 +63,8 @@ def distances_from_limits(
         moments: moment arm of the actuator at each joint.
 
     Yields:
-        The limited force per force of the actuator, and the distances (2,) from the lower and upper limit.
+        For each limit, the limited force per unit force of the actuator, and the distances (2,) from the
+        present force to the lower and to the upper limit.
     """
     if model.actuator_forcelimited[actuator]:
         force = float(data.actuator_force[model.actuator_outadr[actuator]])
@@ -73,20 +79,30 @@ def distances_from_limits(
             yield moment, model.jnt_actfrcrange[joint] - force
 
 
-def joint_force_watch(acting: JointActuation, low: float, high: float, unit: str) -> Bounds | None:
-    """Make the watch of a limit of actuator forces on a joint coordinate.
+def joint_force_watch(actuation: JointActuation, low: float, high: float, unit: str) -> Bounds | None:
+    """Return the watch of a limit of the actuator forces on a joint coordinate.
+
+    A `Bounds` watches a force of the form f(t) + a s + b ds/dt, where s = sum_j w_j x_j.
+
+    Args:
+        actuation: sum of the actuator forces.
+        low: lower limit, N or N m.
+        high: upper limit, N or N m.
+        unit: unit of the limits.
 
     Returns:
-        The watch; None if stiffnesses and dampings of the feedback have different weights of coordinates.
+        The watch; None if stiffnesses and dampings are not proportional, so that no weights w_j exist.
     """
-    keys, gains = list(acting.feedback), np.array(list(acting.feedback.values())).reshape(-1, 2)
-    moving = constant_plus_sines(acting.constant, acting.swings)
+    # one row (stiffness, damping) for each coordinate
+    keys, gains = list(actuation.feedback), np.array(list(actuation.feedback.values())).reshape(-1, 2)
+    force_of_time = constant_plus_sines(actuation.constant, actuation.sines)
     if not keys:
-        return Bounds((), low, high, unit, moving)
-    first = int(np.argmax(np.abs(gains).max(axis=1)))
-    by_value, by_rate = gains[first]
-    factors = gains @ gains[first] / (gains[first] @ gains[first]) if np.any(gains) else np.ones(len(gains))
-    if not np.allclose(np.outer(factors, gains[first]), gains, rtol=1e-12, atol=0.0):
+        return Bounds((), low, high, unit, force_of_time)
+    # weights relative to the row with the largest gain
+    largest_row = gains[int(np.argmax(np.abs(gains).max(axis=1)))]
+    weights = gains @ largest_row / (largest_row @ largest_row) if np.any(gains) else np.ones(len(gains))
+    if not np.allclose(np.outer(weights, largest_row), gains, rtol=1e-12, atol=0.0):
         return None
-    terms = tuple(zip(keys, factors.tolist(), strict=True))
-    return Bounds(terms, low, high, unit, moving, -float(by_value), -float(by_rate))
+    terms = tuple(zip(keys, weights.tolist(), strict=True))
+    stiffness, damping = largest_row
+    return Bounds(terms, low, high, unit, force_of_time, -float(stiffness), -float(damping))

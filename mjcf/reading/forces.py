@@ -1,4 +1,8 @@
-"""Import springs, dampers, rotor inertias and gravity compensation of a compiled model."""
+"""Import springs, dampers, armatures and gravity compensation of a compiled MuJoCo model, for `mjcf.reader`.
+
+An armature is the rotor inertia of a joint, tendon or actuator. A spring, damper or armature of a fixed
+tendon (a weighted sum of joint coordinates) is moved to one joint coordinate if gears couple all of them.
+"""
 
 from __future__ import annotations
 
@@ -35,10 +39,20 @@ class Forces:
         gravity: Array,
         report: ImportReport,
     ) -> None:
+        """Import and report the springs and dampers of all joints and tendons, and gravity compensation.
+
+        Args:
+            start: MuJoCo's model and data at the start state.
+            bodies: imported bodies.
+            joints: imported joints of the tree.
+            gear_groups: joint coordinates that gears make proportional to each other.
+            gravity: (3,) m/s^2.
+            report: report that receives the entries.
+        """
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._gear_groups, self._report = bodies, joints, gear_groups, report
         self.forces: list[Force] = []
-        self._springs, self._dampers = not start.disabled("SPRING"), not start.disabled("DAMPER")
+        self._has_springs, self._has_dampers = not start.disabled("SPRING"), not start.disabled("DAMPER")
         for number in range(self._model.njnt):
             self._add_joint(number)
         for tendon in range(self._model.ntendon):
@@ -48,82 +62,111 @@ class Forces:
 
     def name(self, wanted: str, fallback: str) -> str:
         """Return a name that no point spring or wrench has yet."""
-        named = (force.name for force in self.forces if isinstance(force, PointSpring | Wrench))
-        return unique_name(wanted, fallback, named)
+        taken = (force.name for force in self.forces if isinstance(force, PointSpring | Wrench))
+        return unique_name(wanted, fallback, taken)
 
     def _linear(
         self, element: str, spring: tuple[float, Array], damper: tuple[float, Array]
     ) -> tuple[float, float]:
-        """Return stiffness and damping, 0 if the file disables them, and report nonlinear coefficients."""
-        (stiffness, bent), (damping, bent_rate) = spring, damper
-        if (self._springs and np.any(bent)) or (self._dampers and np.any(bent_rate)):
+        """Return stiffness and damping, and report their nonlinear coefficients as left out.
+
+        Args:
+            element: name of the element in the report.
+            spring: stiffness, and MuJoCo's coefficients of higher powers.
+            damper: damping, and MuJoCo's coefficients of higher powers.
+
+        Returns:
+            Stiffness and damping, SI; 0 if the file disables springs or dampers.
+        """
+        (stiffness, spring_powers), (damping, damper_powers) = spring, damper
+        if (self._has_springs and np.any(spring_powers)) or (self._has_dampers and np.any(damper_powers)):
             why = "the nonlinear part of its stiffness or damping"
             self._report.left_out(element, why, topic="not linear")
-        return float(stiffness) * self._springs, float(damping) * self._dampers
+        return float(stiffness) * self._has_springs, float(damping) * self._has_dampers
 
     def _add_joint(self, number: int) -> None:
+        """Add the spring and damper of MuJoCo's joint `number`."""
         model, element = self._model, element_name(self._model, "joint", number)
-        dof, place = int(model.jnt_dofadr[number]), int(model.jnt_qposadr[number])
+        dof, qpos_index = int(model.jnt_dofadr[number]), int(model.jnt_qposadr[number])
         spring = model.jnt_stiffness[number], model.jnt_stiffnesspoly[number]
         damper = model.dof_damping[dof], model.dof_dampingpoly[dof]
         stiffness, damping = self._linear(element, spring, damper)
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
+        # hinge or slide
         if number in self._joints.coordinate_keys:
             joint, coordinate = self._joints.coordinate_keys[number]
-            rest = float(self._reference(number)[0] - self._data.qpos[place])
+            rest = float(self._spring_reference(number)[0] - self._data.qpos[qpos_index])
             self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
             self._report.imported(element, f"{what} as a spring", FORCE if stiffness else "")
             return
+        # ball, or free joint: three translations and a ball
         joint = self._joints.joint_names[number]
         if model.jnt_type[number] == FREE:
-            rests = self._reference(number)[:3] - self._data.qpos[place : place + 3]
+            rests = self._spring_reference(number)[:3] - self._data.qpos[qpos_index : qpos_index + 3]
             for coordinate, rest in enumerate(rests.tolist()):
                 self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
-            place += 3
-        self.forces.append(BallSpring(joint, stiffness, damping, self._rest(number, place)))
+            qpos_index += 3
+        rest_rotation = self._rest_rotation(number, qpos_index)
+        self.forces.append(BallSpring(joint, stiffness, damping, rest_rotation))
         self._report.imported(element, f"{what} as a spring of all its motions", FORCE)
 
     def _add_spring(self, spring: JointSpring) -> None:
-        """Add a spring, combined with a spring that its coordinate already has."""
+        """Add a spring of a joint coordinate; two springs of one coordinate become one spring."""
         key = spring.joint, spring.coordinate
-        for place, other in enumerate(self.forces):
+        for index, other in enumerate(self.forces):
             if isinstance(other, JointSpring) and (other.joint, other.coordinate) == key:
                 stiffness = other.stiffness + spring.stiffness
-                moments = other.stiffness * other.rest + spring.stiffness * spring.rest
-                rest = moments / stiffness if stiffness else 0.0
+                # k rest = k_1 rest_1 + k_2 rest_2
+                weighted_rests = other.stiffness * other.rest + spring.stiffness * spring.rest
+                rest = weighted_rests / stiffness if stiffness else 0.0
                 damping = other.damping + spring.damping
-                self.forces[place] = JointSpring(spring.joint, stiffness, damping, rest, spring.coordinate)
+                self.forces[index] = JointSpring(spring.joint, stiffness, damping, rest, spring.coordinate)
                 return
         self.forces.append(spring)
 
-    def _reference(self, number: int) -> Array:
-        """Return the rest of a joint's spring as a part of qpos; the rest of a yielding spring is a state."""
+    def _spring_reference(self, number: int) -> Array:
+        """Return the configuration of a joint, a part of qpos, in which its spring exerts no force.
+
+        The rest of a yielding spring changes, and is part of MuJoCo's state. Yielding is reported as left out
+        unless the yield angle of a ball exceeds pi, the largest rotation.
+        """
         model = self._model
         size = {int(FREE): 7, int(BALL): 4}.get(int(model.jnt_type[number]), 1)
-        place, plastic = model.jnt_qposadr[number], model.jnt_plasticadr[number]
-        if plastic < 0:
-            return np.asarray(model.qpos_spring[place : place + size])
+        qpos_index, plastic_index = model.jnt_qposadr[number], model.jnt_plasticadr[number]
+        if plastic_index < 0:
+            return np.asarray(model.qpos_spring[qpos_index : qpos_index + size])
         limit = float(model.jnt_springyield[number])
         if limit < np.pi or model.jnt_type[number] != BALL:
             self._report_yield(element_name(self._model, "joint", number), limit)
-        return np.asarray(self._data.plastic[plastic : plastic + size])
+        return np.asarray(self._data.plastic[plastic_index : plastic_index + size])
 
     def _report_yield(self, element: str, limit: float) -> None:
+        """Report that the spring of an element yields beyond a deflection, m or rad."""
         why = f"its spring yields beyond {limit:g}; springs of scenes are elastic"
         self._report.left_out(element, why, topic="yield", numbers=[limit])
 
-    def _rest(self, number: int, place: int) -> Array:
-        """Return the rest (3,) of a ball's spring, see `BallSpring`; `place` is the quaternion's in qpos."""
-        turned = np.empty(3)
-        mujoco.mju_subQuat(turned, self._reference(number)[-4:], self._data.qpos[place : place + 4])
+    def _rest_rotation(self, number: int, quaternion_index: int) -> Array:
+        """Return the rest of a ball's spring, as `BallSpring` defines it.
+
+        Args:
+            number: number of MuJoCo's ball or free joint.
+            quaternion_index: index of the quaternion of the joint in qpos.
+
+        Returns:
+            Rotation vector (3,) of the second body from the start to the rest, rad, world frame.
+        """
+        in_child = np.empty(3)
+        start_quaternion = self._data.qpos[quaternion_index : quaternion_index + 4]
+        mujoco.mju_subQuat(in_child, self._spring_reference(number)[-4:], start_quaternion)
         child = int(self._model.jnt_bodyid[number])
-        in_world = self._data.xmat[child].reshape(3, 3) @ turned
+        in_world = self._data.xmat[child].reshape(3, 3) @ in_child
         (joint,) = (joint for joint in self._joints.joints if joint.name == self._joints.joint_names[number])
         return np.asarray(in_world if joint.second == self._bodies.names[child] else -in_world)
 
     def _add_tendon(self, tendon: int) -> None:
+        """Add the spring and damper of MuJoCo's tendon number `tendon`."""
         model = self._model
         element = element_name(model, "tendon", tendon)
         spring = model.tendon_stiffness[tendon], model.tendon_stiffnesspoly[tendon]
@@ -132,10 +175,11 @@ class Forces:
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
+        # MuJoCo's tendon is slack between two lengths, which are usually equal
         low, high = (float(x) for x in model.tendon_lengthspring[tendon])
-        plastic = int(model.tendon_plasticadr[tendon])
-        if plastic >= 0:
-            low, high = (float(x) for x in self._data.plastic[plastic : plastic + 2])
+        plastic_index = int(model.tendon_plasticadr[tendon])
+        if plastic_index >= 0:
+            low, high = (float(x) for x in self._data.plastic[plastic_index : plastic_index + 2])
             self._report_yield(element, float(model.tendon_springyield[tendon]))
         ends = straight_tendon_ends(self._start, tendon)
         weights = fixed_tendon_weights(self._start, tendon)
@@ -151,12 +195,23 @@ class Forces:
                 element, f"{what}: point springs are straight, and this tendon bends around sites or geoms"
             )
         else:
-            self._add_straight(tendon, element, what, ends, (stiffness, damping, max(low, 0.0)))
+            self._add_straight_tendon(tendon, element, what, ends, (stiffness, damping, max(low, 0.0)))
 
     def _add_fixed_tendon(
         self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
     ) -> None:
-        """Add the spring of a fixed tendon at the first coordinate of its sum, which the others follow."""
+        """Add the spring of a fixed tendon as a spring of its first joint coordinate.
+
+        The tendon is left out unless gears make all its coordinates proportional to the first one. With the
+        length L = L_start + slope x, a spring k of the tendon acts as a spring slope^2 k of x.
+
+        Args:
+            tendon: number of the tendon.
+            element: name of the tendon in the report.
+            what: first words of the entry in the report.
+            weights: weight of each of MuJoCo's joints, see `fixed_tendon_weights`.
+            along: stiffness, damping and rest of the tendon; the joint has no name.
+        """
         slopes = self._gear_groups.slopes(
             {self._joints.coordinate_keys[joint]: w for joint, w in weights.items()}
         )
@@ -175,7 +230,7 @@ class Forces:
         how = f"{what} as a spring of joint {joint!r}, which determines its length"
         self._report.imported(element, how, FORCE if stiffness else "")
 
-    def _add_straight(
+    def _add_straight_tendon(
         self,
         tendon: int,
         element: str,
@@ -183,8 +238,16 @@ class Forces:
         ends: tuple[tuple[int, Array], tuple[int, Array]],
         values: tuple[float, float, float],
     ) -> None:
-        """Add a point spring between two sites; `values` are stiffness, damping and rest length."""
-        (first, p), (second, q) = ends
+        """Add the spring of a straight tendon as a spring between two points.
+
+        Args:
+            tendon: number of the tendon.
+            element: name of the tendon in the report.
+            what: first words of the entry in the report.
+            ends: body and point of both ends, see `straight_tendon_ends`.
+            values: stiffness, N/m, damping, N s/m, and rest length, m.
+        """
+        (first, point_on_first), (second, point_on_second) = ends
         names = self._bodies.names[first], self._bodies.names[second]
         if names[0] == names[1]:
             self._report.left_out(
@@ -192,35 +255,53 @@ class Forces:
             )
             return
         stiffness, damping, rest = values
-        name = self._model.tendon(tendon).name
-        own = self.name(name.removeprefix("spring "), f"tendon_{tendon}")
-        spring = PointSpring(own, *names, p, q, stiffness=stiffness, rest_length=rest, damping=damping)
+        # `mjcf.write` puts "spring" in front of the name
+        name = self.name(self._model.tendon(tendon).name.removeprefix("spring "), f"tendon_{tendon}")
+        spring = PointSpring(
+            name,
+            *names,
+            point_on_first,
+            point_on_second,
+            stiffness=stiffness,
+            rest_length=rest,
+            damping=damping,
+        )
         self.forces.append(spring)
         self._report.imported(element, f"{what} as point spring {spring.name!r}", FORCE)
 
     def _add_compensation(self, body: int, gravity: Array) -> None:
+        """Add the gravity compensation of MuJoCo's body as a constant force at its center of mass.
+
+        Args:
+            body: number of the body.
+            gravity: (3,) m/s^2.
+        """
         name = self._bodies.names[body]
-        share = float(self._model.body_gravcomp[body])
-        force = -share * float(self._model.body_mass[body]) * gravity
+        fraction = float(self._model.body_gravcomp[body])
+        force = -fraction * float(self._model.body_mass[body]) * gravity
         element = element_name(self._model, "body", body)
         if name == GROUND or not np.any(force):
             return
-        if not (self._springs or self._dampers):
+        if not (self._has_springs or self._has_dampers):
             why = "MuJoCo applies no gravity compensation if the file disables springs and dampers"
-            self._report.left_out(element, f"gravity compensation {share:g}: {why}", moves_nothing=True)
+            self._report.left_out(element, f"gravity compensation {fraction:g}: {why}", moves_nothing=True)
             return
         wrench = self.name(f"{self._model.body(body).name}_gravcomp", f"gravcomp_{body}")
         self.forces.append(Wrench(wrench, name, self._data.xipos[body].copy(), force))
-        self._report.imported(element, f"gravity compensation {share:g} as wrench {wrench!r}", FORCE)
+        self._report.imported(element, f"gravity compensation {fraction:g} as wrench {wrench!r}", FORCE)
 
 
 def armatures(
     start: ModelAtStart, joints: Joints, gear_groups: GearGroups, report: ImportReport
 ) -> tuple[dict[Key, float], dict[str, float]]:
-    """Return rotor inertias, kg m^2 or kg, by joint coordinate, and rotor inertias of balls by joint."""
+    """Import the armatures of joints and tendons.
+
+    Returns:
+        Rotor inertias, kg m^2 or kg, by joint coordinate, and rotor inertias of balls, kg m^2, by joint.
+    """
     model: Any = start.model
-    found: dict[Key, float] = {}
-    balls: dict[str, float] = {}
+    coordinate_armatures: dict[Key, float] = {}
+    ball_armatures: dict[str, float] = {}
     for number in range(model.njnt):
         inertia = float(model.dof_armature[model.jnt_dofadr[number]])
         if inertia == 0.0:
@@ -228,37 +309,47 @@ def armatures(
         element = element_name(model, "joint", number)
         if number in joints.coordinate_keys:
             key = joints.coordinate_keys[number]
-            found[key] = found.get(key, 0.0) + inertia
+            coordinate_armatures[key] = coordinate_armatures.get(key, 0.0) + inertia
         else:
-            balls[joints.joint_names[number]] = inertia
-            if model.jnt_type[number] == FREE:
-                found |= {(joints.joint_names[number], coordinate): inertia for coordinate in range(3)}
+            ball_armatures[joints.joint_names[number]] = inertia
+            if model.jnt_type[number] == FREE:  # the armature acts on the three translations, too
+                for coordinate in range(3):
+                    coordinate_armatures[joints.joint_names[number], coordinate] = inertia
         report.imported(element, f"its armature {inertia:g}", ROTOR)
     for tendon in np.flatnonzero(model.tendon_armature):
         element = element_name(model, "tendon", int(tendon))
         inertia = float(model.tendon_armature[tendon])
         weights = fixed_tendon_weights(start, int(tendon)) or {}
-        rotor = reduced_inertia(start, joints, gear_groups, weights, inertia)
-        if rotor is None:
+        reduced = reduced_inertia(start, joints, gear_groups, weights, inertia)
+        if reduced is None:
             why = f"its armature {inertia:g}: no single joint coordinate determines its length"
             report.left_out(element, why, topic="armature")
             continue
-        key, reduced = rotor
-        found[key] = found.get(key, 0.0) + reduced
+        key, inertia_of_coordinate = reduced
+        coordinate_armatures[key] = coordinate_armatures.get(key, 0.0) + inertia_of_coordinate
         how = f"its armature {inertia:g} at joint {key[0]!r}, which determines its length"
         report.imported(element, how, ROTOR)
-    return found, balls
+    return coordinate_armatures, ball_armatures
 
 
 def reduced_inertia(
     start: ModelAtStart, joints: Joints, gear_groups: GearGroups, moments: dict[int, float], inertia: float
 ) -> tuple[Key, float] | None:
-    """Reduce an inertia along a sum of joint coordinates to the first coordinate.
+    """Reduce the inertia of a sum L = sum_j g_j x_j of joint coordinates to the first coordinate x_1.
 
-    MuJoCo's mass matrix has no entries for pairs of joints in different branches, and omits their part.
+    The kinetic energy I (dL/dt)^2 / 2 equals I' (dx_1/dt)^2 / 2 with I' = I sum_ij g_i g_j r_i r_j, where r_j
+    is the derivative of x_j by x_1. MuJoCo's mass matrix has no entries for pairs of joints in different
+    branches of the tree of bodies. These pairs are omitted here, too.
+
+    Args:
+        start: MuJoCo's model and data at the start state.
+        joints: imported joints.
+        gear_groups: joint coordinates that gears make proportional to each other.
+        moments: moment arm g_j by number of MuJoCo's joint.
+        inertia: inertia I of the sum, kg or kg m^2.
 
     Returns:
-        The coordinate and its inertia; None unless gears couple all coordinates to the first.
+        The first coordinate and its inertia I'; None unless gears couple all coordinates to the first.
     """
     rates = gear_groups.rates(joints.coordinate_keys[joint] for joint in moments)
     if rates is None:
@@ -276,7 +367,7 @@ def reduced_inertia(
 
 
 def _one_branch(start: ModelAtStart, one: int, two: int) -> bool:
-    """True if two hinges or slides are the same, or one is an ancestor of the other."""
+    """Return True if two hinges or slides are on one branch of the tree of bodies, or are the same joint."""
     model: Any = start.model
     low, high = (int(x) for x in sorted((model.jnt_dofadr[one], model.jnt_dofadr[two])))
     while high > low:

@@ -1,4 +1,9 @@
-"""Control laws from forces of actuators, and sines of controls that choose_excitation a mechanism."""
+"""Control laws from the forces of MuJoCo's actuators, and sines of the controls that excite a mechanism.
+
+A model at rest with zero controls tests few elements. `choose_excitation` therefore adds a sine to the
+control of each actuator, within all limits. `JointActuation` adds up the forces of several actuators on one
+joint coordinate and makes the control law of the scene.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +25,7 @@ from newton_euler.scalars import Array
 
 
 class Excitation(NamedTuple):
-    """Excitation of a model by its controls.
+    """Controls that excite a model.
 
     Attributes:
         control: (nu,) controls at the start.
@@ -34,38 +39,42 @@ class Excitation(NamedTuple):
 
 
 def choose_excitation(
-    scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array, bounds: Iterable[Bounds]
+    scene: Scene, drives: Mapping[int, Drive], control: Array, control_index: Array, bounds: Iterable[Bounds]
 ) -> Excitation:
-    """Choose sines that use at most half of the distance of controls from their limits.
+    """Choose the sines of controls. An amplitude is at most half of the distance from the nearest limit.
 
-    Controls at an end of their range are moved inside the range.
+    A control at an end of its range is moved inside the range.
 
     Args:
         scene: scene with the controls of the file.
-        drives: actuators that can be driven, by number.
+        drives: actuators whose controls can vary, by number.
         control: (nu,) controls of the file.
-        places: (nactuator,) index of each actuator's control.
+        control_index: (nactuator,) index of each actuator's control.
         bounds: limits of joint coordinates.
     """
-    control, found, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
+    control, sines, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
+    # amplitudes and frequencies that move joints by a useful amount; `within` keeps joints in their limits
     wanted = swings(scene, [drive.gains for drive in drives.values()], bounds)
     for (actuator, drive), swing in zip(drives.items(), wanted, strict=True):
-        least = min(drive.control - drive.low, drive.high - drive.control)
-        room = min(2.0 * swing.amplitude, least if drive.rests else 0.25 * (drive.high - drive.low))
+        to_limit = min(drive.control - drive.low, drive.high - drive.control)
+        room = min(2.0 * swing.amplitude, to_limit if drive.has_dynamics else 0.25 * (drive.high - drive.low))
         if not room > 0.0:
             continue
-        if not drive.rests and room > least:
+        if not drive.has_dynamics and room > to_limit:
             inside = float(np.clip(drive.control, drive.low + room, drive.high - room))
-            moved[actuator] = float(control[places[actuator]]), inside
-            control[places[actuator]] = inside
-        else:  # a control that stays also keeps joints within their limits
+            moved[actuator] = float(control[control_index[actuator]]), inside
+            control[control_index[actuator]] = inside
+        else:  # a control that keeps its mean value also keeps joints within their limits
             room = min(room, 2.0 * swing.within)
-        found[actuator] = Sine(0.5 * room, swing.angular_frequency)
-    return Excitation(control, found, moved)
+        sines[actuator] = Sine(0.5 * room, swing.angular_frequency)
+    return Excitation(control, sines, moved)
 
 
 class Affine(NamedTuple):
-    """Force constant + by_length l + by_rate dl/dt, N or N m, on a length l."""
+    """Coefficients of the force constant + by_length l + by_rate dl/dt on a transmission of length l.
+
+    The force is in N if l is a length in m, and in N m if l is an angle in rad.
+    """
 
     constant: float
     by_length: float
@@ -73,62 +82,64 @@ class Affine(NamedTuple):
 
 
 class JointActuation(NamedTuple):
-    """Sum of actuator forces on a joint coordinate: constant + swings - sum_j (k_j x_j + d_j dx_j/dt).
+    """Sum of the actuator forces on one joint coordinate: constant + sines - sum_j (k_j x_j + d_j dx_j/dt).
 
     Attributes:
-        feedback: gains (k_j, d_j), SI, by joint coordinate x_j.
+        feedback: stiffness k_j and damping d_j, SI, by joint coordinate x_j.
         constant: N or N m.
-        swings: sines, N or N m.
+        sines: N or N m.
     """
 
     feedback: Mapping[Key, tuple[float, float]] = {}
     constant: float = 0.0
-    swings: tuple[Sine, ...] = ()
+    sines: tuple[Sine, ...] = ()
 
     def with_feedback(self, key: Key, stiffness: float, damping: float) -> JointActuation:
-        """Add gains on a joint coordinate."""
+        """Return the sum with additional stiffness and damping on joint coordinate `key`."""
         k, d = self.feedback.get(key, (0.0, 0.0))
         return self._replace(feedback={**self.feedback, key: (k + stiffness, d + damping)})
 
     def law(self, key: Key) -> PD | StateFeedback:
-        """Make the control law of joint coordinate `key`.
+        """Return the control law that applies this sum to joint coordinate `key`.
 
-        If the law has a stiffness at its own coordinate, the constant force becomes the target.
+        If the sum has a stiffness k on coordinate `key` itself, the constant force c is written as the target
+        c / k. The law is a PD law if the sum depends on no other coordinate.
         """
         joint, coordinate = key
         stiffness, damping = self.feedback.get(key, (0.0, 0.0))
         target = self.constant / stiffness if stiffness else 0.0
-        feedforward = constant_plus_sines(0.0 if stiffness else self.constant, self.swings)
+        feedforward = constant_plus_sines(0.0 if stiffness else self.constant, self.sines)
         if self.feedback.keys() <= {key}:
             return PD(joint, stiffness, damping, target, coordinate, feedforward)
         gains: dict[str | Key, tuple[float, float]] = dict(self.feedback.items())
         return StateFeedback(joint, gains, target, coordinate, feedforward)
 
 
-def constant_plus_sines(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:
-    """Return a constant, or the sum of a constant and sines."""
-    if not swings:
+def constant_plus_sines(constant: float, sines: tuple[Sine, ...]) -> float | Sine | Sum:
+    """Return the function of time constant + sum of the sines; without sines, the constant itself."""
+    if not sines:
         return constant
-    first = replace(swings[0], offset=constant)
-    return Sum((first, *swings[1:])) if swings[1:] else first
+    first = replace(sines[0], offset=constant)
+    return Sum((first, *sines[1:])) if sines[1:] else first
 
 
 class Drive(NamedTuple):
-    """Actuator with fixed gain that is part of control laws.
+    """Actuator with fixed gain whose control excitation can vary.
 
     Attributes:
         control: control at the start, or activation of an actuator with dynamics.
         gains: force on joint coordinates per unit of `control`, N or N m.
         low: smallest value within the ranges of control, activation and force; may be -infinity.
         high: largest value within the ranges of control, activation and force; may be infinity.
-        rests: True for an actuator with dynamics, which must start with the control that keeps it at rest.
+        has_dynamics: True for an actuator with activation dynamics. The mean of its control stays at the
+            value that keeps the activation constant.
     """
 
     control: float
     gains: dict[Key, float]
     low: float
     high: float
-    rests: bool
+    has_dynamics: bool
 
 
 def control_per_activation(model: Any, actuator: int) -> float:
@@ -138,9 +149,9 @@ def control_per_activation(model: Any, actuator: int) -> float:
     A sin(w t) + A w tau cos(w t) (MuJoCo's documentation, Modeling, Actuator, attribute dyntype). The result
     is 1 without dynamics.
     """
-    fastest, kind = 2.0 * np.pi * MAX_FREQUENCY, mujoco.mjtDyn(model.actuator_dyntype[actuator])
+    max_omega, kind = 2.0 * np.pi * MAX_FREQUENCY, mujoco.mjtDyn(model.actuator_dyntype[actuator])  # rad/s
     if kind == mujoco.mjtDyn.mjDYN_NONE:
         return 1.0
     if kind == mujoco.mjtDyn.mjDYN_INTEGRATOR:
-        return fastest
-    return float(np.hypot(1.0, fastest * float(model.actuator_dynprm[actuator, 0])))
+        return max_omega
+    return float(np.hypot(1.0, max_omega * float(model.actuator_dynprm[actuator, 0])))

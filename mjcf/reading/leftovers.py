@@ -1,6 +1,8 @@
-"""Report elements that scenes do not simulate, and watch them in runs.
+"""Report the elements of an MJCF file that scenes do not simulate, and watch them in runs.
 
-Contacts and tendons are evaluated by MuJoCo at the poses of a run of any engine.
+Scenes have no contacts, limits, dry friction, fluids and deformable bodies. The import report lists these
+elements as left out. A watch tests, after a run of any engine, whether an element would have acted. For
+contacts and tendons, MuJoCo evaluates collisions and lengths at the poses of the run.
 """
 
 from __future__ import annotations
@@ -40,27 +42,36 @@ PASSIVE_ELEMENTS = {
     "numeric": "numbers",
     "tuple": "tuples",
 }
-"""Elements that move nothing, and their plurals in reports."""
+"""Kinds of elements that move nothing, as MuJoCo abbreviates them, and their plurals in reports."""
 
 MAX_LISTED_PAIRS = 3
 """Largest number of touching pairs of geoms that a report names."""
 
 MIN_PENETRATION = 1e-6
-"""Smallest penetration of the margin, m, that counts as contact: MuJoCo's default `ccd_tolerance`."""
+"""Smallest depth, m, below the margin of two geoms that counts as contact: MuJoCo's `ccd_tolerance`."""
 
 BODY_ARRAYS = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
-"""Arrays of points and rotation matrices in MuJoCo's data that move with bodies."""
+"""Pairs of arrays, points and rotation matrices, in MuJoCo's data that move with bodies."""
 
 
 def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
-    """Report all elements that other parts of the reader do not report."""
+    """Report all elements that the other modules of the reader do not report.
+
+    Args:
+        start: MuJoCo's model and data at the start state.
+        bodies: imported bodies.
+        joints: imported joints of the tree.
+        report: report that receives the entries.
+    """
     model = start.model
     poses = Poses(start, bodies)
     _report_flags(start, report)
     _report_contacts(start, poses, report)
-    meshes = int(np.sum(model.geom_dataid >= 0))
-    if meshes:
-        report.imported(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
+    mesh_count = int(np.sum(model.geom_dataid >= 0))
+    if mesh_count:
+        report.imported(
+            f"{mesh_count} geoms of meshes", "drawn where visible; their masses are in the bodies"
+        )
     # limits and dry friction of joints and tendons
     for number in range(model.njnt):
         _report_joint(start, joints, number, report)
@@ -109,46 +120,49 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
         names = ", ".join(repr(model.key(k).name or str(k)) for k in range(model.nkey))
         why = f"one is the start; --set key=NAME for another of {names}"
         report.left_out("other keyframes", why, moves_nothing=True)
-    for prefix, what in PASSIVE_ELEMENTS.items():
+    for prefix, plural in PASSIVE_ELEMENTS.items():
         count = int(getattr(model, f"n{prefix}"))
         if count:
-            report.left_out(f"{count} {what}", "they move nothing", moves_nothing=True)
+            report.left_out(f"{count} {plural}", "they move nothing", moves_nothing=True)
     report.left_out("options of solver and integrator", "every engine has its own", moves_nothing=True)
 
 
 def _report_flags(start: ModelAtStart, report: ImportReport) -> None:
-    """Report flags of the file that disable forces of its elements."""
+    """Report the flags of the file that disable gravity, springs or dampers that the file has."""
     model = start.model
-    stiff, damped = (
-        any(np.any(getattr(model, name)) for name in names)
-        for names in (("jnt_stiffness", "tendon_stiffness"), ("dof_damping", "tendon_damping"))
-    )
-    for flag, acts, effect in (
+    has_springs = bool(np.any(model.jnt_stiffness) or np.any(model.tendon_stiffness))
+    has_dampers = bool(np.any(model.dof_damping) or np.any(model.tendon_damping))
+    for flag, has_elements, effect in (
         ("GRAVITY", True, "bodies have no weight"),
-        ("SPRING", stiff, "its springs exert nothing"),
-        ("DAMPER", damped, "its dampers exert nothing"),
+        ("SPRING", has_springs, "its springs exert nothing"),
+        ("DAMPER", has_dampers, "its dampers exert nothing"),
     ):
-        if acts and start.disabled(flag):
+        if has_elements and start.disabled(flag):
             report.left_out(flag.lower(), f'<flag {flag.lower()}="disable"/>: {effect}', switched_off=True)
 
 
 def _tendon_watch(start: ModelAtStart, joints: Joints, poses: Poses, tendon: int) -> Watch:
-    """Make the watch of a tendon's limits."""
+    """Return the watch of a tendon's limits of length.
+
+    The length of a fixed tendon is a weighted sum of joint coordinates, which `Bounds` watches. MuJoCo
+    computes the lengths of all other tendons.
+    """
     model, weights = start.model, fixed_tendon_weights(start, tendon)
     if weights is None or any(joint not in joints.coordinate_keys for joint in weights):
         return TendonWatch(poses, tendon)
     low, high = (float(x) for x in model.tendon_range[tendon])
     margin, length = float(model.tendon_margin[tendon]), float(start.data.ten_length[tendon])
     terms = tuple((joints.coordinate_keys[joint], weight) for joint, weight in weights.items())
-    slides = {bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in weights}
-    unit = {True: "m", False: "rad"}[slides.pop()] if len(slides) == 1 else "m or rad"
+    are_slides = [bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in weights]
+    unit = "m" if all(are_slides) else "m or rad" if any(are_slides) else "rad"
     return Bounds(terms, low + margin, high - margin, unit, length)
 
 
 def _report_contacts(start: ModelAtStart, poses: Poses, report: ImportReport) -> None:
+    """Report geoms and pairs that can touch, with the watch of contacts, and contact exclusions."""
     model, switched_off = start.model, start.disabled("CONTACT")
-    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    for count, what in ((np.sum(touching), "geoms that can touch"), (model.npair, "contact pairs")):
+    can_touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    for count, what in ((np.sum(can_touch), "geoms that can touch"), (model.npair, "contact pairs")):
         if count:
             why = "contacts are one-sided and not simulated"
             report.left_out(
@@ -165,19 +179,20 @@ def _report_contacts(start: ModelAtStart, poses: Poses, report: ImportReport) ->
 
 
 def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: ImportReport) -> None:
+    """Report the limits and the dry friction of MuJoCo's joint `number`, with their watches."""
     model, element = start.model, element_name(start.model, "joint", number)
     if model.jnt_limited[number]:
         low, high = model.jnt_range[number]
-        where, watches = "", list[Watch]()
+        outside, watches = "", list[Watch]()
         if number in joints.coordinate_keys:
             x = float(start.data.qpos[model.jnt_qposadr[number]])
-            where = "" if low <= x <= high else f"; the start is outside of them, at {x:.4g}"
+            outside = "" if low <= x <= high else f"; the start is outside of them, at {x:.4g}"
             unit = "m" if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
             margin = float(model.jnt_margin[number])
             watches.append(
                 Bounds(((joints.coordinate_keys[number], 1.0),), low + margin, high - margin, unit, x)
             )
-        why = f"its limits {low:.4g} to {high:.4g}{where}: limits are one-sided and not simulated"
+        why = f"its limits {low:.4g} to {high:.4g}{outside}: limits are one-sided and not simulated"
         switched_off = start.disabled("LIMIT")
         report.left_out(
             element, why, topic=LIMITS, switched_off=switched_off, watches=watches, numbers=[low, high]
@@ -193,83 +208,99 @@ def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: Impo
 
 
 class Poses:
-    """Compiled model with its contacts, whose bodies are placed at the poses of a run."""
+    """Compiled model with its contacts, whose geoms, sites and bodies are placed at the poses of a run."""
 
     def __init__(self, start: ModelAtStart, bodies: Bodies) -> None:
-        self._read = start.model
+        """Store positions and orientations of geoms, sites and bodies relative to the scene's bodies."""
+        self._model_at_start = start.model
         model, data = start.model, start.data
+        # number of the scene's body for each row of the arrays
         numbers = {name: k for k, name in enumerate(body.name for body in bodies.bodies)}
-        of_bodies = np.array([numbers[name] for name in bodies.names])
-        self._owners = {
-            "geom_xpos": of_bodies[model.geom_bodyid],
-            "site_xpos": of_bodies[model.site_bodyid],
-            "xipos": of_bodies,
-            "xpos": of_bodies,
+        scene_body = np.array([numbers[name] for name in bodies.names])
+        self._scene_bodies = {
+            "geom_xpos": scene_body[model.geom_bodyid],
+            "site_xpos": scene_body[model.site_bodyid],
+            "xipos": scene_body,
+            "xpos": scene_body,
         }
         centers = np.array([body.center_of_mass for body in bodies.bodies])
-        turns = rotations(np.array([body.quaternion for body in bodies.bodies]))
+        body_axes = rotations(np.array([body.quaternion for body in bodies.bodies]))
+        # offset (n, 3) from the center of mass and rotation (n, 3, 3), in the frame of the scene's body
         self._local: dict[str, tuple[Array, Array]] = {}
         for points, axes in BODY_ARRAYS:
-            into = turns[self._owners[points]].transpose(0, 2, 1)
-            arms = getattr(data, points) - centers[self._owners[points]]
-            local = into @ arms[:, :, None], into @ getattr(data, axes).reshape(-1, 3, 3)
-            self._local[points] = local[0][:, :, 0], local[1]
+            to_body = body_axes[self._scene_bodies[points]].transpose(0, 2, 1)
+            arms = getattr(data, points) - centers[self._scene_bodies[points]]
+            offsets = (to_body @ arms[:, :, None])[:, :, 0]
+            self._local[points] = offsets, to_body @ getattr(data, axes).reshape(-1, 3, 3)
 
     @cached_property
     def model(self) -> Any:
         """Copy of the model with contacts and constraints enabled."""
-        model = copy.copy(self._read)
+        model = copy.copy(self._model_at_start)
         for bit in ("CONTACT", "CONSTRAINT"):
             model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
         return model
 
     def along(self, motion: SampledMotion) -> Iterator[tuple[float, Any]]:
-        """Yield the times of a run and MuJoCo's data with the poses, before collisions and tendons."""
+        """Yield each time, s, of a run with MuJoCo's data, in which only the poses of that time are set.
+
+        The caller computes collisions or lengths of tendons from the poses.
+        """
         data = mujoco.MjData(self.model)
         all_centers, quaternions = motion.poses
-        for time, centers, turns in zip(
+        for time, centers, body_axes in zip(
             motion.time.tolist(), all_centers, rotations(quaternions), strict=True
         ):
             for points, axes in BODY_ARRAYS:
-                owners, (arms, local) = self._owners[points], self._local[points]
-                getattr(data, points)[:] = centers[owners] + (turns[owners] @ arms[:, :, None])[:, :, 0]
-                getattr(data, axes)[:] = (turns[owners] @ local).reshape(-1, 9)
+                bodies, (offsets, local_axes) = self._scene_bodies[points], self._local[points]
+                moved_offsets = (body_axes[bodies] @ offsets[:, :, None])[:, :, 0]
+                getattr(data, points)[:] = centers[bodies] + moved_offsets
+                getattr(data, axes)[:] = (body_axes[bodies] @ local_axes).reshape(-1, 9)
             yield time, data
 
 
 class ContactWatch:
-    """Watch of contacts: a contact acts if two geoms are nearer than their margin."""
+    """Watch of contacts: a contact would act if two geoms are nearer than their margin."""
 
     def __init__(self, poses: Poses) -> None:
+        """Watch all contacts of the model of `poses`."""
         self._poses = poses
 
     def judge(self, motion: SampledMotion) -> Activity:
+        """Return whether contacts would have acted in a run, with the first pairs that touch.
+
+        The answer is not settled if the samples of the motion are too coarse to see short contacts.
+        """
         model, count = self._poses.model, 0
-        pairs: dict[tuple[int, int], tuple[float, float]] = {}  # first time, s, and depth, m
+        # first time, s, and depth at that time, m, of each pair of geoms
+        pairs: dict[tuple[int, int], tuple[float, float]] = {}
         for time, data in self._poses.along(motion):
             mujoco.mj_collision(model, data)
             depths = np.where(data.contact.exclude == 0, data.contact.includemargin - data.contact.dist, 0.0)
             if not np.any(depths > MIN_PENETRATION):
                 continue
             count += 1
-            for number in np.argsort(-depths)[: np.sum(depths > MIN_PENETRATION)]:
-                one, two = map(int, data.contact.geom[number])
-                pairs.setdefault((one, two), (time, float(depths[number])))
+            deepest_first = np.argsort(-depths)[: np.sum(depths > MIN_PENETRATION)]
+            for number in deepest_first:
+                geom_1, geom_2 = map(int, data.contact.geom[number])
+                pairs.setdefault((geom_1, geom_2), (time, float(depths[number])))
         if pairs:
             words = f"active at {count} of {len(motion.time)} time points"
             for pair, (time, depth) in list(pairs.items())[:MAX_LISTED_PAIRS]:
                 order = "then" if "first" in words else "first"
-                names = " and ".join(map(self._name, pair))
+                names = " and ".join(map(self._describe_geom, pair))
                 words += f", {order} at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
             if len(pairs) > MAX_LISTED_PAIRS:
                 words += f", and {len(pairs) - MAX_LISTED_PAIRS} more pairs"
-            return Activity(words, next(iter(pairs.values()))[0], settled=motion.is_fine)
+            first_time, _ = next(iter(pairs.values()))
+            return Activity(words, first_time, settled=motion.is_fine)
         if not motion.is_fine:
             return Activity(UNSETTLED, 0.0, settled=False)
         between = f"and at {POINTS_PER_INTERVAL - 1} time points between each two"
         return Activity(f"inactive at all {len(motion.run.time)} output times {between}")
 
-    def _name(self, geom: int) -> str:
+    def _describe_geom(self, geom: int) -> str:
+        """Describe geom number `geom` by its name or its body; negative numbers are flexes."""
         if geom < 0:
             return "a flex"
         name = self._poses.model.geom(geom).name
@@ -278,19 +309,21 @@ class ContactWatch:
 
 
 class TendonWatch:
-    """Watch of the limits of a spatial tendon, with lengths by MuJoCo."""
+    """Watch of the limits of length of a tendon through sites and around geoms."""
 
     def __init__(self, poses: Poses, tendon: int) -> None:
+        """Watch tendon number `tendon` of the model of `poses`."""
         self._poses, self._tendon = poses, tendon
 
     def judge(self, motion: SampledMotion) -> Activity:
+        """Return whether the length would have left its limits in a run, with lengths by MuJoCo."""
         model, lengths = self._poses.model, []
         margin = float(model.tendon_margin[self._tendon])
         low, high = (float(x) for x in model.tendon_range[self._tendon])
         for _, data in self._poses.along(motion):
             mujoco.mj_tendon(model, data)
             lengths.append(float(data.ten_length[self._tendon]))
-        doubt = np.full(len(motion.run.time) - 1, 0.0 if motion.is_fine else np.inf)
-        return Bounds((), low + margin, high - margin, "m").judge_values(
-            motion.time, np.array(lengths), doubt
-        )
+        # possible excess, m, of the length between samples in each output interval
+        excess = np.full(len(motion.run.time) - 1, 0.0 if motion.is_fine else np.inf)
+        limits = Bounds((), low + margin, high - margin, "m")
+        return limits.judge_values(motion.time, np.array(lengths), excess)

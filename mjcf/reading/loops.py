@@ -1,4 +1,9 @@
-"""Import equality constraints of a compiled model as joints, couplings and held joints."""
+"""Import the equality constraints of a compiled MuJoCo model, for `mjcf.reader`.
+
+A `connect` or `weld` becomes a joint that closes a loop. An equality of joints becomes a gear or another
+coupling, or holds one joint at its start. An equality of a straight tendon becomes a rod of constant length,
+an equality of a fixed tendon (a weighted sum of joint coordinates) becomes a coupling.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +23,7 @@ from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
 
 HELD_RIGIDLY = "rigid here, soft in MuJoCo by solref and solimp"
+"""Words of the report for every imported equality."""
 
 
 class Loops:
@@ -30,6 +36,14 @@ class Loops:
     """
 
     def __init__(self, start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
+        """Import and report all equalities.
+
+        Args:
+            start: MuJoCo's model and data at the start state.
+            bodies: imported bodies.
+            joints: imported joints of the tree.
+            report: report that receives one entry for each equality.
+        """
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._report = bodies, joints, report
         self.joints: list[Joint] = []
@@ -48,17 +62,20 @@ class Loops:
                 self._add(index)
 
     def _name(self, index: int) -> str:
-        own = self._model.equality(index).name
-        for kind in (Gear, PolynomialCoupling):  # prefixes of `mjcf.write`
-            own = own.removeprefix(f"{kind.kind} ")
-        name = unique_name(own, f"equality_{index}", self._taken)
+        """Return a new name for the joint or coupling of an equality, and reserve the name."""
+        wanted_name = self._model.equality(index).name
+        for kind in (Gear, PolynomialCoupling):  # `mjcf.write` puts the kind in front of the name
+            wanted_name = wanted_name.removeprefix(f"{kind.kind} ")
+        name = unique_name(wanted_name, f"equality_{index}", self._taken)
         self._taken.append(name)
         return name
 
-    def _leave(self, index: int, why: str, moves_nothing: bool = False) -> None:
+    def _leave_out(self, index: int, why: str, moves_nothing: bool = False) -> None:
+        """Report an equality as left out of the scene."""
         self._report.left_out(self._start.equality(index), why, moves_nothing=moves_nothing)
 
     def _add(self, index: int) -> None:
+        """Import equality number `index`."""
         match mujoco.mjtEq(self._model.eq_type[index]):
             case mujoco.mjtEq.mjEQ_CONNECT | mujoco.mjtEq.mjEQ_WELD:
                 self._add_closure(index)
@@ -67,27 +84,36 @@ class Loops:
             case mujoco.mjtEq.mjEQ_TENDON:
                 self._add_tendon(index)
             case kind:
-                self._leave(index, f"scenes have no counterpart of {kind.name.removeprefix('mjEQ_').lower()}")
+                self._leave_out(
+                    index, f"scenes have no counterpart of {kind.name.removeprefix('mjEQ_').lower()}"
+                )
 
     def _add_closure(self, index: int) -> None:
-        numbers, (p, _) = closure_ends(self._model, self._data, index)
+        """Add the joint of a connect or weld: a spherical joint, or a fixed joint."""
+        numbers, (point_on_first, _) = closure_ends(self._model, self._data, index)
         first, second = (self._bodies.names[k] for k in numbers)
         if first == second:
-            self._leave(index, f"both its bodies are parts of {first!r}", moves_nothing=True)
+            self._leave_out(index, f"both its bodies are parts of {first!r}", moves_nothing=True)
             return
-        turns = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD
-        weld = turns and self._model.eq_data[index, TORQUE_SCALE_INDEX] != 0.0
-        kind = Fixed if weld else Spherical
+        is_weld = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD
+        holds_rotation = is_weld and self._model.eq_data[index, TORQUE_SCALE_INDEX] != 0.0
+        kind = Fixed if holds_rotation else Spherical
         name = self._name(index)
-        # one point for both bodies: the scene keeps the offset that the digits of the file leave
-        self.joints.append(kind(name, first, second, p))
+        # The joint uses the point on the first body for both bodies. The point on the second body differs
+        # from it by the rounding of the file, and the bodies stay where the file has them.
+        self.joints.append(kind(name, first, second, point_on_first))
         self._report.imported(self._start.equality(index), f"{kind.kind} joint {name!r}, {HELD_RIGIDLY}")
 
     def _add_joint(self, index: int) -> None:
+        """Add the coupling of an equality of joints, y - y0 = p(x - x0), see MuJoCo's `polycoef`.
+
+        y is the coordinate of the follower, x of the driver, and p a polynomial of degree 4. y0 and x0 are
+        the coordinates in qpos0. Without a driver, the follower is held.
+        """
         model = self._model
         first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
         if first not in self._joints.coordinate_keys:
-            self._leave(index, "it couples joints other than hinges and slides")
+            self._leave_out(index, "it couples joints other than hinges and slides")
             return
         polynomial = model.eq_data[index][:5]
         follower = self._joints.coordinate_keys[first]
@@ -95,86 +121,108 @@ class Loops:
             self._couple(index, follower, None, 0.0, HELD_RIGIDLY)
             return
         driver = self._joints.coordinate_keys[second]
-        place = int(model.jnt_qposadr[second])
-        x = float(self._data.qpos[place] - model.qpos0[place])
+        qpos_index = int(model.jnt_qposadr[second])
+        driver_at_start = float(self._data.qpos[qpos_index] - model.qpos0[qpos_index])
         if not np.any(polynomial[2:]):
             self._couple(index, follower, driver, float(polynomial[1]), HELD_RIGIDLY)
             return
         coefficients = tuple(np.trim_zeros(polynomial[1:], "b").tolist())
         name = self._name(index)
-        file = PolynomialCoupling(name, driver[0], follower[0], coefficients, driver[1], follower[1])
-        self.gears.append(file.from_zero(x))
+        in_file_coordinates = PolynomialCoupling(
+            name, driver[0], follower[0], coefficients, driver[1], follower[1]
+        )
+        # the file counts coordinates from qpos0, the scene from the start
+        self.gears.append(in_file_coordinates.from_zero(driver_at_start))
         self._report.imported(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
 
     def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float, how: str) -> None:
-        """Add a gear, or a held joint if there is no driver."""
+        """Add a gear, follower = ratio * driver; hold the follower if there is no driver or the ratio is 0.
+
+        Args:
+            index: number of the equality.
+            follower: joint and number of the coordinate.
+            driver: joint and number of the coordinate, or None.
+            ratio: derivative of the follower by the driver.
+            how: last words of the entry in the report.
+        """
         if driver is None or ratio == 0.0:
             self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
-            how_kept = f"joint {follower[0]!r} held, {how}"
+            counterpart = f"joint {follower[0]!r} held, {how}"
         else:
             name = self._name(index)
             self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
-            how_kept = f"gear {name!r} of ratio {ratio:.6g}, {how}"
-        self._report.imported(self._start.equality(index), how_kept)
+            counterpart = f"gear {name!r} of ratio {ratio:.6g}, {how}"
+        self._report.imported(self._start.equality(index), counterpart)
 
     def _add_tendon(self, index: int) -> None:
-        """Add an equality of tendons: a rod for a straight tendon, a coupling for sums of coordinates."""
+        """Add an equality of tendons: a rod for a straight tendon, a coupling for fixed tendons."""
         model = self._model
         tendons = [int(t) for t in (model.eq_obj1id[index], model.eq_obj2id[index]) if t >= 0]
         polynomial = model.eq_data[index][:5]
+        # one straight tendon: a rod
         ends = straight_tendon_ends(self._start, tendons[0])
         if ends and len(tendons) == 1:
-            (first, p), (second, q) = ends
+            (first, point_on_first), (second, point_on_second) = ends
             names = self._bodies.names[first], self._bodies.names[second]
             if names[0] == names[1]:
-                self._leave(index, f"both its ends are parts of {names[0]!r}", moves_nothing=True)
+                self._leave_out(index, f"both its ends are parts of {names[0]!r}", moves_nothing=True)
                 return
             name = self._name(index)
-            self.joints.append(Rod(name, *names, p, point_on_second=q))
+            self.joints.append(Rod(name, *names, point_on_first, point_on_second=point_on_second))
             self._report.imported(self._start.equality(index), f"rod {name!r}, {HELD_RIGIDLY}")
             return
+        # one or two fixed tendons
         weights = fixed_tendon_weights(self._start, tendons[0])
         others = fixed_tendon_weights(self._start, tendons[1]) if len(tendons) == 2 else {}
         if weights is None or others is None:
-            self._leave(index, "it couples tendons that are neither straight nor sums of joint coordinates")
+            self._leave_out(
+                index, "it couples tendons that are neither straight nor sums of joint coordinates"
+            )
             return
         if np.any(polynomial[2:]):
-            self._leave(index, "it couples tendons by a nonlinear polynomial")
+            self._leave_out(index, "it couples tendons by a nonlinear polynomial")
             return
-        # the weighted sum of joint coordinates that the equality keeps constant
-        total = dict(weights)
+        # L1 - c L2 is constant for lengths L1, L2 of the tendons; both are weighted sums of coordinates
+        weight_of_joint = dict(weights)
         for joint, weight in others.items():
-            total[joint] = total.get(joint, 0.0) - polynomial[1] * weight
-        terms = [(self._joints.coordinate_keys[k], w) for k, w in total.items() if w != 0.0]
+            weight_of_joint[joint] = weight_of_joint.get(joint, 0.0) - polynomial[1] * weight
+        terms = [(self._joints.coordinate_keys[k], w) for k, w in weight_of_joint.items() if w != 0.0]
         if len(terms) == 1:
             self._couple(index, terms[0][0], None, 0.0, HELD_RIGIDLY)
         elif len(terms) == 2:
-            (follower, own), (driver, other) = terms
-            self._couple(index, follower, driver, -other / own, HELD_RIGIDLY)
+            # follower_weight x_follower + driver_weight x_driver is constant
+            (follower, follower_weight), (driver, driver_weight) = terms
+            self._couple(index, follower, driver, -driver_weight / follower_weight, HELD_RIGIDLY)
         elif terms:
             name = self._name(index)
             self.gears.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
-            how_kept = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
-            self._report.imported(self._start.equality(index), how_kept)
+            counterpart = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
+            self._report.imported(self._start.equality(index), counterpart)
         else:
-            self._leave(index, "its weights are zero", moves_nothing=True)
+            self._leave_out(index, "its weights are zero", moves_nothing=True)
 
 
 def straight_tendon_ends(
     start: ModelAtStart, tendon: int
 ) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
-    """Return body and point of both ends of a straight tendon between two sites; None for others."""
+    """Return MuJoCo's body and the point (3,) of both ends of a tendon that is one line between two sites.
+
+    Points are in m, world frame. The result is None for all other tendons.
+    """
     model = start.model
     first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
     if count != 2 or np.any(model.wrap_type[first : first + 2] != mujoco.mjtWrap.mjWRAP_SITE):
         return None
-    one, two = model.wrap_objid[first : first + 2]
+    site_1, site_2 = model.wrap_objid[first : first + 2]
     bodies, points = model.site_bodyid, start.data.site_xpos
-    return (int(bodies[one]), points[one].copy()), (int(bodies[two]), points[two].copy())
+    return (int(bodies[site_1]), points[site_1].copy()), (int(bodies[site_2]), points[site_2].copy())
 
 
 def fixed_tendon_weights(start: ModelAtStart, tendon: int) -> dict[int, float] | None:
-    """Return joints and weights of a fixed tendon, a sum of joint coordinates; None for others."""
+    """Return the weight of each of MuJoCo's joints in a fixed tendon, by number; None for other tendons.
+
+    The length of a fixed tendon is the weighted sum of the joint coordinates.
+    """
     model = start.model
     rows = slice(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))
     if np.any(model.wrap_type[rows] != mujoco.mjtWrap.mjWRAP_JOINT):

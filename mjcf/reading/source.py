@@ -1,4 +1,10 @@
-"""Check an MJCF file before any parser expands it, and compile it by MuJoCo."""
+"""Check an MJCF file before MuJoCo parses it, and compile it in a separate process with limits.
+
+A file may be hostile: it can expand to millions of elements, refer to files outside of its folder, or crash
+the compiler. `_Scan` therefore checks the XML text and all references to files first. `compile_file` then
+runs MuJoCo's compiler with limits of time and memory, and checks the numbers of the compiled model.
+`copy_model` does the same checks for a model in memory.
+"""
 
 from __future__ import annotations
 
@@ -35,23 +41,24 @@ On a quiet machine the compiler needs 0.4 s, including imports, and 0.04 s per M
 XML add no time: 8.5 MB of vertices take 0.9 s, and 1.2 MB of geoms 1 s."""
 
 MEMORY_ERROR_WORDS = ("MemoryError", "llocat", "bad_alloc")
-"""Words of error messages for a lack of memory."""
+"""Parts of error messages that mean a lack of memory."""
 
-FULL_MEMORY_SHARE = 0.5
+FULL_MEMORY_FRACTION = 0.5
 """Used fraction of the memory limit above which a crash is attributed to a lack of memory.
 
 Models that need more memory have used 85 % at the crash; models that crash MuJoCo have used a few MB."""
 
-READING_COPIES, ACTUATED_READING_COPIES = 3, 5
-"""Largest number of copies of a compiled model that exist at a time during reading.
+READING_COPIES = 3
+"""Largest number of copies of a compiled model that exist at a time during its import."""
 
-A model with actuators is read a second time, with random controls."""
+ACTUATED_READING_COPIES = 5
+"""Largest number of copies for a model with actuators, which is imported twice, with random controls."""
 
 UNKNOWN_ERROR = "unknown exception"
 """Message of MuJoCo for an error without a reason."""
 
 UNNAMED = "MuJoCo Model"
-"""MuJoCo's name for a model without one."""
+"""Name that MuJoCo gives to a model without a name."""
 
 FOLDER_ATTRIBUTES = ("meshdir", "texturedir", "assetdir")
 """Attributes of `<compiler>` with folders of assets."""
@@ -68,7 +75,7 @@ FREE_TEXT = frozenset((
     "camera", "target", "parent", "objname", "reftype", "refname", "instance", "plugin", "data",
 ))
 # fmt: on
-"""Attributes with names and other text, in which `inf` and `nan` are allowed words."""
+"""Attributes with names and other text, in which the words `inf` and `nan` are not numbers."""
 
 NAMED_PREFIXES = ("body", "jnt", "site", "eq", "tendon", "actuator", "key")
 """Prefixes of the model's arrays of elements with names."""
@@ -77,27 +84,27 @@ KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")
 """Attributes of keyframes with one number for each coordinate, velocity, activation or control."""
 
 CHECKED_PREFIXES = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpos")
-"""Prefixes of the model's arrays that scenes are made from."""
+"""Prefixes of the model's arrays that scenes are compiled_model from."""
 
 CHECKED_OPTIONS = ("gravity", "wind", "magnetic", "density", "viscosity", "timestep")
 """Options of a model whose numbers are checked."""
 
 ITERATION_OPTIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations")
-"""Options of a model that can make a time step last for ever."""
+"""Options of a model with numbers of iterations; a time step can take forever if they are large."""
 
 STATE_FIELDS = ("key_qpos", "key_qvel", "key_act", "key_ctrl")
-"""Fields whose large values make MuJoCo reset a run as diverged."""
+"""Arrays of the states of keyframes; above `mjMAXVAL`, MuJoCo resets a run as diverged."""
 
 UNCHECKED_SUFFIXES = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
 """Suffixes of arrays that no scene uses, or that MuJoCo computes from others."""
 
 
 class SourceError(source_file.SourceError, MjcfError):
-    """File that is not a usable model, with the file, the place and the problem."""
+    """File that is not a usable model. The message has the file, the place in the file and the problem."""
 
 
 KeySizes: TypeAlias = dict[int, dict[str, int]]
-"""Numbers of values of the fields of keyframes in the file, by number of the keyframe."""
+"""For each keyframe of the file, by number: how many values each of its fields has."""
 
 
 def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
@@ -119,10 +126,9 @@ def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
     scan.run()
     model = _compiled(path, scan.asset_bytes)
     _check_counts(path, model)
-    keys = (
-        scan.keyframe_sizes if len(scan.keyframe_sizes) == model.nkey else []
-    )  # attached models add keyframes
-    return model, dict(enumerate(keys))
+    # attached models add keyframes, so that numbers of keyframes in the file are those of the model no more
+    sizes = scan.keyframe_sizes if len(scan.keyframe_sizes) == model.nkey else []
+    return model, dict(enumerate(sizes))
 
 
 def check_memory(where: str, model: Any) -> None:
@@ -130,16 +136,16 @@ def check_memory(where: str, model: Any) -> None:
     needed = (ACTUATED_READING_COPIES if model.nu else READING_COPIES) * model.nbuffer
     free = free_memory()
     if needed > free:
-        lacks = f"reading needs {needed / MB:.0f} MB more, {free / MB:.0f} MB are free; use smaller meshes"
+        shortage = f"reading needs {needed / MB:.0f} MB more, {free / MB:.0f} MB are free; use smaller meshes"
         size = model.nbuffer / MB
-        raise SourceError(where, f"the compiled model has {size:.0f} MB, mostly meshes; {lacks}")
+        raise SourceError(where, f"the compiled model has {size:.0f} MB, mostly meshes; {shortage}")
 
 
 def copy_model(model: object) -> tuple[str, Any, KeySizes]:
-    """Copy or compile a model in memory, an `MjSpec` or an `MjModel`, which is not changed.
+    """Compile a copy of an `MjSpec`, or copy an `MjModel`, and check its numbers.
 
     Returns:
-        A name for messages, the `MjModel`, and the sizes of keyframes.
+        A name for messages, the new `MjModel`, and the sizes of the keyframes of an `MjSpec`.
 
     Raises:
         SourceError: for other types, and for models that MuJoCo or a limit refuses.
@@ -151,22 +157,23 @@ def copy_model(model: object) -> tuple[str, Any, KeySizes]:
         for number, key in enumerate(model.keys):
             counts = {name: len(getattr(key, name)) for name in KEY_FIELDS}
             sizes[number] = {name: count for name, count in counts.items() if count}
-        where, made = _named("MjSpec", model.modelname), None
+        where, compiled_model = _describe("MjSpec", model.modelname), None
         try:
-            made = compile_spec(model.copy())
+            compiled_model = compile_spec(model.copy())
         except (ValueError, MemoryError, mujoco.FatalError) as error:
             raise SourceError(where, f"MuJoCo refuses it: {' '.join(str(error).split()):.500}") from error
     elif isinstance(model, mujoco.MjModel):
-        where, made = _named("MjModel", model_name(model)), copy.copy(model)
+        where, compiled_model = _describe("MjModel", model_name(model)), copy.copy(model)
     else:
         needed = "a path of a file, a mujoco.MjSpec or a mujoco.MjModel"
         raise SourceError(quoted(model, 200), f"cannot be read; needed: {needed}")
-    _check_numbers(where, made)
-    _check_counts(where, made)
-    return where, made, sizes
+    _check_numbers(where, compiled_model)
+    _check_counts(where, compiled_model)
+    return where, compiled_model, sizes
 
 
-def _named(kind: str, name: str) -> str:
+def _describe(kind: str, name: str) -> str:
+    """Return the name of a model in messages: its kind, and its own name if it has one."""
     return kind if name in ("", UNNAMED) else f"{kind} {name!r:.100}"
 
 
@@ -187,9 +194,10 @@ def _compiled(path: str, asset_bytes: int) -> Any:
         script = Path(__file__).with_name("compile.py")
         memory = size_in_bytes("memory")
         limits = map(str, (seconds, memory))
+        # -P keeps the script's folder out of the search path, so that its modules cannot hide others
         command = [sys.executable, "-P", str(script), str(Path(path).resolve()), str(result), *limits]
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 command,
                 cwd=folder,
                 env={
@@ -203,21 +211,23 @@ def _compiled(path: str, asset_bytes: int) -> Any:
         except subprocess.TimeoutExpired as error:
             waited = f"MuJoCo has not compiled the file after {MAX_WAIT_S + seconds:.0f} s"
             raise SourceError(path, f"{waited}: a file cannot be read, or the machine is busy") from error
-        # find the reason of a failure: time, memory, a crash, or an error of the file
-        reason = (done.stderr.decode(errors="replace").strip().splitlines() or [""])[-1]
-        if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        # the reason of a failure: time, memory, a crash, or an error of the file
+        error_lines = process.stderr.decode(errors="replace").strip().splitlines()
+        reason = error_lines[-1] if error_lines else ""
+        if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
             problem = f"MuJoCo needs more than {seconds} s to compile it; {too_small('compile_time')}"
             raise SourceError(path, problem)
         if any(word in reason for word in MEMORY_ERROR_WORDS):
             raise SourceError(path, _too_little(memory))
-        if done.returncode < 0 or UNKNOWN_ERROR in reason:  # for example, an overflow of rows times columns
-            name = signal.Signals(-done.returncode).name if done.returncode < 0 else UNKNOWN_ERROR
+        # a crash; an unknown exception comes, for example, from an overflow of rows times columns
+        if process.returncode < 0 or UNKNOWN_ERROR in reason:
+            name = signal.Signals(-process.returncode).name if process.returncode < 0 else UNKNOWN_ERROR
             used = _peak_memory()
-            if used > FULL_MEMORY_SHARE * memory:
+            if used > FULL_MEMORY_FRACTION * memory:
                 raise SourceError(path, _too_little(memory))
-            room = f"it used {used / MB:.0f} MB of memory and may have {memory / MB:.0f}"
-            raise SourceError(path, f"MuJoCo crashes on it ({name}), not for lack of memory: {room}")
-        if done.returncode or not result.exists():
+            usage = f"it used {used / MB:.0f} MB of memory and may have {memory / MB:.0f}"
+            raise SourceError(path, f"MuJoCo crashes on it ({name}), not for lack of memory: {usage}")
+        if process.returncode or not result.exists():
             raise SourceError(path, f"MuJoCo refuses it: {reason:.500}")
         try:
             model = mujoco.MjModel.from_binary_path(str(result))
@@ -269,6 +279,7 @@ class _Reference:
     target: str
 
     def refused(self, problem: str) -> SourceError:
+        """Return the error for this reference, with its line, element and path."""
         text = f"line {self.line}: {self.element} file {self.target!r:.200} {problem}"
         return SourceError(self.where, text)
 
@@ -284,21 +295,24 @@ class _Reference:
 
 
 class _Scan:
-    """Scan of a file and its included files that stores no elements.
+    """Check of an MJCF file and of the files that it includes or refers to, without storing elements.
 
     Attributes:
-        asset_bytes: total size of all other files that MuJoCo may read.
-        keys: numbers of values of the fields of each keyframe.
+        asset_bytes: total size of all files other than XML that MuJoCo may read.
+        keyframe_sizes: for each keyframe, how many values each of its fields has.
     """
 
     def __init__(self, path: str, root: str | None) -> None:
-        self._top = path
+        """Prepare the check of the file `path`; `root` is the folder that must contain all files, or None."""
+        self._top_file = path
         self._home = os.path.dirname(os.path.realpath(path))
-        # models and meshes are often in neighboring folders
-        around = os.path.dirname(self._home)
-        around = self._home if around == os.path.dirname(around) else around
-        top = None if root is None else os.path.realpath(root)
-        self._inner, self._around = top or self._home, top or around
+        # without a root, included files must be in the folder of the file; assets may also be in neighboring
+        # folders, unless the parent folder is the root of the disk
+        parent = os.path.dirname(self._home)
+        parent = self._home if parent == os.path.dirname(parent) else parent
+        root = None if root is None else os.path.realpath(root)
+        self._include_root, self._asset_root = root or self._home, root or parent
+        # folders of all XML files, and the folders in `<compiler>`
         self._homes = [self._home]
         self._folders: dict[str, list[str]] = {name: [] for name in FOLDER_ATTRIBUTES}
         self._assets: list[_Reference] = []
@@ -308,25 +322,34 @@ class _Scan:
 
     @property
     def asset_bytes(self) -> int:
+        """Total size of all assets, bytes."""
         return sum(self._sizes.values())
 
     def run(self) -> None:
-        self._read(self._top, ())
+        """Check all files; raises `SourceError` for the first problem."""
+        self._scan_file(self._top_file, ())
         # `<compiler>` may follow the assets, so that folders are known at the end
         for reference in self._assets:
             self._check_asset(reference)
 
-    def _read(self, path: str, including: tuple[str, ...]) -> None:
-        own = os.path.realpath(path)
-        if own in including:
+    def _scan_file(self, path: str, including: tuple[str, ...]) -> None:
+        """Check an XML file and the files that it includes.
+
+        Args:
+            path: path of the file.
+            including: real paths of the files that include this file, the top file first.
+        """
+        real_path = os.path.realpath(path)
+        if real_path in including:
             problem = f"{os.path.basename(path)!r} includes itself, through {including[-1]!r}"
-            raise SourceError(self._top, problem)
+            raise SourceError(self._top_file, problem)
         self._files += 1
         if problem := exceeded("files", self._files):
-            raise SourceError(self._top, f"includes too many files: {problem}")
-        inner: list[_Reference] = []
+            raise SourceError(self._top_file, f"includes too many files: {problem}")
+        included: list[_Reference] = []
 
-        def begin(tag: str, attributes: dict[str, str], line: int) -> None:
+        def check_element(tag: str, attributes: dict[str, str], line: int) -> None:
+            """Check the attributes of an element, and store its references to files."""
             counts: dict[str, int] = {}
             if tag == "key":
                 self.keyframe_sizes.append(counts)
@@ -336,25 +359,28 @@ class _Scan:
                 ):
                     raise SourceError(path, f"line {line}: <{tag}> has {name}={value!r:.100}, not finite")
                 if tag == "compiler" and name in FOLDER_ATTRIBUTES:
-                    _Reference(path, line, f"compiler {name}", value or ".").within(self._around, self._home)
+                    _Reference(path, line, f"compiler {name}", value or ".").within(
+                        self._asset_root, self._home
+                    )
                     self._folders[name].append(value)
                 if tag == "key" and name in KEY_FIELDS:
                     counts[name] = len(value.split())
                 if name == "file" and tag in ("include", "model"):
-                    inner.append(_Reference(path, line, tag, value))
+                    included.append(_Reference(path, line, tag, value))
                 elif name.startswith("file") and tag in ASSET_ELEMENTS:
                     self._assets.append(_Reference(path, line, tag, value))
 
         text = read_text(path, "file_size", SourceError, self._bytes)
         self._bytes += len(text)
-        scan(path, text, None if including else "mujoco", begin, SourceError)
-        for reference in inner:
-            self._read(self._found(reference, os.path.dirname(own)), (*including, own))
+        scan(path, text, None if including else "mujoco", check_element, SourceError)
+        for reference in included:
+            found = self._find_included(reference, os.path.dirname(real_path))
+            self._scan_file(found, (*including, real_path))
 
-    def _found(self, reference: _Reference, beside: str) -> str:
-        """Return the path of an XML file: next to the top file, or next to the including file."""
-        root = self._inner if reference.element == "include" else self._around
-        for home in (self._home, beside):
+    def _find_included(self, reference: _Reference, including_folder: str) -> str:
+        """Return the path of an included file: next to the top file, or next to the including file."""
+        root = self._include_root if reference.element == "include" else self._asset_root
+        for home in (self._home, including_folder):
             path = reference.within(root, home)
             if os.path.exists(path):
                 if os.path.dirname(path) not in self._homes:  # MuJoCo searches assets in all of these folders
@@ -363,12 +389,12 @@ class _Scan:
         raise reference.refused("does not exist")
 
     def _check_asset(self, reference: _Reference) -> None:
-        """Check a file in all folders that MuJoCo may search, with and without the path in the name."""
+        """Check an asset in all folders that MuJoCo may search, with and without the path in its name."""
         name = "texturedir" if reference.element == "texture" else "meshdir"
         folders = [*self._folders[name], *self._folders["assetdir"]] or [""]
         stripped = replace(reference, target=os.path.basename(reference.target))
         paths = [
-            file.within(self._around, os.path.join(home, folder))
+            file.within(self._asset_root, os.path.join(home, folder))
             for home in self._homes
             for folder in folders
             for file in (reference, stripped)
@@ -409,12 +435,12 @@ def _check_numbers(path: str, model: Any) -> None:
 
 
 def _number_fields(model: Any) -> list[tuple[str, str]]:
-    """Return prefixes and names of the arrays with numbers of the file, in the order of the prefixes."""
-    found = []
+    """Return prefix and name of each array of the model with numbers of the file, sorted by prefix."""
+    prefixes_and_names = []
     for field in dir(model):
         prefix = field.split("_")[0].removesuffix("0")
         if field in STATE_FIELDS or (prefix in CHECKED_PREFIXES and not field.endswith(UNCHECKED_SUFFIXES)):
             values = getattr(model, field)
             if isinstance(values, np.ndarray) and values.dtype.kind == "f":
-                found.append((prefix, field))
-    return sorted(found, key=lambda pair: CHECKED_PREFIXES.index(pair[0]))
+                prefixes_and_names.append((prefix, field))
+    return sorted(prefixes_and_names, key=lambda pair: CHECKED_PREFIXES.index(pair[0]))
