@@ -17,7 +17,7 @@ import numpy as np
 
 from mjcf.errors import DivergenceError, MjcfError, collected_warnings
 from mjcf.forces import wind_loads
-from mjcf.soft import SoftMuJoCo, stiffest
+from mjcf.soft import SoftMuJoCo, stiffest_solref
 from mjcf.write import controls
 from newton_euler.model.scene import Scene
 from newton_euler.runs.assemble import initial_state
@@ -137,7 +137,7 @@ class Stepper:
         with collected_warnings(), self._system.following():
             for count, interval in self._intervals:
                 step = interval / self._number
-                self._system.use_step(step, stiffest(step, self._ratio))
+                self._system.use_step(step, stiffest_solref(step, self._ratio))
                 self._advance(model, data, rows, count, self._number)
             mujoco.mj_kinematics(model, data)
         self.position[-1], self.quaternion[-1] = data.xpos, data.xquat
@@ -210,7 +210,7 @@ class Rollout:
         model, times = system.model, system.scene.times
         system.use_integrator(integrator)
         step = float(times[1] - times[0]) / number
-        system.use_step(step, stiffest(step, damping_ratio))
+        system.use_step(step, stiffest_solref(step, damping_ratio))
         self._datas = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
         steps = number * (len(times) - 1)

@@ -1,4 +1,9 @@
-"""Scene compiled by MuJoCo, with the maps between tree coordinates and MuJoCo's coordinates."""
+"""A scene compiled by MuJoCo: its model and data, and the map between coordinates of both.
+
+`CompiledScene` writes a scene as MJCF and compiles it. The class sets states and controls in MuJoCo's data,
+and reads poses, velocities and energies from the data. `mjcf.rigid` and `mjcf.soft` derive the equations of
+motion with hard and with soft constraints from it.
+"""
 
 from __future__ import annotations
 
@@ -27,34 +32,41 @@ from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array, Scalar
 
 MIN_MUJOCO_MASS = 1e-14
-"""Mass, kg, and principal moment, kg m^2, that MuJoCo's compiler refuses; larger values compile."""
+"""Largest mass, kg, and principal moment, kg m^2, that MuJoCo's compiler refuses."""
 
 
-def _reason(mechanism: Mechanism, error: ValueError) -> str:
+def _reason_of_refusal(mechanism: Mechanism, error: ValueError) -> str:
     """Return the reason why MuJoCo refuses a mechanism: a body that is too light, or MuJoCo's message."""
     for body in mechanism.bodies[1:]:
-        least = float(np.linalg.eigvalsh(body.inertia)[0])
-        if min(body.mass, least) <= MIN_MUJOCO_MASS:
-            found = f"body {body.name!r}: mass {body.mass:g} kg, least principal moment {least:g} kg m^2"
-            return f"{found}; needed: more than {MIN_MUJOCO_MASS:g} of both"
+        least_moment = float(np.linalg.eigvalsh(body.inertia)[0])
+        if min(body.mass, least_moment) <= MIN_MUJOCO_MASS:
+            values = f"mass {body.mass:g} kg, least principal moment {least_moment:g} kg m^2"
+            return f"body {body.name!r}: {values}; needed: more than {MIN_MUJOCO_MASS:g} of both"
     return " ".join(str(error).split())
 
 
 class CompiledScene:
     """Scene with its `MjModel` and `MjData`.
 
-    Coordinates q (nq,) and velocities v (nv,) belong to the spanning tree of the welded mechanism. MuJoCo's
+    MuJoCo can close a loop by a ball, a rod or a weld only. At any other joint that closes a loop, one of the
+    bodies is cut into two halves, which a weld joins: the welded mechanism. Coordinates q (nq,) and
+    velocities v (nv,) belong to the spanning tree of this mechanism; quaternions are (w, x, y, z). MuJoCo's
     qpos and qvel stay inside this class.
 
     Attributes:
         scene: the scene; results are for the bodies and joints of its mechanism.
         mechanism: mechanism of the scene.
-        welded: mechanism with cut loops, which MuJoCo models.
+        welded: welded mechanism, which MuJoCo models.
+        tree: spanning tree of the welded mechanism.
+        quaternions: places of the quaternions in q.
+        layout: map between coordinates of the tree and of MuJoCo.
         model: `MjModel`.
         data: `MjData`, which every call may overwrite.
         body_id: MuJoCo's body of each body of `welded.mechanism`; halves of cut bodies are last.
         couplings: gears, screws and prescribed motions, in the order of MuJoCo's last equalities.
-        time: s, at which prescribed motions, control laws and wind are evaluated.
+        time: time, s, of prescribed motions, control laws and wind.
+        nq: number of coordinates.
+        nv: number of velocities.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -72,23 +84,28 @@ class CompiledScene:
         try:
             self.model: Any = mujoco.MjModel.from_xml_string(welded_to_xml(scene, self.welded))
         except ValueError as error:
-            raise ModelError(scene.name, _reason(self.welded.mechanism, error)) from error
+            raise ModelError(scene.name, _reason_of_refusal(self.welded.mechanism, error)) from error
         self.data: Any = mujoco.MjData(self.model)
         self._restore_inertias()
-        self._turn_springs()
-        self._sensed, driven = scene.sensed, self.model.actuator_trnid[: len(scene.control), 0]
-        others = [
+        self._set_ball_spring_rests()
+        # coordinates that control laws measure: first those of the actuators, one for each law
+        self._sensed, actuated_joints = scene.sensed, self.model.actuator_trnid[: len(scene.control), 0]
+        other_joints = [
             self.model.joint(coordinate_name(self.mechanism.joint(joint), k)).id
-            for joint, k in self._sensed[len(driven) :]
+            for joint, k in self._sensed[len(actuated_joints) :]
         ]
-        joints = np.array([*driven, *others], dtype=int)
+        joints = np.array([*actuated_joints, *other_joints], dtype=int)
         self._sensed_q, self._sensed_v = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
-        loads, count = wind_loads(scene), len(WIND_MOTORS)
+        # site and motors of each wind load; the motors are MuJoCo's last actuators
+        loads, motor_count = wind_loads(scene), len(WIND_MOTORS)
         sites = [self.model.site(wind_site(load)).id for load in loads]
-        motors = range(self.model.nu - count * len(loads), self.model.nu, count)
-        self._winds = [(site, slice(k, k + count)) for site, k in zip(sites, motors, strict=True)]
-        self._control = self.engine_control(scene) if roles(scene) else None
-        self.actuate()
+        first_motors = range(self.model.nu - motor_count * len(loads), self.model.nu, motor_count)
+        self._winds = [
+            (site, slice(first, first + motor_count)) for site, first in zip(sites, first_motors, strict=True)
+        ]
+        # inverse dynamics, if a control law uses a model of the mechanism
+        self._model_control = self.engine_control(scene) if roles(scene) else None
+        self.set_controls()
 
     def _restore_inertias(self) -> None:
         """Restore moments and products of inertia that the MJCF file or MuJoCo's compiler changed."""
@@ -101,12 +118,16 @@ class CompiledScene:
         # inertia
         self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
-    def _turn_springs(self) -> None:
-        """Set the rests of ball springs to the keyframe's, for every later reset of `data`."""
+    def _set_ball_spring_rests(self) -> None:
+        """Set the rest orientations of ball springs to those of the keyframe.
+
+        A rest in the model, unlike a rest in the state, stays in every later reset of `data`.
+        """
         model = self.model
         for joint in np.flatnonzero(model.jnt_plasticadr >= 0):
-            spring, key = model.jnt_qposadr[joint], model.jnt_plasticadr[joint]
-            model.qpos_spring[spring : spring + 4] = model.key_plastic[0, key : key + 4]
+            qpos_index, plastic_index = model.jnt_qposadr[joint], model.jnt_plasticadr[joint]
+            rest = model.key_plastic[0, plastic_index : plastic_index + 4]
+            model.qpos_spring[qpos_index : qpos_index + 4] = rest
         mujoco.mj_resetData(model, self.data)
 
     def mass_properties(self) -> MassProperties:
@@ -114,8 +135,9 @@ class CompiledScene:
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
-        stated = MassProperties.of(self.mechanism)
-        mass, center, inertia = stated.mass, stated.center_of_mass, stated.inertia
+        # arrays of the scene; all rows except those of the ground are overwritten
+        properties = MassProperties.of(self.mechanism)
+        mass, center, inertia = properties.mass, properties.center_of_mass, properties.inertia
         for body in range(1, len(mass)):
             halves = zip(self.body_id, self.welded.origin, strict=True)
             parts = [index for index, whole in halves if whole == body]
@@ -131,47 +153,58 @@ class CompiledScene:
         return self.couplings.turned(q, state, self.time), v
 
     def place(self, q: Array, v: Array) -> None:
-        """Set MuJoCo's state and the controls of its actuators."""
+        """Set MuJoCo's state to q and v at `time`, and the controls of its actuators."""
         self.data.qpos[:] = self.layout.to_qpos @ q
         self.data.qvel[:] = self.layout.to_qvel @ v
         self.data.time = self.time
-        self.actuate()
+        self.set_controls()
 
-    def actuate(self) -> None:
+    def set_controls(self) -> None:
         """Set the controls of MuJoCo's actuators from the scene's control laws at `time`."""
         readings = self.readings(self.data)
-        found = controls(self.scene, self.time, readings, self.model_forces(self.data, readings))
-        self.data.ctrl[: len(found)] = found
+        values = controls(self.scene, self.time, readings, self.model_forces(self.data, readings))
+        self.data.ctrl[: len(values)] = values
 
     def engine_control(self, scene: Scene) -> EngineControl:
         """Return the inverse dynamics for control laws that use a model of the mechanism."""
         raise NotImplementedError
 
     def model_forces(self, data: Any, readings: Readings) -> Mapping[Key, float]:
-        """Return model-based forces, N or N m, of control laws at the state in `data`."""
-        if self._control is None:
+        """Return the part of control forces that needs a model of the mechanism, such as its weight.
+
+        Args:
+            data: `MjData` with the state.
+            readings: measured coordinates and rates, see `readings`.
+
+        Returns:
+            Forces, N or N m, by joint coordinate.
+        """
+        if self._model_control is None:
             return NO_FORCES
         q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
-        wanted = commands(self.scene.control, readings, data.time)
-        return self._control.forces(q, v, data.time, wanted)
+        accelerations = commands(self.scene.control, readings, data.time)
+        return self._model_control.forces(q, v, data.time, accelerations)
 
-    def blow(self, data: Any) -> None:
-        """Set the controls of wind motors for the poses and velocities in `data`."""
+    def set_wind(self, data: Any) -> None:
+        """Set the controls of the motors that apply wind, for the poses and velocities in `data`."""
         if not self._winds:
             return
-        velocity = np.zeros(6)
+        velocity = np.zeros(6)  # angular, then linear, in the axes of the site
         for load, (site, motors) in zip(wind_loads(self.scene), self._winds, strict=True):
             axes = data.site_xmat[site].reshape(3, 3)
             mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
             data.ctrl[motors] = wind_on_plate(load, axes.T @ load.velocity(data.time) - velocity[3:])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Return coordinates, m or rad, and rates of `Scene.sensed` at a state."""
+        """Return coordinates, m or rad, and rates of the coordinates `Scene.sensed`, at a state."""
         self.place(q, v)
         return list(self.readings(self.data).values())
 
     def readings(self, data: Any) -> dict[Key, tuple[float, float]]:
-        """Return coordinates, m or rad, and rates of `Scene.sensed` at the state in `data`."""
+        """Return coordinate, m or rad, and rate of each of `Scene.sensed`, at the state in `data`.
+
+        `Scene.sensed` are the joint coordinates that control laws measure.
+        """
         x, x_rate = data.qpos[self._sensed_q], data.qvel[self._sensed_v]
         return dict(zip(self._sensed, zip(x, x_rate, strict=True), strict=True))
 
@@ -180,7 +213,7 @@ class CompiledScene:
         self.place(q, v)
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_fwdVelocity(self.model, self.data)
-        self.blow(self.data)
+        self.set_wind(self.data)
 
     def state(self, q: Array, v: Array) -> State:
         """Return body poses and velocities by MuJoCo's kinematics."""

@@ -1,4 +1,8 @@
-"""Simulate a scene by MuJoCo's own time stepping."""
+"""Simulate a scene by MuJoCo's own time stepping, with a fixed step that divides all intervals.
+
+Outputs, samples of digital controllers, and jumps of controls divide the run into intervals. Each interval
+has a whole number of equal steps.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,7 @@ if TYPE_CHECKING:
     from mjcf.soft import SoftMuJoCo
 
 MIN_TIMESTEP = 1e-6
-"""Smallest time step, s, that is chosen to divide several periods."""
+"""Smallest common divisor, s, of the output period and the periods of controllers."""
 
 IntegratorName = Literal["RK4", "Euler", "implicit", "implicitfast"]
 """Names of MuJoCo's integrators in MJCF."""
@@ -67,44 +71,45 @@ def simulate(
         >>> mjcf.simulate(load("pendulum"), timestep=0.001)
         <Trajectory of mujoco: 1001 outputs to 10 s, bodies: 2, joints: 1>
     """
-    # steps of all intervals, and options
-    wanted = _step(scene, timestep)
+    # the steps of each interval: a list with one entry for each part of the interval between two outputs
+    largest_allowed = _chosen_timestep(scene, timestep)
     plan = [
-        (interval, [_fitting(float(length), wanted) for length in np.diff(interval.times)])
+        (interval, [_equal_steps(float(length), largest_allowed) for length in np.diff(interval.times)])
         for interval in intervals(scene, scene.jumps)
     ]
-    steps = [step for _, between in plan for step in between]
+    steps = [step for _, interval_steps in plan for step in interval_steps]
     largest = max(step.size for step in steps)
+    # options
     if integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, INTEGRATORS)
-    stiffness = None if solref is None else _checked_solref(solref, largest)
+    checked_solref = None if solref is None else _checked_solref(solref, largest)
 
-    from mjcf.soft import SoftMuJoCo, stiffest
+    from mjcf.soft import SoftMuJoCo, stiffest_solref
 
     system = SoftMuJoCo(scene)
     system.use_integrator(integrator)
 
     # the run, then the evaluation of its outputs
     start = time.perf_counter()
-    states, stopped = _run(system, plan, stiffness)
+    outputs, stopped = _run(system, plan, checked_solref)
     wall_time = time.perf_counter() - start
     settings: dict[str, Any] = {
         "timestep": largest,
         "integrator": integrator,
-        "solref": list(stiffness or stiffest(largest)),
+        "solref": list(checked_solref or stiffest_solref(largest)),
         "solimp": list(SOLIMP),
         "steps": sum(step.number for step in steps),
     }
     if steps[-1].size != largest:
         settings["last_timestep"] = steps[-1].size
-    evaluations, coupled = [], []
-    for (system, q, v, size, work), now in zip(states, scene.times, strict=stopped is None):
-        system.use_step(size, stiffness)
+    evaluations, coupling_residuals = [], []
+    for (system, q, v, step_size, work), now in zip(outputs, scene.times, strict=stopped is None):
+        system.use_step(step_size, checked_solref)  # the softness of constraints depends on the step
         system.time = float(now)
-        seen = system.evaluate(q, v) if scene.needs_accelerations else system.observe(q, v)
-        evaluations.append(replace(seen, work=work))
-        coupled.append(system.coupling_phi(q))
-    return trajectory_from(scene, "mujoco", settings, wall_time, evaluations, coupled, stopped)
+        evaluation = system.evaluate(q, v) if scene.needs_accelerations else system.observe(q, v)
+        evaluations.append(replace(evaluation, work=work))
+        coupling_residuals.append(system.coupling_phi(q))
+    return trajectory_from(scene, "mujoco", settings, wall_time, evaluations, coupling_residuals, stopped)
 
 
 class Steps(NamedTuple):
@@ -115,7 +120,7 @@ class Steps(NamedTuple):
     """Step, s."""
 
 
-def _fitting(interval: float, largest: float) -> Steps:
+def _equal_steps(interval: float, largest: float) -> Steps:
     """Divide an interval into the fewest equal steps of at most `largest`, s."""
     number = max(1, int(np.ceil(interval / largest * (1.0 - 1e-9))))
     divides = abs(number * largest - interval) <= 1e-9 * interval
@@ -123,7 +128,10 @@ def _fitting(interval: float, largest: float) -> Steps:
 
 
 def _common_divisor(first: float, second: float) -> float:
-    """Return the largest common divisor by Euclid's algorithm; round-off if there is none."""
+    """Return the largest common divisor of two lengths, s, by Euclid's algorithm.
+
+    Lengths without a common divisor have a result near round-off.
+    """
     round_off = 1e-9 * max(first, second)
     while second > round_off:
         first, second = second, abs(math.remainder(first, second))
@@ -132,24 +140,31 @@ def _common_divisor(first: float, second: float) -> float:
 
 def default_timestep(scene: Scene) -> float:
     """Return the default time step of `simulate` for a scene, s."""
-    return _step(scene, None)
+    return _chosen_timestep(scene, None)
 
 
-def _step(scene: Scene, timestep: float | None) -> float:
-    """Return the time step, s: the given `timestep` if it divides all intervals, or the default."""
-    repeated = [law for law in scene.sampled if law.period < scene.duration]
-    lengths = [scene.output_period] if scene.output_period < scene.duration else []
-    lengths += [law.period for law in repeated]
-    common = lengths[0] if lengths else scene.duration
-    for law in repeated:
+def _chosen_timestep(scene: Scene, timestep: float | None) -> float:
+    """Return the time step, s: `timestep` if it divides all intervals, or the default if it is None.
+
+    Raises:
+        OptionError: for a time step that is no divisor, or leads to too many steps, and for periods without
+            common divisor.
+    """
+    # common divisor of the output period and the periods of sampled controllers
+    sampled_laws = [law for law in scene.sampled if law.period < scene.duration]
+    periods = [scene.output_period] if scene.output_period < scene.duration else []
+    periods += [law.period for law in sampled_laws]
+    common = periods[0] if periods else scene.duration
+    for law in sampled_laws:
         common = _common_divisor(common, law.period)
-        if common < min(MIN_TIMESTEP, *lengths) * (1.0 - 1e-9):
+        if common < min(MIN_TIMESTEP, *periods) * (1.0 - 1e-9):
             needed = f"a common divisor of at least {MIN_TIMESTEP:g} s with "
             needed += f"the output period of {scene.output_period:.9g} s and other periods"
             raise OptionError(f"period of joint {law.joint!r}", law.period, needed)
-    # the default, or checks of a given step
+    # the default
     if timestep is None:
-        return _fitting(common, TIMESTEP).size
+        return _equal_steps(common, TIMESTEP).size
+    # checks of a given step
     is_number = isinstance(timestep, Real) and not isinstance(timestep, bool)
     if not is_number or not 0.0 < float(timestep) < np.inf:
         raise OptionError("timestep", timestep, "a positive number of seconds")
@@ -157,17 +172,18 @@ def _step(scene: Scene, timestep: float | None) -> float:
     if scene.duration / step > MAX_FIXED_STEPS:
         least = f"at least {scene.duration / MAX_FIXED_STEPS:.3g} s, {MAX_FIXED_STEPS} steps"
         raise OptionError("timestep", timestep, least)
-    wanted = [(float(interval), "between outputs") for interval in np.diff(scene.times)]
-    wanted += [(law.period, f"period of joint {law.joint!r}") for law in repeated]
-    for length, what in wanted:
-        if _fitting(length, step).size != step:
-            fitting = _fitting(_common_divisor(common, length), step).size
-            needed = f"a divisor of the {length:.9g} s {what}, such as {fitting:.9g}"
+    lengths = [(float(interval), "between outputs") for interval in np.diff(scene.times)]
+    lengths += [(law.period, f"period of joint {law.joint!r}") for law in sampled_laws]
+    for length, what in lengths:
+        if _equal_steps(length, step).size != step:
+            divisor = _equal_steps(_common_divisor(common, length), step).size
+            needed = f"a divisor of the {length:.9g} s {what}, such as {divisor:.9g}"
             raise OptionError("timestep", timestep, needed)
     return step
 
 
 def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, float]:
+    """Return `solref` as two numbers; raises `OptionError` for values that MuJoCo does not apply exactly."""
     needed = (
         f"a time constant of two time steps ({2.0 * timestep:g} s) or more and a positive damping "
         "ratio, or two negative numbers (stiffness and damping)"
@@ -176,11 +192,12 @@ def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, fl
         first, second = (float(value) for value in solref)
     except (TypeError, ValueError) as error:
         raise OptionError("solref", solref, needed) from error
-    # MuJoCo silently raises a shorter time constant to two time steps
-    lowest = 2.0 * timestep * (1.0 - 1e-12)
-    standard = lowest <= first < np.inf and 0.0 < second < np.inf
-    direct = -np.inf < first < 0.0 and -np.inf < second < 0.0
-    if not (standard or direct):
+    # time constant and damping ratio; MuJoCo silently raises a shorter time constant to two time steps
+    min_time_constant = 2.0 * timestep * (1.0 - 1e-12)
+    is_standard = min_time_constant <= first < np.inf and 0.0 < second < np.inf
+    # stiffness and damping, as negative numbers
+    is_direct = -np.inf < first < 0.0 and -np.inf < second < 0.0
+    if not (is_standard or is_direct):
         raise OptionError("solref", solref, needed)
     return first, second
 
@@ -189,11 +206,11 @@ class Output(NamedTuple):
     """State at an output time.
 
     Attributes:
-        system: scene with the controls after the output time.
+        system: compiled scene whose control laws have their values after the output time.
         q: (nq,) tree coordinates.
         v: (nv,) tree velocities.
-        step: s, time step before the output.
-        work: J, since the start; None if the scene does not track work.
+        step: time step before the output, s.
+        work: work of forces without potential since the start, J; None if the scene does not track work.
     """
 
     system: SoftMuJoCo
@@ -206,60 +223,73 @@ class Output(NamedTuple):
 def _run(
     system: SoftMuJoCo, plan: list[tuple[Interval, list[Steps]]], solref: tuple[float, float] | None
 ) -> tuple[list[Output], StoppedError | None]:
-    """Run the plan; return the states at the outputs reached, and the error that stopped the run, if any."""
+    """Run all intervals.
+
+    Args:
+        system: compiled scene.
+        plan: intervals with their steps, see `simulate`.
+        solref: see `simulate`.
+
+    Returns:
+        The outputs reached, and the error that stopped the run, or None.
+    """
     import mujoco
 
     model, data, layout = system.model, system.data, system.layout
     q, v = system.coordinates(initial_state(system.scene))
     system.place(q, v)
-    size = plan[0][1][0].size
+    _, first_steps = plan[0]
+    step_size = first_steps[0].size
     work = 0.0 if system.scene.tracks_work else None
-    rows: list[Output] = []
+    outputs: list[Output] = []
     controllers = Controllers(system.scene)
 
     def record() -> None:
-        rows.append(Output(system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size, work))
+        """Store the present state of MuJoCo as an output."""
+        q, v = layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel
+        outputs.append(Output(system, q, v, step_size, work))
 
-    given, held = system, dict[str, Any]()
+    # values of the scene that are constant in an interval: set-points that jump, and sampled controls
+    original, held_values = system, dict[str, Any]()
     with collected_warnings(data) as warnings:
         for interval, steps in plan:
-            held |= pieces(given.scene, interval.middle, smooth=False)
-            # controls and set-points of the interval
-            if interval.due:
+            held_values |= pieces(original.scene, interval.middle, smooth=False)
+            if interval.due:  # controllers that take a sample at the beginning of the interval
                 try:
                     readings = np.array([*system.readings(data).values()])
-                    held |= controllers.sample(interval.due, float(interval.times[0]), readings)
+                    held_values |= controllers.sample(interval.due, float(interval.times[0]), readings)
                 except IntegrationError as error:
-                    return rows, error
-            if held:
-                system = with_held_values(given, held)
-                system.actuate()
+                    return outputs, error
+            if held_values:
+                system = with_held_values(original, held_values)
+                system.set_controls()
             if interval.wanted[0]:
                 record()
-            # steps to the outputs of the interval
+            # steps to each time of the interval; `wanted` is True for output times
             with system.following():
-                for (number, size), wanted in zip(steps, interval.wanted[1:], strict=True):
-                    system.use_step(size, solref)
+                for (number, step_size), wanted in zip(steps, interval.wanted[1:], strict=True):
+                    system.use_step(step_size, solref)
                     if work is None:
                         mujoco.mj_step(model, data, number)
                     else:
                         work += system.step_with_work(number, warnings)
-                    # each step checks the state before the step
+                    # MuJoCo checks only the state before each step
                     mujoco.mj_checkPos(model, data)
                     mujoco.mj_checkVel(model, data)
                     if warnings:  # MuJoCo resets a diverged run to its initial state
-                        return rows, _divergence(*next(iter(warnings.items())), rows)
+                        warning, time_of_warning = next(iter(warnings.items()))
+                        return outputs, _divergence(warning, time_of_warning, outputs)
                     if wanted:
                         record()
-    return rows, None
+    return outputs, None
 
 
-def _divergence(warning: str, time: float, rows: Sequence[Output]) -> DivergenceError:
-    """Make the error of a diverged run, with the fastest joint and the largest force at the last output.
+def _divergence(warning: str, time: float, outputs: Sequence[Output]) -> DivergenceError:
+    """Return the error of a diverged run, with the fastest joint and the largest force at the last output.
 
     Only the first sentence of MuJoCo's warning is kept.
     """
-    system, q, v = rows[-1][:3]
-    state = system.state(q, v)
-    at = surroundings(system.scene, state, time)
-    return DivergenceError(time, with_likely_causes(system.scene, state, warning.partition(". ")[0], at))
+    last = outputs[-1]
+    scene, state = last.system.scene, last.system.state(last.q, last.v)
+    forces = surroundings(scene, state, time)
+    return DivergenceError(time, with_likely_causes(scene, state, warning.partition(". ")[0], forces))

@@ -1,18 +1,20 @@
-"""MuJoCo's soft constraints at single states, and the work of MuJoCo's time steps.
+"""A scene with MuJoCo's own soft constraints: evaluation of states, and the work of MuJoCo's time steps.
 
-A step h changes velocities from v0 to v1 by the impulse h F, where F is a mean of the forces of the stages.
-The work of the impulse is h F (v0 + v1) / 2. This is exact for constant masses, because the kinetic energy is
-quadratic in v. Powers at the ends of steps are no substitute in two cases:
+`mjcf.simulate` steps a `SoftMuJoCo`. Control laws, wind and prescribed motions that MuJoCo has no element for
+are evaluated in a callback. The work of forces without potential is needed for the energy balance.
 
-- Multipliers of prescribed motions. The constraint is a spring with a time constant of a few steps. The
-  stages
-  of RK4 leave it by about h^2 times the acceleration, which is an error of 0.1 % in each stage for any step.
-  The weighted mean of the stages is accurate.
-- Implicit integrators, which change forces at the end of a step (MuJoCo's documentation, Computation, section
-  Numerical integration): dampers in all of them, actuators in implicit and implicitfast. Stiff dampers and
-  actuators do nearly opposite work, so that powers lose most digits.
+A step of size h changes velocities from v0 to v1 by the impulse h F, where F is a mean of the forces of the
+integrator's stages. The work of the impulse is h F (v0 + v1) / 2. This is exact for a constant mass matrix,
+because the kinetic energy is quadratic in v. The powers at the ends of a step are inaccurate in two cases:
 
-Smooth forces in RK4 are integrated by Simpson's rule, which has the order of RK4.
+- Multipliers of prescribed motions: the soft constraint is a spring with a time constant of a few steps. In
+  the stages of RK4, the motion deviates by about h^2 times the acceleration. The force of each stage has an
+  error of 0.1 % for any step size, but the weighted mean of the stages is accurate.
+- Implicit integrators change forces at the end of a step (MuJoCo's documentation, Computation, section
+  Numerical integration): all of them change dampers, implicit and implicitfast also actuators. Stiff dampers
+  and actuators do nearly opposite work, so that the sum of powers loses most digits.
+
+The powers of smooth forces in RK4 are integrated by Simpson's rule, which has the order of RK4.
 """
 
 from __future__ import annotations
@@ -35,21 +37,23 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 
-def stiffest(step: float, damping_ratio: float = 1.0) -> tuple[float, float]:
-    """Return the stiffest solref that MuJoCo allows: a time constant of two steps."""
+def stiffest_solref(step: float, damping_ratio: float = 1.0) -> tuple[float, float]:
+    """Return the stiffest solref that MuJoCo allows for a step, s: a time constant of two steps."""
     return 2.0 * step, damping_ratio
 
 
 RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+"""Weights of the four stages in a step of RK4."""
 
 
 class SoftMuJoCo(EvaluatedScene):
     """Equations of motion by `mj_forward`, with accelerations and forces of soft constraints.
 
     Attributes:
-        moved: (m,) numbers of MuJoCo's velocities that follow prescribed motions.
-        driven: PD laws that depend on time continuously; the scene holds laws that jump.
-        evaluated: declared laws without an equivalent actuator of MuJoCo, by number.
+        prescribed: (m,) numbers of MuJoCo's velocities that follow prescribed motions.
+        driven: PD laws that depend on time continuously. Laws that jump are constant between jumps, and the
+            scene has their present values.
+        evaluated: control laws of the scene without an equivalent actuator of MuJoCo, by number.
     """
 
     name = "mujoco"
@@ -57,17 +61,21 @@ class SoftMuJoCo(EvaluatedScene):
     def __init__(self, scene: Scene) -> None:
         """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         super().__init__(scene)
+        # equalities of prescribed motions: the couplings are MuJoCo's last equalities, motions come first
         first = self.model.neq - len(self.couplings.couplings)
-        self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
-        self.moved = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
+        self._motions = np.arange(first, first + len(scene.motions))
+        self.prescribed = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
         self.driven = DrivenLaws(scene.control)
         declared = [(k, law) for k, law in enumerate(scene.control) if isinstance(law, DeclaredLaw)]
         self.evaluated = {k: law for k, law in declared if law.uses_model or not isinstance(law, PD)}
-        # stages of a step, shared by copies of this object, because MuJoCo calls one of the copies
-        self._asked: list[tuple[Array, Array]] = []
-        self._stages: list[Array] = []
+        # For the rows of prescribed motions in the latest stage of a step: a_ref and stiffness D; and the
+        # multipliers (m,) of the completed stages. Copies of this object share both lists, because MuJoCo
+        # calls the callback of one copy.
+        self._latest_reference: list[tuple[Array, Array]] = []
+        self._stage_multipliers: list[Array] = []
 
     def engine_control(self, scene: Scene) -> EngineControl:
+        """Return the inverse dynamics of model-based control laws, with rigid constraints."""
         return EngineControl(scene, RigidMuJoCo)
 
     def use_integrator(self, name: str) -> None:
@@ -75,9 +83,9 @@ class SoftMuJoCo(EvaluatedScene):
         self.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
 
     def use_step(self, step: float, solref: tuple[float, float] | None = None) -> None:
-        """Set the time step, s, and solref; without solref, the stiffest constraints for the step."""
+        """Set the time step, s, and solref; None means the stiffest constraints for the step."""
         self.model.opt.timestep = step
-        self.model.eq_solref[:] = solref or stiffest(step)
+        self.model.eq_solref[:] = solref or stiffest_solref(step)
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Compute accelerations, reactions and energies at a state."""
@@ -91,98 +99,107 @@ class SoftMuJoCo(EvaluatedScene):
     def following(self) -> Iterator[None]:
         """Return a context in which MuJoCo follows the scene's control laws, wind and prescribed motions.
 
-        Each evaluation of MuJoCo, including the stages of RK4, uses the controls at its own time. Controls
-        that are held during a step would be of second order at best, and their power would jump.
+        Each evaluation of MuJoCo, including each stage of RK4, uses the controls of its time. With controls
+        that stay constant during a step, the integration would be of second order at best.
 
-        MuJoCo's equalities do not depend on time. A constraint row uses its residual r only in the reference
-        acceleration (MuJoCo's documentation, Computation, section Reference),
+        MuJoCo's equalities do not depend on time. The residual r of a constraint row enters only the
+        reference acceleration (MuJoCo's documentation, Computation, section Reference),
 
             a_ref = -b dr/dt - k d r.
 
-        Before each solve, this is changed to the reference acceleration of r = x - f(t),
+        Before each solution, a_ref is changed to the reference acceleration of r = x - f(t),
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not (len(self.moved) or len(self.driven.places) or self.evaluated or wind_loads(self.scene)):
+        if not (len(self.prescribed) or len(self.driven.places) or self.evaluated or wind_loads(self.scene)):
             yield
             return
-        before = mujoco.get_mjcb_control()
-        mujoco.set_mjcb_control(self._act)
+        previous_callback = mujoco.get_mjcb_control()
+        mujoco.set_mjcb_control(self._control_callback)
         try:
             yield
         finally:
-            mujoco.set_mjcb_control(before)
+            mujoco.set_mjcb_control(previous_callback)
 
-    def _act(self, model: Any, data: Any) -> None:
-        """Set time-dependent controls, wind and motions; MuJoCo calls this in each evaluation."""
-        if len(self.driven.places):  # driven laws only; other controls are already set
+    def _control_callback(self, model: Any, data: Any) -> None:
+        """Set time-dependent controls, wind and motions; MuJoCo calls this method in each evaluation."""
+        if len(self.driven.places):  # other PD laws do not change between jumps
             data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
         if self.evaluated:
             readings = self.readings(data)
-            model = self.model_forces(data, readings)
+            model_forces = self.model_forces(data, readings)
             for k in self.evaluated:  # the scene of this copy has the present laws
-                data.ctrl[k] = control(self.scene.control[k], data.time, readings, model)
-        self.blow(data)
-        if len(self.moved):
-            self._follow(data)
+                data.ctrl[k] = control(self.scene.control[k], data.time, readings, model_forces)
+        self.set_wind(data)
+        if len(self.prescribed):
+            self._follow_motions(data)
 
-    def _follow(self, data: Any) -> None:
-        """Change a_ref of the rows of prescribed motions to MuJoCo's time."""
-        rows, functions = self._rows_of_motions(data), slice(len(self.moved))
-        if self._asked:  # qacc still has the accelerations of the previous stage
-            asked, stiffness = self._asked.pop()
-            self._stages.append(stiffness * (asked - data.qacc[self.moved]))
-        ahead = self.couplings.value(data.time)[functions] - self.couplings.value(0.0)[functions]
+    def _follow_motions(self, data: Any) -> None:
+        """Change a_ref of the rows of prescribed motions to MuJoCo's time, see `following`.
+
+        If a stage precedes this evaluation, its multipliers D (a_ref - a) are stored.
+        """
+        rows, motions = self._rows_of_motions(data), slice(len(self.prescribed))
+        if self._latest_reference:  # qacc still has the accelerations of the previous stage
+            reference, stiffness = self._latest_reference.pop()
+            self._stage_multipliers.append(stiffness * (reference - data.qacc[self.prescribed]))
+        # the equalities are compiled with the values f(0)
+        displacement = self.couplings.value(data.time)[motions] - self.couplings.value(0.0)[motions]
         k, b, impedance = data.efc_KBIP[rows, :3].T
         data.efc_aref[rows] += (
-            self.couplings.acceleration(data.time)[functions]
-            + b * self.couplings.rate(data.time)[functions]
-            + k * impedance * ahead
+            self.couplings.acceleration(data.time)[motions]
+            + b * self.couplings.rate(data.time)[motions]
+            + k * impedance * displacement
         )
-        self._asked.append((np.array(data.efc_aref[rows]), np.array(data.efc_D[rows])))
+        self._latest_reference.append((np.array(data.efc_aref[rows]), np.array(data.efc_D[rows])))
 
     def _rows_of_motions(self, data: Any) -> Array:
-        """Return the rows (m,) of prescribed motions, which MuJoCo never drops."""
+        """Return the numbers (m,) of the constraint rows of prescribed motions; MuJoCo never drops them."""
         return np.flatnonzero(np.isin(data.efc_id, self._motions))
 
     def step_with_work(self, number: int, warnings: Collection[str]) -> float:
-        """Take steps from the state in `data`; return the work, J, of forces without potential.
+        """Take time steps from the state in `data`, and compute their work (see the start of this module).
 
         Args:
             number: number of steps.
             warnings: MuJoCo's warnings. A warning ends the steps, because MuJoCo then resets the state.
+
+        Returns:
+            Work, J, of actuators, dampers and prescribed motions.
         """
-        model, data, size = self.model, self.data, self.model.opt.timestep
-        runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-        by_momentum = not runge_kutta or len(self.moved) > 0
+        model, data, step = self.model, self.data, self.model.opt.timestep
+        is_rk4 = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        uses_impulses = not is_rk4 or len(self.prescribed) > 0
         powers, work = list[float](), 0.0
         for _ in range(number):
-            if by_momentum:
-                start = np.array(data.qvel)
-                self._asked.clear()
-                self._stages.clear()
-            if runge_kutta:
-                powers.append(self._runge_kutta_step())
+            if uses_impulses:
+                v0 = np.array(data.qvel)
+                self._latest_reference.clear()
+                self._stage_multipliers.clear()
+            if is_rk4:
+                powers.append(self._rk4_step())
             else:
                 mujoco.mj_step(model, data)
             if warnings:
                 return work
-            if not by_momentum:
+            if not uses_impulses:
                 continue
-            mean = 0.5 * size * (start + data.qvel)
-            if len(self.moved):
+            # h (v0 + v1) / 2
+            displacement = 0.5 * step * (v0 + data.qvel)
+            if len(self.prescribed):
                 # the force of a soft constraint is D (a_ref - a), with the resulting acceleration a
-                multipliers = np.array([*self._stages, data.efc_force[self._rows_of_motions(data)]])
-                weights = RK4_WEIGHTS if runge_kutta else np.ones(1)
-                work += float(weights @ multipliers @ mean[self.moved])
-            if not runge_kutta:
-                work += float(self._applied(start) @ mean)
-        if runge_kutta:
+                last_stage = data.efc_force[self._rows_of_motions(data)]
+                multipliers = np.array([*self._stage_multipliers, last_stage])
+                weights = RK4_WEIGHTS if is_rk4 else np.ones(1)
+                work += float(weights @ multipliers @ displacement[self.prescribed])
+            if not is_rk4:
+                work += float(self._applied_forces(v0) @ displacement)
+        if is_rk4:
             mujoco.mj_forward(model, data)
-            work += simpson(np.array([*powers, self._power()]), size)
+            work += simpson(np.array([*powers, self._power()]), step)
         return work
 
-    def _runge_kutta_step(self) -> float:
+    def _rk4_step(self) -> float:
         """Take a step of RK4 like `mj_step`; return the power, W, of actuators and dampers before it."""
         model, data = self.model, self.data
         mujoco.mj_checkPos(model, data)
@@ -198,12 +215,15 @@ class SoftMuJoCo(EvaluatedScene):
         data = self.data
         return float(data.actuator_force @ data.actuator_velocity + data.qfrc_damper @ data.qvel)
 
-    def _applied(self, start: Array) -> Array:
-        """Return forces (nv,) of actuators and dampers in the last step, from velocities `start`."""
+    def _applied_forces(self, v0: Array) -> Array:
+        """Return the generalized forces (nv,) of actuators and dampers that the last implicit step applied.
+
+        `v0` (nv,) are the velocities before the step.
+        """
         model, data = self.model, self.data
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:  # only dampers at joints are implicit
-            implicit = -model.dof_damping * (data.qvel - start)
-            return np.asarray(data.qfrc_actuator + data.qfrc_damper + implicit)
+        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:  # only dampers of joints are implicit
+            damper_change = -model.dof_damping * (data.qvel - v0)
+            return np.asarray(data.qfrc_actuator + data.qfrc_damper + damper_change)
         # data has positions before the step and velocities after the step
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
@@ -211,16 +231,16 @@ class SoftMuJoCo(EvaluatedScene):
 
 
 def simpson(values: Array, step: float) -> float:
-    """Integrate values (n + 1,) at the ends of n equal steps by Simpson's rule.
+    """Integrate values (n + 1,) at the ends of n equal steps of size `step` by Simpson's rule.
 
     If n is odd, the last step is integrated by the parabola through the last three values. A single step is
     integrated by the trapezoidal rule.
     """
-    last = len(values) - 1
-    if last == 1:
+    n = len(values) - 1
+    if n == 1:
         return 0.5 * step * float(values.sum())
-    paired = last - last % 2
-    total = (values[0:paired:2] + 4.0 * values[1:paired:2] + values[2 : paired + 1 : 2]).sum() / 3.0
-    if paired < last:
+    even_n = n - n % 2
+    total = (values[0:even_n:2] + 4.0 * values[1:even_n:2] + values[2 : even_n + 1 : 2]).sum() / 3.0
+    if even_n < n:
         total += values[-3:] @ np.array([-1.0, 8.0, 5.0]) / 12.0
     return step * float(total)
