@@ -1,9 +1,10 @@
-"""MuJoCo as an engine for scenes, and reading and writing of MJCF files.
+"""MuJoCo as a simulation engine for scenes, and import and export of MJCF files.
 
-`simulate` runs a scene by MuJoCo's time stepping. `write` writes a scene as MJCF. `read` imports an MJCF file
-as a scene with an import report. `mjcf.rigid` evaluates MuJoCo's equations under rigid constraints,
-`mjcf.soft` with MuJoCo's own soft constraints. MuJoCo is imported at its first use. Start reading at `write`
-and `reader`.
+A scene is a mechanism with its forces, control laws and initial state, as newton_euler defines it. `simulate`
+runs a scene by MuJoCo's time stepping. `write` writes a scene as MJCF. `read` imports an MJCF file as a scene
+with an import report. `mjcf.rigid` solves MuJoCo's equations of motion with rigid constraints, `mjcf.soft`
+with MuJoCo's own soft constraints. MuJoCo is imported at its first use. Start reading at `write` and
+`reader`.
 """
 
 from typing import TYPE_CHECKING, Any

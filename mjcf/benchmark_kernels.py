@@ -1,8 +1,9 @@
-"""Benchmark kernels of MuJoCo: single runs and batches of runs with as little Python as possible.
+"""Benchmark kernels of MuJoCo: single runs and batches of runs with as little Python overhead as possible.
 
-The kernels store poses at output times only. Features that no scene uses are switched off. The warm start is
-switched off as well: the constraints are linear in the accelerations, so that one Newton step solves them.
-Constraints are as stiff as the step allows, with a time constant of two steps.
+crosscheck's benchmarks measure MuJoCo's speed with these kernels. They store poses at output times only.
+Features that no scene uses are switched off. The warm start of the solver is switched off as well, because
+one Newton step solves equality constraints, which are linear in the accelerations. Constraints are as stiff
+as the step allows, with a time constant of two steps.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ UNUSED_FEATURES = (
     "WARMSTART",
     "AUTORESET",
 )
-"""Features of MuJoCo that no scene has, or that cost more time than they save."""
+"""MuJoCo's features that no scene has, or that cost more time than they save."""
 
 PASSIVE_FEATURES = ("SPRING", "DAMPER")
 """Features of MuJoCo that scenes without springs and dampers do not need."""
@@ -58,11 +59,11 @@ def compiled(scene: Scene) -> SoftMuJoCo:
     system = SoftMuJoCo(scene)
     for each in (*system.evaluated.values(), *wind_loads(scene)):
         raise MjcfError(f"{each.element}: MuJoCo has no such actuator, and benchmark kernels call no Python")
-    disabled = [
-        *UNUSED_FEATURES,
-        *(() if scene.forces else PASSIVE_FEATURES),
-        *(() if np.any(scene.gravity) else ("GRAVITY",)),
-    ]
+    disabled = [*UNUSED_FEATURES]
+    if not scene.forces:
+        disabled += PASSIVE_FEATURES
+    if not np.any(scene.gravity):
+        disabled.append("GRAVITY")
     flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)
     system.model.opt.disableflags = sum(flags)
     return system
@@ -92,7 +93,9 @@ def steps(scene: Scene) -> Any:
 
 
 class Stepper:
-    """Single run with a fixed number of steps per output interval: call `reset`, `run`, then `poses`.
+    """Single run with a fixed number of steps per output interval.
+
+    Call `reset`, then `run`, whose time is measured, then `poses`.
 
     Attributes:
         position: (n, nbody, 3) m, positions of MuJoCo's bodies at outputs, filled by `run`.
@@ -121,7 +124,7 @@ class Stepper:
         outputs = 1 + sum(count for count, _ in intervals)
         self.position = np.empty((outputs, system.model.nbody, 3))
         self.quaternion = np.empty((outputs, system.model.nbody, 4))
-        self._advance = _whole_steps if integrator == "RK4" else _split_steps
+        self._advance = _advance_by_whole_steps if integrator == "RK4" else _advance_by_split_steps
 
     def reset(self) -> None:
         """Reset MuJoCo to the initial state."""
@@ -151,24 +154,32 @@ class Stepper:
         return _scene_poses(self._system, self.position, self.quaternion)
 
 
-def _split_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
-    """Store poses at the beginnings of `count` intervals, and take `number` steps after each.
+def _advance_by_split_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
+    """Store the poses at the beginning of each interval, and take the steps of the interval.
 
-    The first half of a step computes the poses before the step.
+    `mj_step1`, the first half of a step, computes the poses at the beginning of the step.
+
+    Args:
+        model: `MjModel`.
+        data: `MjData`.
+        rows: next rows of positions and quaternions to fill.
+        count: number of intervals.
+        number: number of steps in each interval.
     """
-    first, second, step, rest = mujoco.mj_step1, mujoco.mj_step2, mujoco.mj_step, number - 1
+    first_half, second_half, whole_steps = mujoco.mj_step1, mujoco.mj_step2, mujoco.mj_step
+    remaining = number - 1
     xpos, xquat = data.xpos, data.xquat
     for _ in repeat(None, count):
         position, quaternion = next(rows)
-        first(model, data)
+        first_half(model, data)
         position[...], quaternion[...] = xpos, xquat
-        second(model, data)
-        if rest:
-            step(model, data, rest)
+        second_half(model, data)
+        if remaining:
+            whole_steps(model, data, remaining)
 
 
-def _whole_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
-    """Store poses and take steps like `_split_steps`, for RK4, whose steps cannot be split."""
+def _advance_by_whole_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
+    """Store poses and take steps like `_advance_by_split_steps`, for RK4, whose steps cannot be split."""
     step, kinematics = mujoco.mj_step, mujoco.mj_kinematics
     xpos, xquat = data.xpos, data.xquat
     for _ in repeat(None, count):
@@ -179,12 +190,12 @@ def _whole_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number:
 
 
 def physics_states(system: SoftMuJoCo, q: Array, v: Array) -> Array:
-    """Return MuJoCo's full physics states (n, size) for coordinates (n, nq) and velocities (n, nv)."""
+    """Return MuJoCo's full physics states (n, size) for tree coordinates (n, nq) and velocities (n, nv)."""
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     states = np.empty((len(q), mujoco.mj_stateSize(system.model, kind)))
-    for row, at, moving in zip(states, q, v, strict=True):
-        system.place(at, moving)
-        mujoco.mj_getState(system.model, system.data, row, kind)
+    for state, q_of_run, v_of_run in zip(states, q, v, strict=True):
+        system.place(q_of_run, v_of_run)
+        mujoco.mj_getState(system.model, system.data, state, kind)
     return states
 
 
@@ -211,19 +222,22 @@ class Rollout:
         system.use_integrator(integrator)
         step = float(times[1] - times[0]) / number
         system.use_step(step, stiffest_solref(step, damping_ratio))
-        self._datas = [mujoco.MjData(model) for _ in range(threads)]
+        self._data_of_threads = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
+        # runs of one call: as many as fit into the memory, but at least ten for each thread
         steps = number * (len(times) - 1)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         runs = max(10 * threads, MAX_ROLLOUT_BYTES // (8 * steps * size))
         self._states = np.empty((runs, steps, size))
-        self._control = np.tile(_held(system.scene, steps, model.opt.timestep), (runs, 1, 1))
+        self._controls = np.tile(_controls_of_steps(system.scene, steps, model.opt.timestep), (runs, 1, 1))
 
     def __call__(self, starts: Array) -> Array:
         """Return qpos (runs, n, nq) at all outputs, for runs from full physics states (runs, size)."""
         model, number = self._system.model, self._number
-        kept = np.empty((len(starts), len(self._system.scene.times), model.nq))
-        kept[:, 0] = starts[:, 1 : 1 + model.nq]
+        # a full physics state is time, qpos, qvel and more
+        in_state = slice(1, 1 + model.nq)
+        qpos = np.empty((len(starts), len(self._system.scene.times), model.nq))
+        qpos[:, 0] = starts[:, in_state]
         steps = self._states.shape[1]
         with collected_warnings():
             for begin in range(0, len(starts), len(self._states)):
@@ -232,16 +246,17 @@ class Rollout:
                 states = self._states[:runs]
                 self._pool.rollout(
                     [model] * runs,
-                    self._datas,
+                    self._data_of_threads,
                     portion,
-                    self._control[:runs] if model.nu else None,
+                    self._controls[:runs] if model.nu else None,
                     nstep=steps,
                     state=states,
                     sensordata=np.empty((runs, steps, model.nsensordata)),
                     skip_checks=True,
                 )
-                kept[begin : begin + runs, 1:] = states[:, number - 1 :: number, 1 : 1 + model.nq]
-        return kept
+                # states after the last step of each output interval
+                qpos[begin : begin + runs, 1:] = states[:, number - 1 :: number, in_state]
+        return qpos
 
     def poses(self, qpos: Array) -> tuple[Array, Array]:
         """Return positions (n, b, 3), m, and quaternions (n, b, 4) of the bodies, from qpos (n, nq) of a run.
@@ -258,13 +273,22 @@ class Rollout:
         return _scene_poses(self._system, position, quaternion)
 
 
-def _held(scene: Scene, steps: int, step: float) -> Array:
-    """Return controls (steps, nu) at the middle of each step, a second-order rule for driven laws."""
+def _controls_of_steps(scene: Scene, steps: int, step: float) -> Array:
+    """Return the controls (steps, nu) of each step: those of its middle, for an error of second order."""
     return np.array([controls(scene, (n + 0.5) * step, {}) for n in range(steps)])
 
 
 def _scene_poses(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[Array, Array]:
-    """Select the poses of the scene's bodies from the poses of MuJoCo's bodies."""
+    """Return positions (n, b, 3), m, and quaternions (n, b, 4) of the scene's bodies, ground first.
+
+    Args:
+        system: compiled scene.
+        position: (n, nbody, 3) m, positions of MuJoCo's bodies at outputs.
+        quaternion: (n, nbody, 4) orientations of MuJoCo's bodies.
+
+    Raises:
+        DivergenceError: for a motion that is not finite.
+    """
     ground = system.mechanism.bodies[0]
     finite = np.all(np.isfinite(position), axis=(1, 2)) & np.all(np.isfinite(quaternion), axis=(1, 2))
     if not np.all(finite):

@@ -1,4 +1,4 @@
-"""Distances between the shapes of bodies, by MuJoCo's collision geometry."""
+"""Smallest distance between the shapes of a mechanism's bodies at given poses, by MuJoCo's geometry."""
 
 from __future__ import annotations
 
@@ -26,46 +26,42 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
     """
     import mujoco
 
-    # a model with a mocap body for each body
+    # a model with a mocap body (a body whose pose is set freely) for each moving body
     root = ET.Element("mujoco")
     world = ET.SubElement(root, "worldbody")
-    owners = []
+    body_of_geom = []
     for k, body in enumerate(mechanism.bodies):
-        in_world = Pose(np.zeros(3), np.eye(3))
-        element = world if k == 0 else ET.SubElement(world, "body", name=body.name, mocap="true")
+        if k == 0:
+            element, pose, orientation = world, Pose(np.zeros(3), np.eye(3)), np.array([1.0, 0.0, 0.0, 0.0])
+        else:
+            element = ET.SubElement(world, "body", name=body.name, mocap="true")
+            pose, orientation = body.pose, body.quaternion
         for shape in body.shapes:
-            add_geom(
-                element,
-                shape,
-                GROUND_COLOR,
-                *((body.pose, body.quaternion) if k else (in_world, np.array([1.0, 0.0, 0.0, 0.0]))),
-            )
-            owners.append(k)
-    # pairs of shapes of bodies that no joint connects
+            add_geom(element, shape, GROUND_COLOR, pose, orientation)
+            body_of_geom.append(k)
+    # pairs of geoms of bodies that no joint connects
     joined = {frozenset((joint.first, joint.second)) for joint in mechanism.joints}
     names = mechanism.body_names
-    pairs = np.array(
-        [
-            (i, j)
-            for (i, one), (j, other) in combinations(enumerate(owners), 2)
-            if one != other and frozenset((names[one], names[other])) not in joined
-        ]
-    ).reshape(-1, 2)
-    if not len(pairs):
+    pairs = []
+    for (geom_1, body_1), (geom_2, body_2) in combinations(enumerate(body_of_geom), 2):
+        if body_1 != body_2 and frozenset((names[body_1], names[body_2])) not in joined:
+            pairs.append((geom_1, geom_2))
+    if not pairs:
         return np.full(len(position), np.inf)
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
-    data, (first, second) = mujoco.MjData(model), pairs.T
-    # smallest distance, by pairs in the order of the distance of their bounding spheres
+    data, (first, second) = mujoco.MjData(model), np.array(pairs).T
+    # examine pairs in the order of the distance of their bounding spheres, a lower bound of the distance
     radii = model.geom_rbound[first] + model.geom_rbound[second]
-    found = np.full(len(position), np.inf)
+    smallest = np.full(len(position), np.inf)
     for n in range(len(position)):
         data.mocap_pos[:], data.mocap_quat[:] = position[n, 1:], quaternion[n, 1:]
         mujoco.mj_kinematics(model, data)
-        bounds = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1) - radii
-        for k in np.argsort(bounds):
-            if bounds[k] >= found[n]:
+        lower_bounds = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1) - radii
+        for k in np.argsort(lower_bounds):
+            if lower_bounds[k] >= smallest[n]:
                 break  # all other pairs are farther apart
-            limit = 2.0 * (bounds[k] + radii[k]) + radii[k]
+            # MuJoCo searches up to a limit; twice the distance of the centers plus the radii is enough
+            limit = 2.0 * (lower_bounds[k] + radii[k]) + radii[k]
             distance = mujoco.mj_geomDistance(model, data, int(first[k]), int(second[k]), limit, None)
-            found[n] = min(found[n], distance)
-    return found
+            smallest[n] = min(smallest[n], distance)
+    return smallest

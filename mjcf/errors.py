@@ -1,4 +1,4 @@
-"""Errors of the package, all subclasses of `MjcfError`, and a collector of MuJoCo's warnings."""
+"""Errors of the package `mjcf`, all subclasses of `MjcfError`, and a collector of MuJoCo's warnings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,12 @@ class MjcfError(NewtonEulerError):
 
 
 class ModelError(MjcfError):
-    """Scene that MuJoCo cannot compile, with MuJoCo's reason or the element at fault."""
+    """Scene that MuJoCo cannot compile.
+
+    Attributes:
+        scene: name of the scene.
+        reason: MuJoCo's message, or the element that MuJoCo refuses.
+    """
 
     def __init__(self, scene: str, reason: str) -> None:
         self.scene = scene
@@ -33,25 +38,30 @@ class ModelError(MjcfError):
 
 
 class DivergenceError(MjcfError, StoppedError):
-    """Run that diverged in MuJoCo, with the time reached and MuJoCo's warning."""
+    """Run that diverged in MuJoCo."""
 
     def __init__(self, time: float, reason: str) -> None:
+        """Make the error from the time reached, s, and MuJoCo's warning."""
         super().__init__(time, reason, f"MuJoCo diverged at t = {time:.6g} s: {reason}")
 
 
 @contextmanager
 def collected_warnings(data: Any = None) -> Iterator[dict[str, float]]:
-    """Collect MuJoCo's warnings instead of logging them, each with the first `data.time` of the warning."""
+    """Return a context that collects MuJoCo's warnings, which are otherwise written to a log file.
+
+    The context yields a dictionary that fills during the context: the time, s, at which each warning first
+    occurred, by message. The time is `data.time`, or NaN without `data`, an `MjData`.
+    """
     import mujoco
 
-    heard: dict[str, float] = {}
+    time_of_warning: dict[str, float] = {}
 
-    def hear(message: str) -> None:
-        heard.setdefault(" ".join(message.split()), math.nan if data is None else data.time)
+    def collect(message: str) -> None:
+        time_of_warning.setdefault(" ".join(message.split()), math.nan if data is None else data.time)
 
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(hear)
+    previous_handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(collect)
     try:
-        yield heard
+        yield time_of_warning
     finally:
-        mujoco.set_mju_user_warning(before)
+        mujoco.set_mju_user_warning(previous_handler)

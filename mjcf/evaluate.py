@@ -1,4 +1,8 @@
-"""Evaluate a state in MuJoCo for given accelerations and constraint forces."""
+"""Evaluate a state in MuJoCo for given accelerations and constraint forces.
+
+`mjcf.rigid` and `mjcf.soft` compute accelerations in different ways. Both derive from `EvaluatedScene`, which
+computes accelerations of bodies, joint reactions and energies from them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,10 @@ from newton_euler.scalars import Array, cross
 
 
 def mass_and_force(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Return M (nv, nv) and f (nv,) of M qacc = f + J^T lambda, after `mj_fwdVelocity`."""
+    """Return the mass matrix M (nv, nv) and the forces f (nv,) of M qacc = f + J^T lambda.
+
+    `data` needs `mj_fwdVelocity`. J is the constraint Jacobian, lambda are the constraint forces.
+    """
     mujoco.mj_fwdActuation(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
@@ -25,21 +32,22 @@ def mass_and_force(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, A
 
 def constraint_jacobian(model: Any, data: Any) -> Array:
     """Return MuJoCo's constraint Jacobian efc_J (nefc, nv), from dense or sparse storage."""
-    columns = np.zeros((model.nv, data.nefc))
-    for column, unit in zip(columns, np.eye(model.nv), strict=True):
-        mujoco.mj_mulJacVec(model, data, column, unit)
-    return columns.T
+    transposed = np.zeros((model.nv, data.nefc))
+    for column, unit_velocity in zip(transposed, np.eye(model.nv), strict=True):
+        mujoco.mj_mulJacVec(model, data, column, unit_velocity)
+    return transposed.T
 
 
 class EvaluatedScene(CompiledScene):
-    """Compiled scene with joint reactions, which rigid and soft constraints share."""
+    """Compiled scene that evaluates accelerations of bodies and joint reactions."""
 
     @cached_property
     def _reactions(self) -> Reactions:
+        """Reactions of the scene's joints, prepared once."""
         return Reactions(self)
 
     def evaluation(self, acceleration: Array, multipliers: Array) -> Evaluation:
-        """Evaluate the state in `data`, after `mj_fwdActuation`.
+        """Evaluate the state in `data`, which needs `mj_fwdActuation`.
 
         Args:
             acceleration: (nv,) accelerations qacc of MuJoCo's coordinates.
@@ -48,11 +56,12 @@ class EvaluatedScene(CompiledScene):
         data = self.data
         data.qacc[:] = acceleration
         data.efc_force[:] = multipliers
-        data.xfrc_applied[:] = self._motor_wrenches()  # MuJoCo omits motors on sites from its balances
+        # mj_rnePostConstraint omits motors on sites from the balances of forces on bodies
+        data.xfrc_applied[:] = self._motor_wrenches()
         mujoco.mj_rnePostConstraint(self.model, data)
         data.xfrc_applied[:] = 0.0
         linear, angular = self._body_accelerations()
-        force, torque = self._reactions.now()
+        force, torque = self._reactions.evaluate()
         return Evaluation(
             **vars(self.observation()),
             linear_acceleration=linear,
@@ -63,7 +72,7 @@ class EvaluatedScene(CompiledScene):
         )
 
     def _body_accelerations(self) -> tuple[Array, Array]:
-        """Return accelerations (b, 3) of the centers of mass and angular accelerations (b, 3)."""
+        """Return accelerations (b, 3), m/s^2, of the centers of mass, and angular ones (b, 3), rad/s^2."""
         count = len(self.mechanism.bodies)
         linear, angular = np.zeros((2, count, 3))
         for k, index in enumerate(self.body_id[1:count], start=1):
@@ -71,7 +80,10 @@ class EvaluatedScene(CompiledScene):
         return linear, angular
 
     def _motor_wrenches(self) -> Array:
-        """Return forces and torques (nbody, 6) of motors on sites about the centers of mass, world frame."""
+        """Return force and torque (nbody, 6) of motors on sites, about the centers of mass, world frame.
+
+        Motors on sites apply wrenches and wind. They follow the actuators of control laws.
+        """
         model, data = self.model, self.data
         wrenches = np.zeros((model.nbody, 6))
         for motor in range(len(self.scene.control), model.nu):

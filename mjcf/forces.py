@@ -1,15 +1,15 @@
-"""Write forces of a scene as MJCF elements.
+"""Write the forces of a scene as MJCF elements, for `mjcf.write`.
 
-- Springs of hinges and slides are attributes of MuJoCo's joints.
-- Springs of balls rest at qpos0 in MuJoCo. If a spring rests elsewhere, it is declared as a yielding spring
-  that never yields; a keyframe holds its rest.
+- Springs and armatures of hinges and slides are attributes of MuJoCo's joints.
+- Springs of balls rest at qpos0 in MuJoCo. Only a yielding spring, whose rest is part of the state, can rest
+  elsewhere. Such a spring is written with a yield angle that is never reached, and the keyframe has its rest.
 - Springs between points are spatial tendons.
-- Wrenches are motors on sites with control 1. A motor turns with its site unless its `refsite` is a site of
-  the world.
+- A wrench, a constant force and torque, is a motor on a site with control 1. The motor turns with its site
+  unless its `refsite` is a site of the world.
 - Wind on a plate is three motors on a site with the axes of the plate: the force along the normal and the
   moments about the sides. `mjcf.model` computes the controls.
 
-Names contain a space, so that they cannot clash with names of the scene.
+Names of the elements contain a space, so that they cannot clash with names of the scene.
 """
 
 from __future__ import annotations
@@ -33,68 +33,77 @@ WORLD_SITE = "world frame"
 """Name of the world site, the frame of wrenches with constant direction."""
 
 SITE_SIZE = 0.01
-"""Radius of a site, in sizes of the mechanism."""
+"""Radius of a site, as a fraction of the mechanism's size."""
 
 UNREACHED_YIELD_ANGLE = 4.0
-"""Yield angle, rad, of springs that must not yield: balls turn by at most pi."""
+"""Yield angle, rad, of springs that must not yield: deflections of balls are at most pi."""
 
 WIND_MOTORS = {"force": 2, "first moment": 3, "second moment": 4}
-"""Motors of a wind load, with their place among the forces and torques along the axes of the site."""
+"""Index of each motor of a wind load in `gear`: three forces, then three torques along the site's axes."""
 
 TENDON_WIDTH = 0.003
-"""Radius of a tendon, in sizes of the mechanism."""
+"""Radius of a tendon, as a fraction of the mechanism's size."""
 
 
 def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
-    """Map names of MuJoCo's joints to the attributes of their springs and armatures."""
-    found: dict[str, dict[str, str]] = {}
+    """Return the attributes of springs and armatures, by name of MuJoCo's joint."""
+    attributes: dict[str, dict[str, str]] = {}
     for armature in scene.armatures:
-        found[_motion_name(scene.mechanism, armature)] = {"armature": number(armature.inertia)}
+        attributes[_mujoco_joint_name(scene.mechanism, armature)] = {"armature": number(armature.inertia)}
     for spring in scene.forces:
         if isinstance(spring, PointSpring | Wrench | WindLoad):
             continue  # on sites, see `add_sites`
         if isinstance(spring, JointSpring | BallSpring):
-            name = _motion_name(scene.mechanism, spring)
-            found[name] = found.get(name, {}) | {
+            name = _mujoco_joint_name(scene.mechanism, spring)
+            attributes[name] = attributes.get(name, {}) | {
                 "stiffness": number(spring.stiffness),
                 "damping": number(spring.damping),
             }
             if isinstance(spring, JointSpring):
-                found[name]["springref"] = number(spring.rest)
-            elif _is_turned(spring):
-                found[name]["springyield"] = number(UNREACHED_YIELD_ANGLE)
+                attributes[name]["springref"] = number(spring.rest)
+            elif _rests_elsewhere(spring):
+                attributes[name]["springyield"] = number(UNREACHED_YIELD_ANGLE)
         else:
             assert_never(spring)
-    return found
+    return attributes
 
 
-def _motion_name(mechanism: Mechanism, on: OnCoordinate | OnBall) -> str:
-    joint, coordinate = mechanism.joint(on.joint), on.key[1]
-    return ball_name(joint) if on.on_ball else coordinate_name(joint, coordinate)
+def _mujoco_joint_name(mechanism: Mechanism, element: OnCoordinate | OnBall) -> str:
+    """Return the name of MuJoCo's joint that a spring or armature of the scene belongs to."""
+    joint, coordinate = mechanism.joint(element.joint), element.key[1]
+    return ball_name(joint) if element.on_ball else coordinate_name(joint, coordinate)
 
 
-def rests(scene: Scene, tree: SpanningTree, layout: Layout) -> Array:
-    """Return rest quaternions (4 n,) of MuJoCo's ball springs that do not rest at qpos0."""
+def ball_spring_rests(scene: Scene, tree: SpanningTree, layout: Layout) -> Array:
+    """Return rest quaternions (4 n,) of the n ball springs that do not rest at qpos0, in MuJoCo's order."""
     mechanism = scene.mechanism
-    turned = {mechanism.joint_index(force.joint): force.rest for force in scene.forces if _is_turned(force)}
-    found, place = [np.zeros(0)], 0
-    for kept in layout.order:
-        for motion, on_q, _ in kept.places:
-            size = on_q.stop - on_q.start
-            if motion.kind == "ball" and kept.joint in turned:
-                rest, q = turned[kept.joint], np.zeros(tree.nq)
-                q[on_q] = from_rotation_vector(rest if kept.forward else -rest)
-                found.append((layout.to_qpos @ q)[place : place + size])
-            place += size
-    return np.concatenate(found)
+    rest_of_joint = {
+        mechanism.joint_index(force.joint): force.rest for force in scene.forces if _rests_elsewhere(force)
+    }
+    quaternions, qpos_index = [np.zeros(0)], 0
+    for tree_joint in layout.order:
+        for motion, in_q, _ in tree_joint.places:
+            size = in_q.stop - in_q.start
+            if motion.kind == "ball" and tree_joint.joint in rest_of_joint:
+                rest, q = rest_of_joint[tree_joint.joint], np.zeros(tree.nq)
+                q[in_q] = from_rotation_vector(rest if tree_joint.forward else -rest)
+                quaternions.append((layout.to_qpos @ q)[qpos_index : qpos_index + size])
+            qpos_index += size
+    return np.concatenate(quaternions)
 
 
-def _is_turned(force: Force) -> TypeGuard[BallSpring]:
+def _rests_elsewhere(force: Force) -> TypeGuard[BallSpring]:
+    """Return True for a ball spring that does not rest at the initial pose."""
     return isinstance(force, BallSpring) and bool(np.any(force.rest))
 
 
 def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
-    """Add the sites of point springs, wrenches and wind loads to the elements of bodies, by body number."""
+    """Add the sites of point springs, wrenches and wind loads to the XML elements of bodies.
+
+    Args:
+        elements: XML element of each body, by number of the body in the mechanism.
+        scene: scene with the forces.
+    """
     mechanism = scene.mechanism
     for force in scene.forces:
         if isinstance(force, PointSpring):
@@ -116,7 +125,15 @@ def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
 def add_site(
     elements: dict[int, ET.Element], mechanism: Mechanism, name: str, body: str, point: Array
 ) -> ET.Element:
-    """Add a site to a body at a point (3,), m, world frame at the initial pose."""
+    """Add a site to a body, and return its XML element.
+
+    Args:
+        elements: XML element of each body, by number of the body in the mechanism.
+        mechanism: mechanism with the body.
+        name: name of the site.
+        body: name of the body.
+        point: (3,) m, world frame at the initial pose.
+    """
     index = mechanism.body_index(body)
     local = mechanism.bodies[index].pose.point_to_body(point) if index else point
     size = number(SITE_SIZE * mechanism.size)
@@ -127,20 +144,29 @@ def add_springs(tendons: ET.Element, scene: Scene) -> None:
     """Add the tendons of springs between points."""
     for spring in scene.forces:
         if isinstance(spring, PointSpring):
-            more = {
+            attributes = {
                 "stiffness": number(spring.stiffness),
                 "damping": number(spring.damping),
                 "springlength": number(spring.rest_length),
             }
-            add_tendon(tendons, scene.mechanism, f"spring {spring.name}", (spring.first, spring.second), more)
+            bodies = spring.first, spring.second
+            add_tendon(tendons, scene.mechanism, f"spring {spring.name}", bodies, attributes)
 
 
 def add_tendon(
-    tendons: ET.Element, mechanism: Mechanism, name: str, bodies: tuple[str, str], more: dict[str, str]
+    tendons: ET.Element, mechanism: Mechanism, name: str, bodies: tuple[str, str], attributes: dict[str, str]
 ) -> None:
-    """Add a straight tendon between the two sites of its name on two bodies."""
+    """Add a straight tendon between two sites, which `add_sites` names "<name> on <body>".
+
+    Args:
+        tendons: XML element of all tendons.
+        mechanism: mechanism, whose size determines the width of the line.
+        name: name of the tendon.
+        bodies: names of the two bodies.
+        attributes: further attributes of the tendon, such as its stiffness.
+    """
     width = number(TENDON_WIDTH * mechanism.size)
-    element = ET.SubElement(tendons, "spatial", {"name": name, "width": width, **more})
+    element = ET.SubElement(tendons, "spatial", {"name": name, "width": width, **attributes})
     for body in bodies:
         ET.SubElement(element, "site", site=f"{name} on {body}")
 
@@ -161,24 +187,24 @@ def wind_site(load: WindLoad) -> str:
 
 
 def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
-    """Add motors on the sites of wrenches."""
+    """Add a motor on the site of each wrench, with force and torque as its gear."""
     mechanism = scene.mechanism
     for wrench in wrenches(scene):
         pose = mechanism.body(wrench.body).pose
-        parts = [wrench.force, wrench.torque]
+        force_and_torque = [wrench.force, wrench.torque]
         if wrench.frame == "body":
-            parts = [pose.vector_to_body(part) for part in parts]
+            force_and_torque = [pose.vector_to_body(vector) for vector in force_and_torque]
         name = f"wrench {wrench.name}"
-        attributes = {"name": name, "site": name, "gear": numbers(np.concatenate(parts))}
+        attributes = {"name": name, "site": name, "gear": numbers(np.concatenate(force_and_torque))}
         if wrench.frame == "world":
             attributes["refsite"] = WORLD_SITE
         ET.SubElement(actuators, "motor", attributes)
 
 
 def add_winds(actuators: ET.Element, scene: Scene) -> None:
-    """Add motors on the sites of wind loads, see `wind_loads`."""
+    """Add three motors on the site of each wind load."""
     for load in wind_loads(scene):
         site = wind_site(load)
-        for what, place in WIND_MOTORS.items():
-            gear = numbers(np.eye(6)[place])
+        for what, gear_index in WIND_MOTORS.items():
+            gear = numbers(np.eye(6)[gear_index])
             ET.SubElement(actuators, "motor", name=f"{site} {what}", site=site, gear=gear)

@@ -1,11 +1,12 @@
-"""Layout of a spanning tree in MuJoCo: numbers of bodies, coordinates and velocities.
+"""Maps between newton_euler's spanning tree of a mechanism and its MuJoCo model, and texts of MJCF numbers.
 
-Hinges and slides have the same coordinates in both. Two things differ:
+Hinges and slides have the same coordinates in both, but two things differ:
 
 - MuJoCo numbers bodies and coordinates depth first.
-- A ball turns in the body frame of the child. In the tree a ball turns in a frame that is parallel to the
-  world at the initial pose. With the orientation A0 of the child at the initial pose,
-  R(qpos) = A0^T R(q) A0, so that vector parts and angular velocities differ by A0^T.
+- The quaternion and the angular velocity of a ball are relative to the body frame of the child in MuJoCo. In
+  the tree they are relative to a frame that is parallel to the world at the initial pose. With the rotation
+  A0 from the body frame to the world at the initial pose, R(qpos) = A0^T R(q) A0. The vector parts of
+  quaternions and the angular velocities therefore differ by the factor A0^T.
 """
 
 from __future__ import annotations
@@ -26,36 +27,38 @@ def ball_name(joint: Joint) -> str:
 
 
 class Layout:
-    """Numbers and linear maps between a spanning tree and its MuJoCo model.
+    """Body numbers and linear maps between a spanning tree and its MuJoCo model.
 
     Attributes:
         order: joints of the tree, depth first; the child of joint k is MuJoCo's body k + 1.
-        body_id: number of MuJoCo's body for each body of the tree; the ground is the world body 0.
-        to_qpos: (nq, nq) orthogonal: qpos = to_qpos @ q.
-        to_qvel: (nv, nv) orthogonal: qvel = to_qvel @ v.
+        body_id: MuJoCo's number of each body of the tree; the ground is the world body 0.
+        to_qpos: (nq, nq) orthogonal matrix of qpos = to_qpos @ q.
+        to_qvel: (nv, nv) orthogonal matrix of qvel = to_qvel @ v.
     """
 
     def __init__(self, tree: SpanningTree) -> None:
+        """Number the bodies of a spanning tree as MuJoCo does, and build both maps."""
         self.order: list[TreeJoint] = []
         self.body_id = [0] * len(tree.mechanism.bodies)
         self.to_qpos, self.to_qvel = np.zeros((tree.nq, tree.nq)), np.zeros((tree.nv, tree.nv))
         self._children: dict[int, list[TreeJoint]] = {}
-        for kept in tree.joints:
-            self._children.setdefault(kept.parent, []).append(kept)
+        for joint in tree.joints:
+            self._children.setdefault(joint.parent, []).append(joint)
+        # depth first, with the next indices in qpos and qvel
         pending = self.children(0)[::-1]
         qpos = qvel = 0
         while pending:
-            kept = pending.pop()
-            self.order.append(kept)
-            self.body_id[kept.child] = len(self.order)
-            pending.extend(self.children(kept.child)[::-1])
-            q, v = kept.q.start, kept.v.start
-            for motion in kept.motions:
+            joint = pending.pop()
+            self.order.append(joint)
+            self.body_id[joint.child] = len(self.order)
+            pending.extend(self.children(joint.child)[::-1])
+            q, v = joint.q.start, joint.v.start
+            for motion in joint.motions:
                 if motion.kind == "ball":
-                    into_body = tree.initial_rotations[kept.child].T
+                    world_to_body = tree.initial_rotations[joint.child].T  # A0^T
                     self.to_qpos[qpos, q] = 1.0
-                    self.to_qpos[qpos + 1 : qpos + 4, q + 1 : q + 4] = into_body
-                    self.to_qvel[qvel : qvel + 3, v : v + 3] = into_body
+                    self.to_qpos[qpos + 1 : qpos + 4, q + 1 : q + 4] = world_to_body
+                    self.to_qvel[qvel : qvel + 3, v : v + 3] = world_to_body
                     qpos, qvel, q, v = qpos + 4, qvel + 3, q + 4, v + 3
                 else:
                     self.to_qpos[qpos, q] = 1.0
@@ -68,7 +71,7 @@ class Layout:
 
 
 def number(value: float) -> str:
-    """Return the shortest text that parses to the same float."""
+    """Return the shortest text of an MJCF attribute that parses to the same float."""
     return repr(float(value) + 0.0).removesuffix(".0")  # + 0.0 turns -0.0 into 0.0
 
 
@@ -78,5 +81,5 @@ def numbers(values: Iterable[float]) -> str:
 
 
 def element_name(model: Any, kind: str, index: int) -> str:
-    """Return the kind and name of an element of a compiled model; unnamed elements have their number."""
+    """Return kind and name of an element of a compiled model, such as "joint hip"; its number if unnamed."""
     return f"{kind} {getattr(model, kind)(index).name or index!r}"

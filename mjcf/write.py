@@ -2,18 +2,17 @@
 
 - Body frames have their origin at the center of mass and the orientation `Body.quaternion`. The ground of the
   mechanism is MuJoCo's world body.
-- Loops close by `<connect>` and `<weld>` equalities. Rods are tendons whose length an equality holds. Gears
-  and
-  screws are equalities of joints.
-- MuJoCo has no time-dependent equality: the file holds a joint with prescribed motion at its start, and
-  `mjcf.simulate` moves it.
+- `<connect>` and `<weld>` equalities close loops. A rod is a tendon, whose length an equality keeps constant.
+  Gears and screws are equalities of joints.
+- MuJoCo has no time-dependent equality. The file holds a joint with prescribed motion at its start, and
+  `mjcf.simulate` moves the joint.
 - PD laws are `<position>` actuators. If a PD law depends on time, the control is the part of its force that
-  depends on time. All other control laws are `<motor>` elements whose control is the force; `mjcf.soft` sets
-  both kinds of controls.
+  depends on time. All other control laws are `<motor>` elements whose control is the force. `mjcf.soft` sets
+  the controls of both.
 - Springs, wrenches and wind: see `mjcf.forces`.
 
-The keyframe `start` has the initial state, targets and held forces. A stock viewer runs the scene after the
-key is loaded.
+The keyframe `start` has the initial state and the initial controls. After loading this keyframe, MuJoCo's
+viewer runs the scene.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from mjcf.forces import (
     add_tendon,
     add_winds,
     add_wrenches,
+    ball_spring_rests,
     joint_attributes,
-    rests,
     wind_loads,
     wrenches,
 )
@@ -67,13 +66,13 @@ TIMESTEP = 0.001
 """Time step of a written model, s."""
 
 SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Constraint impedance: 0.9999 is MuJoCo's largest value, so that constraints are never rigid."""
+"""Constraint impedance in MuJoCo's five numbers: 0.9999 is the largest impedance that MuJoCo allows."""
 
 START_KEY = "start"
 """Name of the keyframe with the initial state."""
 
 REALISABLE_SLACK = 1e-12
-"""Relative slack of A + B >= C in written inertias, for the round-off of MuJoCo."""
+"""Relative amount by which written principal moments satisfy A + B >= C, for the round-off of MuJoCo."""
 
 MAX_PRINCIPAL_TILT = 1e-5
 """Angle between body axes and principal axes, rad, below which inertias are written in principal axes."""
@@ -94,6 +93,7 @@ MAX_NESTED_BODIES = 490
 """Largest depth of the tree of bodies: MuJoCo's parser allows 500 nested elements."""
 
 GROUND_COLOR = "0.6 0.6 0.6 1"
+"""Color of the shapes of the ground: red, green, blue, opacity."""
 
 
 @checked
@@ -123,7 +123,11 @@ def to_xml(scene: Scene) -> str:
 
 
 def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
-    """Return the MJCF document of a scene whose loops are already cut."""
+    """Return the MJCF document of a scene for its welded mechanism.
+
+    In the welded mechanism, only balls, rods and welds close loops: at other joints that close a loop, a body
+    is cut into halves, which a weld joins. Raises `ModelError` for a mechanism that MJCF cannot represent.
+    """
     for body in welded.mechanism.bodies[1:]:
         if body.name == "world":
             raise ModelError(
@@ -136,18 +140,19 @@ def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
         reason = f"{max(depth)} bodies in one branch; MuJoCo's XML allows at most {MAX_NESTED_BODIES}"
         raise ModelError(scene.name, reason)
     root = ET.Element("mujoco", model=scene.name)
-    _settings(root, scene)
+    _add_settings(root, scene)
     layout = Layout(welded.tree)
-    _world(root, scene, welded, layout)
-    _tendons(root, scene, welded)
-    _equalities(root, scene, welded)
-    _actuators(root, scene)
-    _start(root, scene, welded, layout)
+    _add_world(root, scene, welded, layout)
+    _add_tendons(root, scene, welded)
+    _add_equalities(root, scene, welded)
+    _add_actuators(root, scene)
+    _add_start_keyframe(root, scene, welded, layout)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _settings(root: ET.Element, scene: Scene) -> None:
+def _add_settings(root: ET.Element, scene: Scene) -> None:
+    """Add options of the compiler and the solver, and defaults of shapes and equalities."""
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     ET.SubElement(
         root,
@@ -164,8 +169,8 @@ def _settings(root: ET.Element, scene: Scene) -> None:
     ET.SubElement(default, "equality", solref=numbers([2.0 * TIMESTEP, 1.0]), solimp=numbers(SOLIMP))
 
 
-def _look(root: ET.Element, scene: Scene) -> None:
-    """Set the initial camera of viewers to the mechanism."""
+def _add_camera(root: ET.Element, scene: Scene) -> None:
+    """Point the initial camera of viewers at the mechanism, and set the light."""
     mechanism = scene.mechanism
     points = [body.center_of_mass for body in mechanism.bodies[1:]]
     points += [joint.point for joint in mechanism.joints]
@@ -177,22 +182,23 @@ def _look(root: ET.Element, scene: Scene) -> None:
     ET.SubElement(visual, "global", azimuth="135", elevation="-20")
 
 
-def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
+def _add_world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
     """Add the tree of bodies with their shapes and sites."""
-    _look(root, scene)
+    _add_camera(root, scene)
     world = ET.SubElement(root, "worldbody")
-    in_world = Pose(np.zeros(3), np.eye(3))
+    world_pose = Pose(np.zeros(3), np.eye(3))
     for shape in scene.mechanism.shapes(0):
-        add_geom(world, shape, GROUND_COLOR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
-    elements = {0: world}
+        add_geom(world, shape, GROUND_COLOR, world_pose, np.array([1.0, 0.0, 0.0, 0.0]))
+    elements = {0: world}  # XML element by number of the body
     springs = joint_attributes(scene)
-    for kept in layout.order:
-        element = _body(elements[kept.parent], kept, welded, springs)
-        elements[kept.child] = element
-        if kept.child < len(scene.mechanism.bodies):
-            body = scene.mechanism.bodies[kept.child]
-            color = BODY_COLORS[(kept.child - 1) % len(BODY_COLORS)]
-            for shape in scene.mechanism.shapes(kept.child):
+    for tree_joint in layout.order:
+        element = _add_body(elements[tree_joint.parent], tree_joint, welded, springs)
+        elements[tree_joint.child] = element
+        # second halves of cut bodies have no shapes
+        if tree_joint.child < len(scene.mechanism.bodies):
+            body = scene.mechanism.bodies[tree_joint.child]
+            color = BODY_COLORS[(tree_joint.child - 1) % len(BODY_COLORS)]
+            for shape in scene.mechanism.shapes(tree_joint.child):
                 add_geom(element, shape, color, body.pose, body.quaternion)
     add_sites(elements, scene)
     for rod in rods(welded):
@@ -200,26 +206,33 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
             add_site(elements, welded.mechanism, f"rod {rod.name} on {end}", end, point)
 
 
-def _body(
+def _add_body(
     parent_element: ET.Element,
-    kept: TreeJoint,
+    tree_joint: TreeJoint,
     welded: WeldedMechanism,
     springs: dict[str, dict[str, str]],
 ) -> ET.Element:
-    """Add a body with its inertia and joints, without shapes, sites and children."""
+    """Add a body with its inertia and joints, without shapes, sites and children; return its element.
+
+    Args:
+        parent_element: XML element of the parent body.
+        tree_joint: joint of the spanning tree between parent and body.
+        welded: welded mechanism.
+        springs: attributes of springs and armatures, by name of MuJoCo's joint.
+    """
     mechanism = welded.mechanism
-    body, parent = mechanism.bodies[kept.child], mechanism.bodies[kept.parent]
+    body, parent = mechanism.bodies[tree_joint.child], mechanism.bodies[tree_joint.parent]
     position, quaternion = body.center_of_mass, body.quaternion
-    if kept.parent != 0:
+    if tree_joint.parent != 0:
         position = parent.pose.point_to_body(body.center_of_mass)
         quaternion = product(conjugate(parent.quaternion), body.quaternion)
     element = ET.SubElement(
         parent_element, "body", name=body.name, pos=numbers(position), quat=numbers(quaternion)
     )
-    _inertial(element, body)
-    joint = welded.tree.joint(kept.joint)
-    named = zip(motion_names(joint, kept.forward), kept.motions, kept.points, strict=True)
-    for name, motion, point in named:
+    _add_inertial(element, body)
+    joint = welded.tree.joint(tree_joint.joint)
+    names = motion_names(joint, tree_joint.forward)
+    for name, motion, point in zip(names, tree_joint.motions, tree_joint.points, strict=True):
         attributes = {"name": name, "type": motion.kind}
         attributes["pos"] = numbers(body.pose.point_to_body(point))
         if motion.kind != "ball":
@@ -228,18 +241,21 @@ def _body(
     return element
 
 
-def _inertial(element: ET.Element, body: Body) -> None:
-    """Add mass and inertia. MuJoCo refuses an inertia that violates A + B >= C, even by round-off."""
+def _add_inertial(element: ET.Element, body: Body) -> None:
+    """Add mass and inertia of a body.
+
+    MuJoCo refuses principal moments that violate A + B >= C, even by round-off. They are raised if necessary.
+    """
     inertia = body.inertia
     a, b, c = np.linalg.eigvalsh(inertia)
-    lacking = c - a - b + REALISABLE_SLACK * c
-    if lacking > 0.0:
+    increase = c - a - b + REALISABLE_SLACK * c
+    if increase > 0.0:
         # an equal increase of all three moments keeps the principal axes
-        inertia = inertia + lacking * np.eye(3)
-        note = f"moments of inertia raised by {lacking:.3g} kg m^2 so that A + B >= C holds"
+        inertia = inertia + increase * np.eye(3)
+        note = f"moments of inertia raised by {increase:.3g} kg m^2 so that A + B >= C holds"
         element.append(ET.Comment(f" {note} "))
     inertial = ET.SubElement(element, "inertial", pos="0 0 0", mass=number(body.mass))
-    if _nearly_principal(inertia):
+    if _loses_products(inertia):
         moments, axes = principal(inertia)
         inertial.set("quat", numbers(from_rotation(axes)))
         inertial.set("diaginertia", numbers(moments))
@@ -249,13 +265,16 @@ def _inertial(element: ET.Element, body: Body) -> None:
     inertial.set("fullinertia", numbers([xx, yy, zz, xy, xz, yz]))
 
 
-def _nearly_principal(inertia: Array) -> bool:
-    """True if MuJoCo would drop products of inertia: its principal axes ignore turns of about 1e-6 rad."""
+def _loses_products(inertia: Array) -> bool:
+    """Return True if MuJoCo would drop a product of inertia of (3, 3).
+
+    MuJoCo's principal axes ignore an angle of about 1e-6 rad between body axes and principal axes.
+    """
     rows, columns = np.triu_indices(3, 1)
     products = np.abs(inertia[rows, columns])
     moments = np.diag(inertia)
-    turns = products < MAX_PRINCIPAL_TILT * np.abs(moments[rows] - moments[columns])
-    return bool(np.any(turns & (products > np.finfo(float).eps * moments.max())))
+    has_small_angle = products < MAX_PRINCIPAL_TILT * np.abs(moments[rows] - moments[columns])
+    return bool(np.any(has_small_angle & (products > np.finfo(float).eps * moments.max())))
 
 
 def principal(inertia: Array) -> tuple[Array, Array]:
@@ -266,7 +285,15 @@ def principal(inertia: Array) -> tuple[Array, Array]:
 
 
 def add_geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaternion: Array) -> None:
-    """Add a shape in the frame of its body."""
+    """Add a shape to the XML element of its body.
+
+    Args:
+        element: XML element of the body.
+        shape: shape in the world frame at the initial pose.
+        color: red, green, blue and opacity as an MJCF attribute.
+        pose: initial pose of the body.
+        quaternion: (4,) initial orientation of the body.
+    """
     geom = ET.SubElement(element, "geom")
     geom.set("type", type(shape).__name__.lower())
     if isinstance(shape, Box):
@@ -285,28 +312,30 @@ def add_geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaterni
 
 
 def rods(welded: WeldedMechanism) -> list[Rod]:
-    """Return the rods among the joints."""
+    """Return the rods among the joints of a welded mechanism."""
     return [joint for joint in welded.mechanism.joints if isinstance(joint, Rod)]
 
 
-def _tendons(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
+def _add_tendons(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
+    """Add tendons of point springs, of couplings with more than two coordinates, and of rods."""
     tendons = ET.Element("tendon")
     add_springs(tendons, scene)
     for coupling in couplings(scene):
         if len(coupling.factors) > 2:
-            sum_of = ET.SubElement(tendons, "fixed", name=f"coupling {coupling.name}")
+            weighted_sum = ET.SubElement(tendons, "fixed", name=f"coupling {coupling.name}")
             for key, factor in coupling.factors.items():
-                ET.SubElement(sum_of, "joint", joint=_coordinate(scene, key), coef=number(factor))
+                joint = _mujoco_joint_name(scene, key)
+                ET.SubElement(weighted_sum, "joint", joint=joint, coef=number(factor))
     for rod in rods(welded):
         add_tendon(tendons, welded.mechanism, f"rod {rod.name}", (rod.first, rod.second), {})
     if len(tendons):
         root.append(tendons)
 
 
-def _equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
+def _add_equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
     """Add equalities of loop closures, then of couplings."""
     equality = ET.Element("equality")
-    _add_cuts(equality, welded)
+    _add_loop_closures(equality, welded)
     for coupling in couplings(scene):
         _add_coupling(equality, scene, coupling)
     if len(equality):
@@ -314,29 +343,36 @@ def _equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None
 
 
 def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> None:
-    """Add x_1 = constant + p(x_2); the constant is the first value of a prescribed motion."""
-    names = [_coordinate(scene, key) for key in coupling.factors]
+    """Add the equality of a coupling.
+
+    For one or two coordinates, MuJoCo's equality is x_1 = constant + p(x_2) with a polynomial p. A prescribed
+    motion has one coordinate, and the constant is its value at t = 0. For more coordinates, the equality
+    keeps the length of the coupling's tendon constant.
+    """
+    names = [_mujoco_joint_name(scene, key) for key in coupling.factors]
     if len(names) > 2:
         attributes = {"name": f"coupling {coupling.name}", "tendon1": f"coupling {coupling.name}"}
         ET.SubElement(equality, "tendon", attributes, polycoef="0 0 0 0 0")
         return
+    # first x_1 + second x_2 + sum_k higher_k x_2^(k + 2) = f(t)
     first, *second = coupling.factors.values()
     constant = coupling.function.value(0.0) / first if coupling.function else 0.0
-    higher = [factor for powers in coupling.powers.values() for factor in powers]  # powers of the driver
+    higher = [factor for powers in coupling.powers.values() for factor in powers]
     coefficients = [constant, *(-factor / first for factor in (*second, *higher)), 0.0, 0.0, 0.0, 0.0]
     attributes = {f"joint{k}": name for k, name in enumerate(names, start=1)}
-    # the coordinate makes names of several motions of one joint unique
+    # a joint may have several prescribed motions; the name of the coordinate is unique
     attributes["name"] = f"{coupling.what} {coupling.name if second else names[0]}"
     attributes["polycoef"] = numbers(coefficients[:5])
     ET.SubElement(equality, "joint", attributes)
 
 
-def _coordinate(scene: Scene, key: Key) -> str:
+def _mujoco_joint_name(scene: Scene, key: Key) -> str:
+    """Return the name of MuJoCo's hinge or slide for a joint coordinate."""
     mechanism = scene.mechanism
     return coordinate_name(mechanism.joint(key[0]), key[1])
 
 
-def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
+def _add_loop_closures(equality: ET.Element, welded: WeldedMechanism) -> None:
     """Add equalities of balls, rods and welds that close loops."""
     mechanism = welded.mechanism
     ground = mechanism.body_names[0]
@@ -349,24 +385,26 @@ def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
             ET.SubElement(equality, "tendon", name=joint.name, attrib=length)
             continue
         # MuJoCo's world body is at the origin, not at the pose of the ground
-        (p1, q1), (p2, q2) = (
-            (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-            if body is mechanism.bodies[0]
-            else (body.center_of_mass, body.quaternion)
-            for body in (mechanism.body(n) for n in (joint.first, joint.second))
-        )
+        poses = []
+        for body in (mechanism.body(joint.first), mechanism.body(joint.second)):
+            if body is mechanism.bodies[0]:
+                poses.append((np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+            else:
+                poses.append((body.center_of_mass, body.quaternion))
+        (p1, q1), (p2, q2) = poses
         if isinstance(joint, Spherical):
             anchor = rotation(q1).T @ (joint.point - p1)
             ET.SubElement(equality, "connect", attributes, anchor=numbers(anchor))
         else:
             anchor = rotation(q2).T @ (joint.reaction_point - p2)
-            # the position of relpose is the anchor's, not the body's
-            place = rotation(q1).T @ (joint.reaction_point - p1)
-            relative = np.concatenate([place, product(conjugate(q1), q2)])
-            ET.SubElement(equality, "weld", attributes, anchor=numbers(anchor), relpose=numbers(relative))
+            # the position in `relpose` is the anchor in body 1, not the position of body 2
+            anchor_in_first = rotation(q1).T @ (joint.reaction_point - p1)
+            relpose = np.concatenate([anchor_in_first, product(conjugate(q1), q2)])
+            ET.SubElement(equality, "weld", attributes, anchor=numbers(anchor), relpose=numbers(relpose))
 
 
-def _actuators(root: ET.Element, scene: Scene) -> None:
+def _add_actuators(root: ET.Element, scene: Scene) -> None:
+    """Add the actuators of control laws, then the motors of wrenches and of wind."""
     actuator = ET.Element("actuator")
     mechanism = scene.mechanism
     for law in scene.control:
@@ -379,11 +417,11 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
             raise ModelError(scene.name, reason)
         element = ET.SubElement(actuator, "position", name=name, joint=name)
         gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
-        changes = law.is_driven or law.uses_model
-        if law.feedforward or changes:
-            # a position actuator written as general, with a constant or a control in addition
+        control_is_force = law.is_driven or law.uses_model
+        if law.feedforward or control_is_force:
+            # force = gain ctrl + constant - stiffness x - damping dx/dt; ctrl is the target or a force
             element.tag = "general"
-            gain, constant = (1.0, 0.0) if changes else (law.stiffness, law.feedforward_at(0.0))
+            gain, constant = (1.0, 0.0) if control_is_force else (law.stiffness, law.feedforward_at(0.0))
             bias = numbers([constant, -law.stiffness, -law.damping])
             gains = {"gainprm": number(gain), "biastype": "affine", "biasprm": bias}
         element.attrib.update(gains)
@@ -396,16 +434,23 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
 def controls(
     scene: Scene, time: float, readings: Readings, model: Mapping[Key, float] = NO_FORCES
 ) -> list[float]:
-    """Return the controls of MuJoCo's actuators at a time, s: of control laws, and 1 for wrenches."""
+    """Return the controls of MuJoCo's actuators without wind: of control laws, then 1 for each wrench.
+
+    Args:
+        scene: scene with the control laws.
+        time: s.
+        readings: measured coordinates and rates, by joint coordinate.
+        model: forces of the laws that need a model of the mechanism, N or N m, by joint coordinate.
+    """
     return [control(law, time, readings, model) for law in scene.control] + [1.0] * len(wrenches(scene))
 
 
 def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float]) -> float:
-    """Return the control of a law's actuator at a time, s.
+    """Return the control of a law's actuator.
 
-    The control of a PD law is its target, m or rad, or its time-dependent force, N or N m, if the law depends
-    on time or on a model. The control of other laws is their force. `model` has the model-based forces of
-    laws.
+    The control of a PD law is its target, m or rad. If the law depends on time or on a model of the
+    mechanism, the control is the time-dependent part of its force, N or N m. The control of other laws is
+    their force. For the arguments see `controls`.
     """
     if isinstance(law, HeldLaw):
         return law.held
@@ -420,7 +465,8 @@ def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float
     return float(law.references(time)[law.key].value)
 
 
-def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
+def _add_start_keyframe(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
+    """Add the keyframe with the initial state, the initial controls, and the rests of ball springs."""
     state = initial_state(scene)
     q, v = welded.tree.coordinates(welded.state(state))
     q = TreeCouplings(scene, welded.tree).turned(q, state, 0.0)
@@ -428,16 +474,20 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     if len(q):
         attributes["qpos"] = numbers(layout.to_qpos @ q)
         attributes["qvel"] = numbers(layout.to_qvel @ v)
-    places = {key: welded.tree.place(*key) for key in scene.sensed}
-    readings = {key: (q[place[0]], v[place[1]]) for key, place in places.items() if place}
-    model: Mapping[Key, float] = {}
+    # measured coordinates and rates; `place` gives their indices in q and v
+    readings = {}
+    for key in scene.sensed:
+        if indices := welded.tree.place(*key):
+            q_index, v_index = indices
+            readings[key] = q[q_index], v[v_index]
+    model_forces: Mapping[Key, float] = {}
     if roles(scene):
         system = Relative(scene)
-        model = system.model_forces(*system.coordinates(state))
-    acting = Wrenches(scene.mechanism, state)
-    winds = [value for load in wind_loads(scene) for value in acting.wind(load)]
-    if ctrl := controls(scene, 0.0, readings, model) + winds:
+        model_forces = system.model_forces(*system.coordinates(state))
+    forces_at_start = Wrenches(scene.mechanism, state)
+    winds = [value for load in wind_loads(scene) for value in forces_at_start.wind(load)]
+    if ctrl := controls(scene, 0.0, readings, model_forces) + winds:
         attributes["ctrl"] = numbers(ctrl)
-    if len(resting := rests(scene, welded.tree, layout)):
-        attributes["plastic"] = numbers(resting)
+    if len(rests := ball_spring_rests(scene, welded.tree, layout)):
+        attributes["plastic"] = numbers(rests)
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", attributes)

@@ -17,9 +17,12 @@ ARENA_BYTES = 50_000_000
 
 
 def compile_spec(spec: Any) -> Any:
-    """Compile an `MjSpec` to an `MjModel`, with a small arena."""
-    spec.memory = ARENA_BYTES  # readers evaluate no contacts, which need most of the arena
-    spec.njmax = spec.nconmax = spec.nstack = -1
+    """Compile an `MjSpec` to an `MjModel` with a small arena, MuJoCo's memory for constraints.
+
+    The reader evaluates no contacts, which need most of the arena.
+    """
+    spec.memory = ARENA_BYTES
+    spec.njmax = spec.nconmax = spec.nstack = -1  # -1 means not set; a file may set large values
     return spec.compile()
 
 
