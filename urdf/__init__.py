@@ -1,8 +1,10 @@
-"""Pinocchio as an engine for scenes, and reading and writing of URDF files with loop files.
+"""Pinocchio as a simulation engine for scenes, and import and export of URDF files.
 
-`simulate` runs a scene with Pinocchio's accelerations. `write` writes a scene as URDF and loop file. `read`
-imports a URDF or a Pinocchio model as a scene with an import report. `urdf.dynamics` has the equations of
-motion. Pinocchio is imported at its first use. Start reading at `write`, `model` and `reader`.
+A scene is a mechanism with its forces, control laws and initial state, as newton_euler defines it. A URDF
+cannot describe closed loops; they are in a second file, the loop file (`urdf.loops`). `simulate` runs a scene
+with Pinocchio's accelerations. `write` writes a scene as URDF and loop file. `read` imports a URDF or a
+Pinocchio model as a scene with an import report. `urdf.dynamics` has the equations of motion. Pinocchio is
+imported at its first use. Start reading at `write`, `model` and `reader`.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""Errors of the package, all subclasses of `UrdfError`."""
+"""Errors of the package `urdf`, all subclasses of `UrdfError`."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ class NameClashError(UrdfError):
     """Scene whose URDF would have two links or two joints of the same name."""
 
     def __init__(self, what: str, name: str) -> None:
+        """Make the error for `what`, "link" or "joint", and the name that two of them would have."""
         self.what = what
         self.name = name
         super().__init__(f"two URDF {what}s would be named {name!r}; rename a body or a joint")
@@ -30,6 +31,7 @@ class LoopFileError(UrdfError):
     """Loop file with a missing or invalid entry; the message names file and key."""
 
     def __init__(self, source: str, key: str, problem: str) -> None:
+        """Make the error for a key of the loop file `source`."""
         self.source = source
         self.key = key
         self.problem = problem

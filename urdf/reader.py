@@ -54,7 +54,7 @@ from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
 from urdf.reading.given import Given, PinocchioModel
 from urdf.reading.loops import closing_joints, couplings
-from urdf.reading.parser_messages import overheard, report_complaints
+from urdf.reading.parser_messages import collected_messages, report_complaints
 from urdf.reading.source import (
     JointProperties,
     SourceError,
@@ -184,7 +184,7 @@ def _from_file(
     # parse, import and verify, with the messages of Pinocchio's parser
     words: list[str] = []
     try:
-        with overheard(words):
+        with collected_messages(words):
             extensions = read_extensions(where, text, root, closing, ignore, report)
             text = extensions.text
             closing = extensions.added_to(closing)
@@ -290,7 +290,7 @@ def _reading(
         tree.bodies = with_visuals(robot.where, robot.root, start, tree, report)
     scene = _scene(robot, start, tree, report, request, gravity)
     # numbers that overflow are refused later; messages of the parser were already collected
-    with np.errstate(all="ignore"), overheard([]):
+    with np.errstate(all="ignore"), collected_messages([]):
         report.references.append((reference(report, scene), scene))
     if request.verified:
         report.start.append(verify_report(report))
@@ -355,7 +355,7 @@ def _report_joints(
 ) -> None:
     """Report dry friction, limits, rotors and safety controllers, which are not simulated."""
     for joint in joints:
-        element, key = f"joint {joint.name!r}", tree.keys.get(joint.name)
+        element, key = f"joint {joint.name!r}", tree.coordinate_keys.get(joint.name)
         if joint.friction:
             why = f"its dry friction {joint.friction:g}"
             resting = [Rest((key,))] if key else []

@@ -1,4 +1,8 @@
-"""Import bodies and tree joints of a Pinocchio model; joints of massless links become one joint."""
+"""Import the bodies and the joints of the tree of a Pinocchio model, for `urdf.reader`.
+
+A chain of joints through links without mass becomes one joint of the scene, such as a universal joint.
+Pinocchio has already merged links that fixed joints connect.
+"""
 
 from __future__ import annotations
 
@@ -16,37 +20,55 @@ from newton_euler.scalars import Array
 from urdf.reading.source import SourceError
 from urdf.reading.start import RobotAtStart
 
+W_X_Y_Z = [6, 3, 4, 5]
+"""Indices of the quaternion (w, x, y, z) in `pinocchio.SE3ToXYZQUAT`, which ends with (x, y, z, w)."""
+
 GROUND = "ground"
+"""Name of the ground, the first body of a scene."""
 
 
 class Tree:
-    """Imported bodies and tree joints.
+    """Imported bodies and joints of the tree.
+
+    A joint coordinate has the key (name of the scene's joint, number of the coordinate). Coordinates are zero
+    at the start.
 
     Attributes:
         bodies: bodies of the scene, ground first.
         joints: one joint for each moving body.
         names: for each of Pinocchio's joints, the body that the joint moves; None for a massless link.
-        keys: joint and coordinate of each of Pinocchio's hinges and slides, by name; coordinates are zero at
-            the start.
+        coordinate_keys: key of the coordinate of each of Pinocchio's hinges and slides, by name.
     """
 
     def __init__(self, path: str, start: RobotAtStart, motors: set[str], report: ImportReport) -> None:
-        """Import bodies and joints; `motors` are the names of joints with a motor."""
+        """Import and report bodies and joints.
+
+        Args:
+            path: file or model, for messages.
+            start: Pinocchio's model and data at the start state.
+            motors: names of joints with a motor.
+            report: report that receives the entries.
+
+        Raises:
+            SourceError: for a link with inertia and without mass, several joints on a massless link, and a
+                model without moving mass.
+        """
         self._path, self._model, self._start = path, start.model, start
-        self._scratch: Any = start.model.createData()
+        self._scratch_data: Any = start.model.createData()  # for Jacobians; overwritten by each call
         self.bodies = [Body.ground(GROUND)]
         self.joints: list[Joint] = []
         self.names: list[str | None] = [GROUND] + [None] * (self._model.njoints - 1)
-        self.keys: dict[str, Key] = {}
-        waiting: dict[int, list[int]] = {}
+        self.coordinate_keys: dict[str, Key] = {}
+        # chain of joints to each massless link whose next joint is not read yet, by number of the last joint
+        massless_chains: dict[int, list[int]] = {}
         for index in range(1, self._model.njoints):
-            chain = [*waiting.pop(int(self._model.parents[index]), []), index]
+            chain = [*massless_chains.pop(int(self._model.parents[index]), []), index]
             if self._model.inertias[index].mass > 0.0:
-                self._add(chain, motors, report)
+                self._add_body(chain, motors, report)
             else:
                 self._check_massless(index)
-                waiting[index] = chain
-        for chain in waiting.values():
+                massless_chains[index] = chain
+        for chain in massless_chains.values():
             for index in chain:
                 element = f"joint {self._model.names[index]!r}"
                 report.left_out(element, "it moves no mass: held where it is", moves_nothing=True)
@@ -55,13 +77,13 @@ class Tree:
         self._report_links(report)
 
     def _link(self, joint: int) -> str:
-        """Name of the link that a joint leads to, of the joint if it has none."""
+        """Return the name of the link that a joint leads to, or the name of the joint without a link."""
         model: Any = self._model
         links = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
         return str(next(links, model.names[joint]))
 
     def _check_massless(self, joint: int) -> None:
-        """Raise `SourceError` for what moves with a joint and has inertia, but no mass: bodies need both."""
+        """Raise `SourceError` if the massless link of a joint has moments of inertia."""
         inertia = self._model.inertias[joint].inertia
         if np.any(inertia):
             moments = ", ".join(f"{moment:.6g}" for moment in np.linalg.eigvalsh(inertia))
@@ -70,14 +92,22 @@ class Tree:
             )
             raise SourceError(self._path, f"{problem} kg m^2; needed: a mass above 0, or no inertia")
 
-    def _add(self, chain: list[int], motors: set[str], report: ImportReport) -> None:
+    def _add_body(self, chain: list[int], motors: set[str], report: ImportReport) -> None:
+        """Add a body and its joint.
+
+        Args:
+            chain: numbers of Pinocchio's joints from the parent body to the body.
+            motors: names of joints with a motor.
+            report: report that receives the entries of the joints.
+        """
         model, data = self._model, self._start.data
+        # the body
         last = chain[-1]
-        own = [body.name for body in self.bodies]
-        name = self.names[last] = unique_name(self._link(last), f"body_{last}", own)
+        taken = [body.name for body in self.bodies]
+        name = self.names[last] = unique_name(self._link(last), f"body_{last}", taken)
         inertia, pose = model.inertias[last], data.oMi[last]
-        a, b, c = np.linalg.eigvalsh(inertia.inertia)
-        quaternion = pin.SE3ToXYZQUAT(pose)[[6, 3, 4, 5]]
+        a, b, c = np.linalg.eigvalsh(inertia.inertia)  # a real body has a + b >= c
+        quaternion = pin.SE3ToXYZQUAT(pose)[W_X_Y_Z]
         self.bodies.append(
             Body(
                 name,
@@ -92,9 +122,10 @@ class Tree:
         if parent is None:
             holder = self._link(int(model.parents[chain[0]]))
             raise SourceError(self._path, f"link {holder!r} has several joints and no mass; give it a mass")
-        names = list(dict.fromkeys(self._start.robot.urdf_joints[k] for k in chain))
-        own_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
-        joint_name = unique_name(own_name, name, self.joint_names)
+        # its joint, a free joint or a combination of the motions of the chain
+        names = list(dict.fromkeys(self._start.closed_model.urdf_joints[k] for k in chain))
+        wanted_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
+        joint_name = unique_name(wanted_name, name, self.joint_names)
         parts = [part for k in chain for part in self._parts(k)]
         if not parts:
             self.joints.append(Free(joint_name, parent, name, pose.translation))
@@ -102,45 +133,52 @@ class Tree:
             driven = bool(motors & set(names))
             joint, coordinates = combined(joint_name, parent, name, parts, driven)
             self.joints.append(joint)
-            self.keys |= {part: (joint_name, k) for part, k in coordinates.items()}
+            self.coordinate_keys |= {part: (joint_name, k) for part, k in coordinates.items()}
         for k in names:
             report.imported(f"joint {k!r}", f"{self.joints[-1].kind} joint {joint_name!r}")
 
     @property
     def joint_names(self) -> list[str]:
+        """Names of the scene's joints of the tree."""
         return [joint.name for joint in self.joints]
 
     def _parts(self, index: int) -> list[Part]:
-        """Return the motions of one of Pinocchio's joints; none for a free joint."""
+        """Return the motions of one of Pinocchio's joints, world frame; an empty list for a free joint."""
         model, pose = self._model, self._start.data.oMi[index]
         joint, name = model.joints[index], str(model.names[index])
         if joint.shortname() == "JointModelFreeFlyer":
             return []
         if joint.shortname() == "JointModelSpherical":
             return [Part(name, "ball", np.zeros(3), pose.translation)]
-        columns = pin.computeJointJacobian(model, self._scratch, self._start.q, index)
+        columns = pin.computeJointJacobian(model, self._scratch_data, self._start.q, index)
         columns = np.reshape(columns, (6, model.nv))[:, joint.idx_v : joint.idx_v + joint.nv]
+        # a column has the linear and the angular velocity of one motion, in the frame of the joint
         parts = []
         for k, column in enumerate(columns.T):
-            slides = not np.any(column[3:])
-            axis = pose.rotation @ (column[:3] if slides else column[3:])
+            is_slide = not np.any(column[3:])
+            axis = pose.rotation @ (column[:3] if is_slide else column[3:])
             part = name if joint.nv == 1 else f"{name} {k}"
-            parts.append(Part(part, "slide" if slides else "hinge", axis, pose.translation))
+            parts.append(Part(part, "slide" if is_slide else "hinge", axis, pose.translation))
         return parts
 
     def _report_links(self, report: ImportReport) -> None:
+        """Report the body that each link of the model became or is a part of."""
         for frame in self._model.frames:
             if frame.type == pin.FrameType.BODY:
                 body = self.names[frame.parentJoint]
                 what = f"body {body!r}" if body == frame.name else f"part of {body!r}"
                 report.imported(f"link {frame.name!r}", what if body else "no body, because it has no mass")
 
-    def end(self, frame: int) -> tuple[str, Array]:
-        """Return the body and the place (3,), m, world frame, of one of Pinocchio's frames."""
-        found = self._model.frames[frame]
-        body = self.names[found.parentJoint]
+    def body_and_point(self, number: int) -> tuple[str, Array]:
+        """Return the name of the body and the origin (3,), m, world frame, of Pinocchio's frame `number`.
+
+        Raises:
+            SourceError: for a frame on a link without mass.
+        """
+        frame = self._model.frames[number]
+        body = self.names[frame.parentJoint]
         if body is None:
             raise SourceError(
-                self._path, f"a loop ends on {found.name!r}, on a link without mass; give the link a mass"
+                self._path, f"a loop ends on {frame.name!r}, on a link without mass; give the link a mass"
             )
-        return body, self._start.data.oMf[frame].translation.copy()
+        return body, self._start.data.oMf[number].translation.copy()

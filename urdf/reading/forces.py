@@ -1,4 +1,8 @@
-"""Import springs, dampers and rotors of joints, and springs between points of links."""
+"""Import springs, dampers and armatures of joints, and springs between points of links, for `urdf.reader`.
+
+An armature is the rotor inertia of a joint. Elements of joints other than moving hinges and slides are left
+out.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +19,25 @@ from urdf.reading.start import RobotAtStart
 def joint_springs(
     joints: list[JointProperties], start: RobotAtStart, tree: Tree, report: ImportReport
 ) -> Iterator[JointSpring]:
-    """Yield springs and dampers of joints."""
+    """Yield springs and dampers of joints, and report them.
+
+    Args:
+        joints: properties of the joints in the file.
+        start: Pinocchio's model and data at the start state.
+        tree: imported bodies and joints of the tree.
+        report: report that receives the entries.
+    """
     for joint in joints:
         name, damping, stiffness = joint.name, joint.damping, joint.stiffness
         if not (damping or stiffness):
             continue
         damper = f"its damping {damping:g} as a damper" if damping else ""
         spring = f"its stiffness {stiffness:g} about {joint.rest:g} as a spring" if stiffness else ""
-        if name in tree.keys:
-            (key, coordinate), rest = tree.keys[name], joint.rest - start.displacement(name)
-            yield JointSpring(key, stiffness, damping, rest if stiffness else 0.0, coordinate)
+        if name in tree.coordinate_keys:
+            # the file counts coordinates from its zero pose, the scene from the start
+            rest = joint.rest - start.displacement(name) if stiffness else 0.0
+            scene_joint, coordinate = tree.coordinate_keys[name]
+            yield JointSpring(scene_joint, stiffness, damping, rest, coordinate)
             how = " and ".join(filter(None, [spring, damper]))
             report.imported(f"joint {name!r}", how, FORCE if stiffness else "")
             continue
@@ -39,20 +52,29 @@ def joint_springs(
 def point_springs(
     springs: Sequence[PointSpringElement], start: RobotAtStart, tree: Tree, report: ImportReport
 ) -> Iterator[PointSpring]:
-    """Yield springs and dampers between points."""
+    """Yield springs and dampers between points of two bodies, and report them.
+
+    Args:
+        springs: springs in the file.
+        start: Pinocchio's model and data at the start state.
+        tree: imported bodies and joints of the tree.
+        report: report that receives the entries.
+    """
     model = start.model
     for spring in springs:
-        (a, p), (b, q) = (tree.end(model.getFrameId(name)) for name in spring.frames)
+        (first, point_on_first), (second, point_on_second) = (
+            tree.body_and_point(model.getFrameId(name)) for name in spring.frames
+        )
         element = f"spring {spring.name!r}"
-        if a == b:
-            report.left_out(element, f"both its ends are on {a!r}", moves_nothing=True)
+        if first == second:
+            report.left_out(element, f"both its ends are on {first!r}", moves_nothing=True)
             continue
         yield PointSpring(
             spring.name,
-            a,
-            b,
-            p,
-            q,
+            first,
+            second,
+            point_on_first,
+            point_on_second,
             stiffness=spring.stiffness,
             rest_length=spring.rest_length,
             damping=spring.damping,
@@ -60,15 +82,15 @@ def point_springs(
         how = (
             f"stiffness {spring.stiffness:g}, rest length {spring.rest_length:g}, damping {spring.damping:g}"
         )
-        report.imported(element, f"{how}, between {a!r} and {b!r}", FORCE)
+        report.imported(element, f"{how}, between {first!r} and {second!r}", FORCE)
 
 
 def armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -> Iterator[Armature]:
-    """Yield rotor inertias of joints."""
+    """Yield the rotor inertias of joints, and report them; for the arguments see `joint_springs`."""
     for joint in joints:
         name, armature = joint.name, joint.armature
-        if armature and name in tree.keys:
-            key = tree.keys[name]
+        if armature and name in tree.coordinate_keys:
+            key = tree.coordinate_keys[name]
             yield Armature(key[0], armature, key[1])
             report.imported(f"joint {name!r}", f"its armature {armature:g} as a rotor inertia")
         elif armature:

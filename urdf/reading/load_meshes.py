@@ -16,7 +16,7 @@ MAX_CPU_S = 3
 
 
 def main() -> None:
-    """Read the files of the command line."""
+    """Read the mesh files of the command line, and write their vertices and triangles."""
     folder, memory, *files = sys.argv[1:]
     with suppress(ImportError):  # Windows has no limits of resources
         import resource

@@ -1,4 +1,7 @@
-"""Collect messages that Pinocchio's URDF parser writes on standard error."""
+"""Collect the messages that Pinocchio's URDF parser writes on standard error, and report them.
+
+The errors that Pinocchio raises name no element of the file. The messages on standard error do.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,9 @@ from contextlib import contextmanager
 from newton_euler.reading.import_report import Finding, ImportReport
 
 
-def report_complaints(words: Sequence[str], report: ImportReport) -> None:
+def report_complaints(messages: Sequence[str], report: ImportReport) -> None:
     """Add one finding for all messages of the parser, except messages about colors."""
-    complaints = [line for line in words if not re.search("material|visual|color|texture", line, re.I)]
+    complaints = [line for line in messages if not re.search("material|visual|color|texture", line, re.I)]
     if complaints:
         report.findings.append(
             Finding(
@@ -28,20 +31,20 @@ def report_complaints(words: Sequence[str], report: ImportReport) -> None:
 
 
 @contextmanager
-def overheard(words: list[str]) -> Iterator[None]:
-    """Collect the lines that the parser writes on standard error, instead of printing them.
+def collected_messages(messages: list[str]) -> Iterator[None]:
+    """Return a context in which errors and warnings of the parser are appended to `messages`, not printed.
 
-    Errors of the parser name no element; its lines do.
+    File descriptor 2, standard error, is redirected to a temporary file: the parser is written in C++.
     """
     sys.stderr.flush()
-    before = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)
+    saved_stderr = os.dup(2)
+    with tempfile.TemporaryFile() as captured:
+        os.dup2(captured.fileno(), 2)
         try:
             yield
         finally:
-            os.dup2(before, 2)
-            os.close(before)
-            said.seek(0)
-            lines = said.read().decode(errors="replace").splitlines()
-            words += [line.strip() for line in lines if line.startswith(("Error:", "Warning:"))]
+            os.dup2(saved_stderr, 2)
+            os.close(saved_stderr)
+            captured.seek(0)
+            lines = captured.read().decode(errors="replace").splitlines()
+            messages += [line.strip() for line in lines if line.startswith(("Error:", "Warning:"))]

@@ -1,4 +1,10 @@
-"""Start of a model: coordinates 0 or a given configuration, mimics at their offsets, closed loops."""
+"""Pinocchio model at its start state: coordinates 0 or a given configuration, moved to close all loops.
+
+A mimic of a URDF makes one joint follow another: x_follower = multiplier * x_driver + offset. Followers start
+at their offsets. `RobotAtStart` holds Pinocchio's model and data at the start. All modules of the reader take
+element values from this model and positions from this data. The base class `FileStart` closes the loops by
+Newton steps, with residuals, Jacobian and units from this module.
+"""
 
 from __future__ import annotations
 
@@ -19,26 +25,37 @@ from urdf.reading.source import SourceError
 
 
 class Mimic:
-    """Mimic of a URDF: x_follower = multiplier * x_driver + offset."""
+    """Mimic of a URDF: x_follower = multiplier * x_driver + offset, for coordinates x in m or rad.
+
+    Attributes:
+        follower: name of the joint that follows.
+        driver: name of the joint that is followed.
+        multiplier: derivative of the follower by the driver.
+        offset: coordinate of the follower for the driver at 0, m or rad.
+    """
 
     def __init__(self, joint: ET.Element, mimic: ET.Element) -> None:
+        """Read the element `<mimic>` of an element `<joint>`."""
         self.follower, self.driver = str(joint.get("name")), str(mimic.get("joint"))
         self.multiplier, self.offset = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
 
 
 class _IdentityMap:
-    """Map of coordinates that changes nothing."""
+    """Coordinate map that keeps Pinocchio's order, for `Closures`, which can convert to another order."""
 
     @staticmethod
     def v_from_pinocchio(v: Array) -> Array:
+        """Return the velocities unchanged."""
         return v
 
 
 class RobotAtStart(FileStart):
-    """Model at its start.
+    """Pinocchio model at its start state.
 
     Attributes:
-        robot: Pinocchio's model and its closures.
+        path: file or model, for messages.
+        closed_model: Pinocchio's model with its loop closures.
+        model: `pinocchio.Model` of `closed_model`.
         loops: content of the loop file.
         mimics: mimics of the URDF.
         q: (nq,) Pinocchio's coordinates at the start.
@@ -46,22 +63,23 @@ class RobotAtStart(FileStart):
     """
 
     error = SourceError
+    """Class of the error that `FileStart` raises for loops that do not close."""
 
     def __init__(
         self,
         path: str,
-        closed: ClosedLoopModel,
+        closed_model: ClosedLoopModel,
         loops: Loops,
         mimics: list[Mimic],
         report: ImportReport,
         tolerance: float,
         first: tuple[Array, str] | None = None,
     ) -> None:
-        """Close the loops.
+        """Close the loops near the starting configuration.
 
         Args:
             path: file or model, for messages.
-            closed: Pinocchio's model and its closures.
+            closed_model: Pinocchio's model and its closures.
             loops: content of the loop file.
             mimics: mimics of the URDF.
             report: report that receives lines about the start.
@@ -71,122 +89,143 @@ class RobotAtStart(FileStart):
         Raises:
             SourceError: for loops that do not close.
         """
-        self.path, self.robot = path, closed
-        self.model, self.loops, self.mimics = closed.model, loops, mimics
+        self.path, self.closed_model = path, closed_model
+        self.model, self.loops, self.mimics = closed_model.model, loops, mimics
         self.data: Any = self.model.createData()
-        self._closures = Closures(closed, _IdentityMap(), 1.0)  # type: ignore[arg-type]
-        # rows of loops, couplings and mimics
-        names = [" and ".join(p) for p, t in zip(loops.closed_loop, loops.type, strict=True) if t != "rod"]
-        rows = [3 if kind == "3d" else 6 for kind in loops.type if kind != "rod"]
-        self.owners = [f"loop of {n}" for n, count in zip(names, rows, strict=True) for _ in range(count)]
-        self.owners += ["a coupling"] * len(closed.couplings) + [f"mimic of {m.follower}" for m in mimics]
-        self._linear = np.array([*closed.couplings[:, 0], *(self._row(path, m) for m in mimics)])
+        self._closures = Closures(closed_model, _IdentityMap(), 1.0)  # type: ignore[arg-type]
+        # element of each residual, in the order loops, couplings, mimics; a rod has no residual
+        self.owners: list[str] = []
+        for pair, kind in zip(loops.closed_loop, loops.type, strict=True):
+            if kind != "rod":
+                self.owners += [f"loop of {' and '.join(pair)}"] * (3 if kind == "3d" else 6)
+        self.owners += ["a coupling"] * len(closed_model.couplings)
+        self.owners += [f"mimic of {mimic.follower}" for mimic in mimics]
+        # residuals of couplings and mimics at q0 (`_q0`) with displacement x0 from neutral, for q = q0 + x:
+        # _linear x + _residuals_at_q0 + polynomials of second and higher powers of x0 + x
+        self._linear = np.array([*closed_model.couplings[:, 0], *(self._mimic_row(path, m) for m in mimics)])
         self._linear = self._linear.reshape(-1, self.model.nv)
-        moved = self._mimicked(mimics)
-        if not np.all(np.isfinite(moved)):
+        x0 = self._mimicked(mimics)
+        if not np.all(np.isfinite(x0)):
             raise SourceError(path, "the offsets of its mimics overflow")
-        self._first = pin.integrate(self.model, pin.neutral(self.model), moved)
-        offsets = np.array([0.0] * len(closed.couplings) + [m.offset for m in mimics])
-        self._open = self._linear @ moved - offsets
-        self._moved, self._bent = moved, closed.couplings.copy()
-        self._bent[:, 0] = 0.0  # the linear part is in `_linear`
-        # the configuration to start near to, and the closed one
-        called = "coordinates 0"
-        if followers := [f"{m.follower!r} {x:.6g}" for m in mimics if (x := moved[self.place(m.follower)])]:
-            called += " and mimics at their offsets"
+        self._q0 = pin.integrate(self.model, pin.neutral(self.model), x0)
+        offsets = np.array([0.0] * len(closed_model.couplings) + [m.offset for m in mimics])
+        self._residuals_at_q0 = self._linear @ x0 - offsets
+        self._x0, self._higher_powers = x0, closed_model.couplings.copy()
+        self._higher_powers[:, 0] = 0.0
+        # the configuration to start near to, its name, and the closed configuration
+        name = "coordinates 0"
+        followers = [f"{m.follower!r} {x:.6g}" for m in mimics if (x := x0[self.velocity_index(m.follower)])]
+        if followers:
+            name += " and mimics at their offsets"
             report.start.append(
                 "followers of mimics start at these coordinates, with drivers at 0, m or rad: "
                 + ", ".join(followers)
             )
         if first is not None:
-            self._first, called = first
-        self.q, lines, report.moved = self.closed(self._first, called, tolerance)
+            self._q0, name = first
+        # `closed` (base class) returns the configuration, lines for the report, and the change of the start
+        self.q, lines, report.moved = self.closed(self._q0, name, tolerance)
         report.start.extend(lines)
 
     def _mimicked(self, mimics: list[Mimic]) -> Array:
-        """Return displacements (nv,) of followers of mimics, m or rad, for all other joints at 0.
+        """Return displacements (nv,) from neutral, m or rad: followers of mimics, with all other joints at 0.
 
         A joint that follows itself through others stays at 0; loop closure finds a consistent value.
         """
         by_follower = {mimic.follower: mimic for mimic in mimics}
-        moved = np.zeros(self.model.nv)
+        x0 = np.zeros(self.model.nv)
         for name in by_follower:
-            drivers = [name]
-            while drivers[-1] in by_follower and len(drivers) <= len(mimics):
-                drivers.append(by_follower[drivers[-1]].driver)
-            if drivers[-1] not in by_follower:
-                for follower in reversed(drivers[:-1]):
+            # the follower, its driver, the driver of the driver, ...
+            chain = [name]
+            while chain[-1] in by_follower and len(chain) <= len(mimics):
+                chain.append(by_follower[chain[-1]].driver)
+            if chain[-1] not in by_follower:
+                for follower in reversed(chain[:-1]):
                     mimic = by_follower[follower]
-                    driven = moved[self.place(mimic.driver)]
-                    moved[self.place(follower)] = mimic.multiplier * driven + mimic.offset
-        return moved
+                    x_driver = x0[self.velocity_index(mimic.driver)]
+                    x0[self.velocity_index(follower)] = mimic.multiplier * x_driver + mimic.offset
+        return x0
 
-    def place(self, name: str) -> int | None:
-        """Return the place of the velocity of a joint of one motion; None if there is no such joint."""
+    def velocity_index(self, name: str) -> int | None:
+        """Return the index of the velocity of a hinge or slide; None if there is no such joint."""
         if not self.model.existJointName(name):
             return None
         joint = self.model.joints[self.model.getJointId(name)]
         return int(joint.idx_v) if joint.nv == 1 else None
 
     def displacement(self, name: str) -> float:
-        """Return the starting coordinate of a hinge or slide, rad or m; 0 if there is no such joint."""
-        place = self.place(name)
-        moved = pin.difference(self.model, pin.neutral(self.model), self.q)
-        return 0.0 if place is None else float(moved[place])
+        """Return the coordinate of a hinge or slide at the start, rad or m; 0 if there is no such joint."""
+        index = self.velocity_index(name)
+        displacements = pin.difference(self.model, pin.neutral(self.model), self.q)
+        return 0.0 if index is None else float(displacements[index])
 
-    def _row(self, path: str, mimic: Mimic) -> Array:
+    def _mimic_row(self, path: str, mimic: Mimic) -> Array:
+        """Return the Jacobian row (nv,) of x_follower - multiplier * x_driver; raises `SourceError`."""
         row = np.zeros(self.model.nv)
         for name, factor in ((mimic.follower, 1.0), (mimic.driver, -mimic.multiplier)):
-            place = self.place(name)
-            if place is None:
+            index = self.velocity_index(name)
+            if index is None:
                 raise SourceError(
                     path, f"joint {mimic.follower!r}: mimic of {name!r}; needed: a hinge or slide"
                 )
-            row[place] += factor
+            row[index] += factor
         return row
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
+        """Compute residuals (k,), m or rad, of loops, couplings and mimics, and their Jacobian (k, nv)."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
-        x = pin.difference(self.model, self._first, q)
-        coupled, slopes, count = self._linear @ x + self._open, self._linear.copy(), len(self._bent)
-        coupled[:count] += np.sum(power_sums(self._bent, self._moved + x, 0), axis=1)
-        slopes[:count] += power_sums(self._bent, self._moved + x, 1)
+        x = pin.difference(self.model, self._q0, q)
+        coupled, slopes = self._linear @ x + self._residuals_at_q0, self._linear.copy()
+        count = len(self._higher_powers)  # couplings; mimics are linear
+        coupled[:count] += np.sum(power_sums(self._higher_powers, self._x0 + x, 0), axis=1)
+        slopes[:count] += power_sums(self._higher_powers, self._x0 + x, 1)
         phi = np.concatenate([self._closures.phi(self.data), coupled])
         return phi, np.vstack([self._closures.jacobian(self.data), slopes])
 
     def units(self) -> Units:
+        """Return units of velocities (nv,) and of residuals (k,), which make loop closure dimensionless."""
         model, data = self.model, self.data
+        # velocities: 1 rad/s for rotations, the spread of the mechanism for translations
         points = [*self.centers()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
-        velocities = np.where(np.any(np.reshape(data.J, (6, -1))[3:] != 0.0, axis=0), 1.0, spread(points))
-        rows = []
-        for pair, weld in self._closures.pairs:
-            motions, levers = [], []
+        is_rotation = np.any(np.reshape(data.J, (6, -1))[3:] != 0.0, axis=0)
+        velocity_units = np.where(is_rotation, 1.0, spread(points))
+        # residuals of loop closures: largest motion of one of the two bodies, see `reach`
+        row_units = []
+        for pair, is_weld in self._closures.pairs:
+            body_jacobians, levers = [], []
             for frame in pair:
                 joint = model.frames[frame].parentJoint
                 center = data.oMi[joint].act(model.inertias[joint].lever)
-                motion = np.array(pin.getJointJacobian(model, data, joint, pin.WORLD)).reshape(6, -1)
-                motion[:3] += np.cross(motion[3:].T, center).T
-                motions.append(motion)
+                # velocity of the origin of the world to velocity of the center of mass
+                jacobian = np.array(pin.getJointJacobian(model, data, joint, pin.WORLD)).reshape(6, -1)
+                jacobian[:3] += np.cross(jacobian[3:].T, center).T
+                body_jacobians.append(jacobian)
                 levers.append(float(np.linalg.norm(data.oMf[frame].translation - center)))
-            moves, turns = reach(motions, levers, velocities)
-            rows += [moves] * 3 + [turns] * (3 if weld else 0)
-        coupled = np.linalg.norm(self._linear * velocities, axis=1)
-        return Units(velocities, np.array([*rows, *np.where(coupled > 0.0, coupled, 1.0)]))
+            translation, rotation = reach(body_jacobians, levers, velocity_units)
+            row_units += [translation] * 3 + [rotation] * (3 if is_weld else 0)
+        # residuals of couplings and mimics: norm of the row
+        norms = np.linalg.norm(self._linear * velocity_units, axis=1)
+        return Units(velocity_units, np.array([*row_units, *np.where(norms > 0.0, norms, 1.0)]))
 
     def moved(self, q: Array, step: Array) -> Array:
+        """Return the configuration (nq,) that velocities `step` (nv,) reach from q (nq,) in 1 s."""
         return np.asarray(pin.integrate(self.model, q, step))
 
     def difference(self, q: Array, other: Array) -> Array:
+        """Return the velocities (nv,) that lead from configuration q (nq,) to `other` (nq,) in 1 s."""
         return np.asarray(pin.difference(self.model, q, other))
 
     def joint_of(self, dof: int) -> str:
+        """Return the name of the joint that velocity number `dof` belongs to."""
         named = zip(self.model.names, self.model.joints, strict=True)
         return str(next(name for name, joint in named if joint.idx_v <= dof < joint.idx_v + joint.nv))
 
     def center_names(self) -> list[str]:
+        """Return the names of Pinocchio's joints, in the order of `centers`."""
         return list(self.model.names)
 
     def centers(self) -> Array:
+        """Return the centers of mass (njoints, 3) of the bodies that joints move, m, world frame."""
         poses = zip(self.data.oMi, self.model.inertias, strict=True)
         return np.array([pose.act(inertia.lever) for pose, inertia in poses])
