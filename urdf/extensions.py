@@ -1,7 +1,7 @@
-"""Loops, springs and rotors of a URDF that tools add to links and joints, as plain numbers.
+"""Data of the loops, springs and rotors that tools such as Gazebo and Drake add to a URDF.
 
-`urdf.reading.extensions` reads them. The reader turns them into joints and forces of a scene. Independently,
-`urdf.reference` turns them into constraint rows and forces of Pinocchio's model.
+`urdf.reading.extensions` reads these elements. The reader converts them to joints and forces of a scene. For
+verification, `urdf.reference` independently converts them to constraints and forces of Pinocchio's model.
 """
 
 from __future__ import annotations
@@ -19,7 +19,15 @@ STIFFNESS = "stiffness"
 
 
 class PointSpringElement(NamedTuple):
-    """Spring and damper between two points: names of frames, stiffness N/m, rest m, damping N s/m."""
+    """Spring and damper between two points.
+
+    Attributes:
+        name: name of the spring.
+        frames: names of the frames at both ends.
+        stiffness: N/m.
+        rest_length: m.
+        damping: N s/m.
+    """
 
     name: str
     frames: tuple[str, str]

@@ -1,4 +1,7 @@
-"""Return bodies and joints of a Pinocchio model with closed loops at its initial pose."""
+"""Read the bodies and joints back from a Pinocchio model of a scene, at its initial pose.
+
+crosscheck compares the results with the scene, to find errors of the URDF export and of Pinocchio's parser.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,16 @@ from urdf.model import ClosedLoopModel, link_inertia
 
 
 def mass_properties(mechanism: Mechanism, model: Any, welded: WeldedMechanism) -> MassProperties:
-    """Return masses and inertias of Pinocchio's model, with the halves of cut bodies combined."""
+    """Return masses and inertias of Pinocchio's model, with the halves of cut bodies combined.
+
+    Args:
+        mechanism: mechanism of the scene; the ground, which has no inertia in a URDF, keeps its values.
+        model: `pinocchio.Model` of the welded mechanism.
+        welded: mechanism in which a body is cut into halves at each loop that Pinocchio closes by a weld.
+    """
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    found = MassProperties.of(mechanism)  # keeps the values of the ground, which has no inertia in a URDF
+    properties = MassProperties.of(mechanism)
     names = welded.mechanism.body_names
     for body in range(1, len(mechanism.bodies)):
         total = pin.Inertia.Zero()
@@ -27,20 +36,26 @@ def mass_properties(mechanism: Mechanism, model: Any, welded: WeldedMechanism) -
             if whole == body:
                 index = model.getFrameId(name, pin.FrameType.BODY)
                 total += data.oMf[index].act(link_inertia(model, index))
-        found.mass[body] = total.mass
-        found.center_of_mass[body] = total.lever
-        found.inertia[body] = total.inertia
-    return found
+        properties.mass[body] = total.mass
+        properties.center_of_mass[body] = total.lever
+        properties.inertia[body] = total.inertia
+    return properties
 
 
-def joint_geometry(closed: ClosedLoopModel, welded: WeldedMechanism) -> dict[str, JointGeometry]:
-    """Return geometry of the joints of the model, by name."""
-    model, data = closed.model, closed.model.createData()
+def joint_geometry(closed_model: ClosedLoopModel, welded: WeldedMechanism) -> dict[str, JointGeometry]:
+    """Return kinds, axes and points of the joints of a Pinocchio model, by name.
+
+    Args:
+        closed_model: Pinocchio's model with its loop closures.
+        welded: welded mechanism that the model was built from.
+    """
+    model, data = closed_model.model, closed_model.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     pin.updateFramePlacements(model, data)
-    columns = np.reshape(data.J, (6, model.nv))
+    columns = np.reshape(data.J, (6, model.nv))  # linear and angular velocity per joint velocity
 
     def read(name: str) -> tuple[str, Array, Array]:
+        """Return kind, axis (3,) and point (3,), m, world frame, of a joint of the tree."""
         index = model.getJointId(name)
         joint, point = model.joints[index], data.oMi[index].translation.copy()
         if joint.nv == 3:
@@ -49,7 +64,7 @@ def joint_geometry(closed: ClosedLoopModel, welded: WeldedMechanism) -> dict[str
         return ("hinge", angular, point) if np.any(angular) else ("slide", linear, point)
 
     found = geometry_in_tree(welded, read)
-    constraints, rods = iter(closed.constraints), iter(closed.rods)
+    constraints, rods = iter(closed_model.constraints), iter(closed_model.rods)
     for cut in welded.tree.cuts:
         joint = welded.tree.joint(cut)
         if joint.only_closes:

@@ -1,11 +1,10 @@
-"""Read a URDF with its loop file, or a Pinocchio model, as a scene with an import report.
+"""Import a URDF with its loop file, or a Pinocchio model in memory, as a scene with an import report.
 
-Pinocchio parses the URDF and merges links that fixed joints connect. The scene starts at coordinates 0, with
-followers of mimics at their offsets, or at the nearest configuration with closed loops. The scene is verified
-against Pinocchio's model of the file, see `newton_euler.reading` and `urdf.reference`. Models in memory with
-their constraints are read in the same way.
-
-For the loop file see `urdf.loops`.
+A URDF cannot describe closed loops; the loop file does (`urdf.loops`). Pinocchio parses the URDF and merges
+links that fixed joints connect. The scene starts at coordinates 0, with joints that follow others (mimics) at
+their offsets, or at the nearest configuration with closed loops. The import report lists what each element
+of the file became. The scene is then verified: its masses, motions and forces are compared with those of
+Pinocchio's model, see `newton_euler.reading` and `urdf.reference`.
 """
 
 from __future__ import annotations
@@ -73,7 +72,12 @@ DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Scene imported from a URDF or a Pinocchio model, with the fate of every element."""
+    """Result of importing a URDF or a Pinocchio model.
+
+    Attributes:
+        scene: imported scene.
+        report: import report: for each element, what the element became or why it is left out.
+    """
 
     scene: Scene
     report: ImportReport
@@ -84,22 +88,22 @@ class Robot:
     """Robot from files or from memory, before its loops are closed.
 
     Attributes:
-        where: file or model, for messages.
+        source_name: file or model, for messages.
         name: name of the scene.
         description: description of the scene.
-        closed: Pinocchio's model and its closures.
-        loops: content of the loop file, or its equivalent.
+        closed_model: Pinocchio's model with its loop closures.
+        loops: content of the loop file, or its equivalent for a model in memory.
         mimics: mimics of the URDF.
         joints: springs, limits and other properties of joints.
         root: root element of the URDF; None for a model in memory.
-        first: configuration to start near to, with its name in reports.
+        first: configuration to start near to, with its name in reports; None for coordinates 0.
         springs: springs between points of two links.
     """
 
-    where: str
+    source_name: str
     name: str
     description: str
-    closed: ClosedLoopModel
+    closed_model: ClosedLoopModel
     loops: Loops
     mimics: list[Mimic]
     joints: list[JointProperties]
@@ -118,19 +122,21 @@ def read(
     ignore: str | Sequence[str] | None = None,
     **options: Unpack[ReadOptions],
 ) -> Reading:
-    """Read a URDF, or a model that Pinocchio has in memory.
+    """Import a URDF, or a model that Pinocchio has in memory, as a scene.
 
     Args:
         model: path of the URDF, a `pinocchio.Model`, or a pair of a model and its constraints. Constraints
-            are `RigidConstraintModel`s, or anchors of points and frames. A constraint to the world with the
-            default second placement holds its frame at the start.
+            are of the class `RigidConstraintModel`, `PointAnchorConstraintModel` or
+            `FrameAnchorConstraintModel`. A constraint to the world with the default second placement holds
+            its frame where the frame is at the start.
         loops: path of the loop file of a URDF; None for no loop file.
         base: "fixed" if the root link of a URDF is the ground, "free" if it floats.
         gravity: (3,) m/s^2; None for (0, 0, -9.81), or for the gravity of a model in memory.
         q: (nq,) Pinocchio's configuration from which a model in memory starts; None for neutral.
-        ignore: tags or names of elements of a URDF other than links and joints, such as "loop_joint", that
-            are left out instead of simulated or refused; None for no elements.
-        options: see `newton_euler.model.source_file.Request`. The file is verified without excitation.
+        ignore: tags or names of elements of a URDF other than links and joints, such as "loop_joint". These
+            elements are left out instead of simulated or refused. None for no elements.
+        options: duration, output period, excitation and other options of the scene, see
+            `newton_euler.model.source_file.Request`. The scene is verified without excitation.
 
     Raises:
         UrdfError: for a model that cannot be read or verified, with file or model name and element.
@@ -151,16 +157,16 @@ def read(
     if isinstance(model, str | os.PathLike):
         if q is not None:
             raise OptionError("q", q, "no q for a URDF, which starts from coordinates 0")
-        pull = DEFAULT_GRAVITY if gravity is None else gravity
         ignored = (ignore,) if isinstance(ignore, str) else () if ignore is None else tuple(ignore)
-        return _from_file(model, loops, base, pull, request, ignored)
+        gravity_of_file = DEFAULT_GRAVITY if gravity is None else gravity
+        return _import_file(model, loops, base, gravity_of_file, request, ignored)
     for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, None)):
         if value is not default and not (isinstance(value, str) and value == default):
             raise OptionError(option, value, f"no {option} for a model in memory, an option of URDF files")
-    return _from_memory(model, gravity, q, request)
+    return _import_from_memory(model, gravity, q, request)
 
 
-def _from_file(
+def _import_file(
     path: str | os.PathLike[str],
     loops: str | os.PathLike[str] | None,
     base: BaseName,
@@ -168,104 +174,113 @@ def _from_file(
     request: Request,
     ignore: Sequence[str],
 ) -> Reading:
-    where = path_text(path, SourceError)
-    text = read_text(where, "file_size", SourceError)
-    root = parsed(where, text)
+    """Import a URDF file; for the arguments see `read`."""
+    source_name = path_text(path, SourceError)
+    text = read_text(source_name, "file_size", SourceError)
+    root = parsed(source_name, text)
     if text.startswith("<?xml"):  # Pinocchio would decode the text by the encoding in the declaration
         text = text[text.index("?>") + 2 :]
-    closing, loop_text = NO_LOOPS, None
+    # content of the loop file
+    loop_content, loop_text = NO_LOOPS, None
     report = ImportReport()
     if loops is None:
-        report.findings.extend(_unread_loops(Path(where)))
+        report.findings.extend(_unread_loops(Path(source_name)))
     else:
         loop_path = path_text(loops, SourceError)
         loop_text = read_text(loop_path, "scene_size", SourceError)
-        closing = read_loops(loop_path, loop_text)
+        loop_content = read_loops(loop_path, loop_text)
     # parse, import and verify, with the messages of Pinocchio's parser
-    words: list[str] = []
+    parser_messages: list[str] = []
     try:
-        with collected_messages(words):
-            extensions = read_extensions(where, text, root, closing, ignore, report)
+        with collected_messages(parser_messages):
+            extensions = read_extensions(source_name, text, root, loop_content, ignore, report)
             text = extensions.text
-            closing = extensions.added_to(closing)
-            closed = build(text, closing, base=base)
-        if closed.model.nv == 0:
-            raise SourceError(where, "no joint can move")
-        moving = [j for j in root.findall("joint") if j.get("type") != "fixed"]
-        mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
-        name, joints = root.get("name", "") or Path(where).stem, _with_extensions(root, extensions)
-        springs = tuple(extensions.point_springs)
-        robot = Robot(where, name, Path(where).name, closed, closing, mimics, joints, root, springs=springs)
-        found = _reading(
-            robot, report, request, gravity, partial(UrdfReference, extensions, loop_text, base, gravity)
+            loop_content = extensions.added_to(loop_content)
+            closed_model = build(text, loop_content, base=base)
+        if closed_model.model.nv == 0:
+            raise SourceError(source_name, "no joint can move")
+        moving = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
+        mimics = [Mimic(joint, mimic) for joint in moving for mimic in joint.findall("mimic")]
+        robot = Robot(
+            source_name,
+            name=root.get("name", "") or Path(source_name).stem,
+            description=Path(source_name).name,
+            closed_model=closed_model,
+            loops=loop_content,
+            mimics=mimics,
+            joints=_joints_with_extensions(root, extensions),
+            root=root,
+            springs=tuple(extensions.point_springs),
         )
+        make_reference = partial(UrdfReference, extensions, loop_text, base, gravity)
+        reading = _import(robot, report, request, gravity, make_reference)
     except RuntimeError as error:  # assertions of Pinocchio, for example of inertias
-        check_inertias(where, root)
-        raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
+        check_inertias(source_name, root)
+        raise SourceError(source_name, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
     except UrdfError as error:
-        if str(error).startswith(where) or (closing.source and str(error).startswith(closing.source)):
+        if str(error).startswith(source_name) or (
+            loop_content.source and str(error).startswith(loop_content.source)
+        ):
             raise
-        errors = [line.removeprefix("Error:").strip() for line in words if line.startswith("Error:")]
-        raise SourceError(where, "; ".join([str(error), *errors])) from error
+        errors = [
+            line.removeprefix("Error:").strip() for line in parser_messages if line.startswith("Error:")
+        ]
+        raise SourceError(source_name, "; ".join([str(error), *errors])) from error
     except (NewtonEulerError, np.linalg.LinAlgError) as error:
-        check_inertias(where, root)
-        raise SourceError(where, str(error)) from error
-    report_complaints(words, report)
+        check_inertias(source_name, root)
+        raise SourceError(source_name, str(error)) from error
+    report_complaints(parser_messages, report)
     root_link = "is the ground" if base == "fixed" else "floats"
-    pull = " ".join(f"{g:g}" for g in gravity)
-    found.report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
-    return found
+    components = " ".join(f"{component:g}" for component in gravity)
+    reading.report.start.append(f"gravity is {components} m/s^2, a URDF has none; its root link {root_link}")
+    return reading
 
 
 def _unread_loops(path: Path) -> Iterator[Finding]:
-    """Find a loop file next to a URDF that is read without its loop file."""
-    for beside in (path.with_suffix(".loops.yaml"), path.with_suffix(".yaml")):
+    """Yield a finding for each loop file next to the URDF at `path`, which is imported without one."""
+    for loop_file in (path.with_suffix(".loops.yaml"), path.with_suffix(".yaml")):
         with suppress(SourceError):
-            if beside.is_file() and "closed_loop" in read_text(str(beside), "scene_size", SourceError):
+            if loop_file.is_file() and "closed_loop" in read_text(str(loop_file), "scene_size", SourceError):
                 yield Finding(
                     "unread-loops",
-                    beside.name,
+                    loop_file.name,
                     "a loop file is next to the URDF and was not read",
                     "its loops are open in this run",
-                    f"--set loops={beside} closes them",
+                    f"--set loops={loop_file} closes them",
                 )
 
 
-def _from_memory(
+def _import_from_memory(
     model: object, gravity: Sequence[float] | None, q: Sequence[float] | Array | None, request: Request
 ) -> Reading:
+    """Import a model that Pinocchio has in memory; for the arguments see `read`."""
     given = Given(model, q)
     robot = Robot(
-        given.where,
-        given.name,
-        given.where,
-        given.closed,
-        given.loops,
-        [],
-        given.joints,
-        first=(given.q, given.called),
+        given.source_name,
+        name=given.name,
+        description=given.source_name,
+        closed_model=given.closed_model,
+        loops=given.loops,
+        mimics=[],
+        joints=given.joints,
+        first=(given.q, given.name_of_q),
     )
-    pull = given.closed.model.gravity.linear if gravity is None else gravity
+    model_gravity = given.closed_model.model.gravity.linear if gravity is None else gravity
+    make_reference = partial(ModelReference, given.model, given.constraints, given.q, model_gravity)
     try:
-        return _reading(
-            robot,
-            ImportReport(),
-            request,
-            pull,
-            partial(ModelReference, given.model, given.constraints, given.q, pull),
-        )
+        return _import(robot, ImportReport(), request, model_gravity, make_reference)
     except SourceError:
         raise
     except (NewtonEulerError, RuntimeError, np.linalg.LinAlgError) as error:
-        raise SourceError(given.where, " ".join(str(error).split())) from error
+        raise SourceError(given.source_name, " ".join(str(error).split())) from error
 
 
-def _with_extensions(root: ET.Element, extensions: Extensions) -> list[JointProperties]:
-    """Return the properties of joints, including springs, dampers and rotors of other elements."""
-    found = []
+def _joints_with_extensions(root: ET.Element, extensions: Extensions) -> list[JointProperties]:
+    """Return the properties of joints, including springs, dampers and rotors that tools add to URDF."""
+    joints = []
     for joint in joint_properties(root):
         stiffness, rest = extensions.springs.get(joint.name, (0.0, 0.0))
-        found.append(
+        joints.append(
             joint._replace(
                 stiffness=stiffness,
                 rest=rest,
@@ -273,31 +288,42 @@ def _with_extensions(root: ET.Element, extensions: Extensions) -> list[JointProp
                 armature=extensions.armatures.get(joint.name, 0.0),
             )
         )
-    return found
+    return joints
 
 
-def _reading(
+def _import(
     robot: Robot,
     report: ImportReport,
     request: Request,
     gravity: Sequence[float],
-    reference: Callable[[ImportReport, Scene], ReferenceModel],
+    make_reference: Callable[[ImportReport, Scene], ReferenceModel],
 ) -> Reading:
+    """Import a robot as a scene, verify and excite the scene.
+
+    Args:
+        robot: robot from files or from memory.
+        report: report that receives the entries.
+        request: options of the scene.
+        gravity: (3,) m/s^2.
+        make_reference: makes the reference model for verification from the report and the scene.
+    """
     tolerance = request.redundancy_tolerance
-    start = RobotAtStart(robot.where, robot.closed, robot.loops, robot.mimics, report, tolerance, robot.first)
-    tree = Tree(robot.where, start, set(robot.loops.name_mot), report)
+    start = RobotAtStart(
+        robot.source_name, robot.closed_model, robot.loops, robot.mimics, report, tolerance, robot.first
+    )
+    tree = Tree(robot.source_name, start, set(robot.loops.name_mot), report)
     if robot.root is not None:
-        tree.bodies = with_visuals(robot.where, robot.root, start, tree, report)
+        tree.bodies = with_visuals(robot.source_name, robot.root, start, tree, report)
     scene = _scene(robot, start, tree, report, request, gravity)
     # numbers that overflow are refused later; messages of the parser were already collected
     with np.errstate(all="ignore"), collected_messages([]):
-        report.references.append((reference(report, scene), scene))
+        report.references.append((make_reference(report, scene), scene))
     if request.verified:
         report.start.append(verify_report(report))
     report.findings.extend(plausibility.findings(scene.mechanism))
     if request.excitation:
-        scene, fastest = with_start_velocities(scene, report.bounds)
-        report.start.append(f"excited: {fastest}")
+        scene, speeds = with_start_velocities(scene, report.bounds)
+        report.start.append(f"excited: {speeds}")
     return Reading(scene, report)
 
 
@@ -309,6 +335,7 @@ def _scene(
     request: Request,
     gravity: Sequence[float],
 ) -> Scene:
+    """Build the scene from the imported bodies and all other elements, and fill the report."""
     for joint, kind in zip(start.loops.joint_name, start.loops.joint_type, strict=True):
         if kind == "FIXED":
             report.imported(f"joint {joint!r}", "held at 0 by the loop file")
@@ -319,7 +346,7 @@ def _scene(
         *joint_springs(robot.joints, start, tree, report),
         *point_springs(robot.springs, start, tree, report),
     )
-    rotors = tuple(armatures(robot.joints, tree, report))
+    joint_armatures = tuple(armatures(robot.joints, tree, report))
     _report_joints(robot.joints, start, tree, report)
     if robot.root is not None:
         _report_leftovers(robot.root, report)
@@ -330,21 +357,21 @@ def _scene(
         request.output_period,
         gravity=np.array(gravity),
         forces=springs,
-        armatures=rotors,
+        armatures=joint_armatures,
         description=robot.description,
         redundancy_tolerance=request.redundancy_tolerance,
     )
 
 
-def _limits(start: RobotAtStart, joint: JointProperties, key: Key) -> list[Watch]:
-    """Make the watch of a joint's limits."""
+def _limit_watches(start: RobotAtStart, joint: JointProperties, key: Key) -> list[Watch]:
+    """Return the watch of a joint's limits. The scene counts coordinates from the start."""
     assert joint.limits is not None
-    (low, high, _), at = joint.limits, start.displacement(joint.name)
-    return [Bounds(((key, 1.0),), low - at, high - at, joint.unit)]
+    (low, high, _), x_start = joint.limits, start.displacement(joint.name)
+    return [Bounds(((key, 1.0),), low - x_start, high - x_start, joint.unit)]
 
 
-def _speed_limit(joint: JointProperties, key: Key) -> list[Watch]:
-    """Make the watch of a joint's limit of velocity."""
+def _speed_watches(joint: JointProperties, key: Key) -> list[Watch]:
+    """Return the watch of a joint's limit of velocity."""
     assert joint.limits is not None
     speed = joint.limits[2]
     return [Bounds(((key, 1.0),), -speed, speed, f"{joint.unit}/s", by_value=0.0, by_rate=1.0)]
@@ -353,7 +380,10 @@ def _speed_limit(joint: JointProperties, key: Key) -> list[Watch]:
 def _report_joints(
     joints: list[JointProperties], start: RobotAtStart, tree: Tree, report: ImportReport
 ) -> None:
-    """Report dry friction, limits, rotors and safety controllers, which are not simulated."""
+    """Report dry friction, limits, rotors and safety controllers of joints, which scenes do not simulate.
+
+    The watches test, after a run, whether a limit or friction would have acted.
+    """
     for joint in joints:
         element, key = f"joint {joint.name!r}", tree.coordinate_keys.get(joint.name)
         if joint.friction:
@@ -363,11 +393,11 @@ def _report_joints(
         if joint.limits:
             low, high, speed = joint.limits
             why = f"its limits {low:.4g} to {high:.4g}: limits are one-sided and not simulated"
-            watches = _limits(start, joint, key) if key else []
+            watches = _limit_watches(start, joint, key) if key else []
             report.left_out(element, why, topic=LIMITS, watches=watches, numbers=[low, high])
             if math.isfinite(speed):
                 why = f"its limit of velocity, {speed:.4g} {joint.unit}/s"
-                watches = _speed_limit(joint, key) if key else []
+                watches = _speed_watches(joint, key) if key else []
                 report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches, numbers=[speed])
         if joint.rotor:
             why = f"its rotor, rotorInertia times rotorGearRatio^2 of {joint.rotor:g}"

@@ -1,4 +1,7 @@
-"""Take Pinocchio models in memory, with the constraints that close their loops."""
+"""Check and copy a Pinocchio model in memory, with the constraints that close its loops.
+
+`Given` converts the model to the form in which `urdf.reader` has a URDF with its loop file.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ ANCHOR_TYPES = {
     "PointAnchorConstraintModel": pin.ContactType.CONTACT_3D,
     "FrameAnchorConstraintModel": pin.ContactType.CONTACT_6D,
 }
-"""Contact type of constraint classes that are equivalent to rigid constraints."""
+"""Contact type of the rigid constraint that an anchor constraint is equivalent to, by class of the anchor."""
 
 CLOSURE_TYPE_OF_CONTACT = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CONTACT_6D: "6d"}
 """Type of closure in a loop file, by contact type."""
@@ -47,14 +50,14 @@ class Given:
     """Checked model in memory.
 
     Attributes:
-        model: model of the user.
-        constraints: rigid constraints.
-        where: name for messages.
+        model: model of the user, which is not changed.
+        constraints: constraints as `RigidConstraintModel`s.
+        source_name: kind and name of the model, for messages.
         name: name of the model.
-        closed: copy of the model, with a frame for each end of each constraint.
+        closed_model: copy of the model, with a frame at each end of each constraint.
         loops: equivalent content of a loop file.
         q: (nq,) Pinocchio's configuration to start from.
-        called: name of `q` in reports.
+        name_of_q: name of `q` in reports.
         joints: properties of joints.
     """
 
@@ -65,112 +68,127 @@ class Given:
             needed = "a path of a file, a pinocchio.Model or a pair of one and its RigidConstraintModels"
             raise SourceError(quoted(given, 200), f"cannot be read; needed: {needed}")
         self.name = str(model.name)
-        self.where = f"pinocchio.Model {self.name!r:.100}" if self.name else "pinocchio.Model"
+        self.source_name = f"pinocchio.Model {self.name!r:.100}" if self.name else "pinocchio.Model"
         self.model = model
         self._check(model)
         self.constraints = [self._rigid(each, number) for number, each in enumerate(constraints)]
         if problem := exceeded("closures", len(self.constraints)):
-            raise SourceError(self.where, problem)
-        # a copy with frames at the ends of constraints
-        own, pairs = model.copy(), []
+            raise SourceError(self.source_name, problem)
+        # a copy of the model with frames at the ends of constraints
+        copied, pairs = model.copy(), []
         kinds = tuple(CLOSURE_TYPE_OF_CONTACT[constraint.type] for constraint in self.constraints)
         self.loops = replace(NO_LOOPS, closed_loop=closure_names(model, self.constraints), type=kinds)
         for names, constraint in zip(self.loops.closed_loop, self.constraints, strict=True):
             joints = constraint.joint1_id, constraint.joint2_id
             placements = constraint.joint1_placement, constraint.joint2_placement
-            pairs.append(_add_frames(own, names, joints, placements))
-        self.closed = ClosedLoopModel(
-            own,
+            pairs.append(_add_frames(copied, names, joints, placements))
+        self.closed_model = ClosedLoopModel(
+            copied,
             pin.StdVec_RigidConstraintModel(self.constraints),
             tuple(pairs),
             (),
-            np.zeros((0, MAX_DEGREE, own.nv)),
-            (PINOCCHIO_GROUND, *(str(name) for name in list(own.names)[1:])),
+            np.zeros((0, MAX_DEGREE, copied.nv)),
+            (PINOCCHIO_GROUND, *(str(name) for name in list(copied.names)[1:])),
         )
-        self.q, self.called = pin.neutral(model), "coordinates 0"
+        self.q, self.name_of_q = pin.neutral(model), "coordinates 0"
         if q is not None:
-            self.q, self.called = self._configuration(model, q), "the given q"
-        self._hold()
-        self.joints = [self._properties(k) for k in range(1, own.njoints)]
+            self.q, self.name_of_q = self._configuration(model, q), "the given q"
+        self._place_default_ends()
+        self.joints = [self._properties(k) for k in range(1, copied.njoints)]
 
     def _check(self, model: Any) -> None:
+        """Raise `SourceError` for a model that is too large, or has unknown joints or infinite numbers."""
         for name, count in (("bodies", model.njoints), ("velocities", model.nv)):
             if problem := exceeded(name, count):
-                raise SourceError(self.where, problem)
+                raise SourceError(self.source_name, problem)
         if model.nv == 0:
-            raise SourceError(self.where, "no joint can move")
+            raise SourceError(self.source_name, "no joint can move")
         for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
             kind = joint.shortname().removeprefix("JointModel")
             if kind not in KNOWN_JOINT_MODELS:
                 problem = f"joint {name!r} is a {joint.shortname()}"
-                raise SourceError(self.where, f"{problem}; needed: one of {', '.join(KNOWN_JOINT_MODELS)}")
+                raise SourceError(
+                    self.source_name, f"{problem}; needed: one of {', '.join(KNOWN_JOINT_MODELS)}"
+                )
         numbers = [model.gravity.linear, model.armature, model.damping]
         for inertia, pose in zip(model.inertias, model.jointPlacements, strict=True):
             numbers += [[inertia.mass], inertia.lever, inertia.inertia.ravel(), pose.homogeneous.ravel()]
         if not all(np.all(np.isfinite(each)) for each in numbers):
             raise SourceError(
-                self.where,
+                self.source_name,
                 "it has numbers that are not finite; needed: finite gravity, inertias and placements",
             )
 
     def _rigid(self, given: Any, number: int) -> Any:
-        """Return a rigid constraint that is equivalent to a given one."""
+        """Return the rigid constraint of the checked copy for constraint number `number` of the user."""
         kind = type(given).__name__
         is_rigid = isinstance(given, pin.RigidConstraintModel)
         if not (is_rigid and given.type in CLOSURE_TYPE_OF_CONTACT) and kind not in ANCHOR_TYPES:
             anchors = ", ".join(ANCHOR_TYPES)
             needed = f"a RigidConstraintModel of type CONTACT_3D or CONTACT_6D, or one of {anchors}"
-            raise SourceError(self.where, f"constraint {number} is a {kind}; needed: {needed}")
+            raise SourceError(self.source_name, f"constraint {number} is a {kind}; needed: {needed}")
         placements = given.joint1_placement, given.joint2_placement
         for placement in placements:
             excess = np.abs(placement.rotation.T @ placement.rotation - np.eye(3))
             if not np.max(excess) <= MAX_ROTATION_ERROR or not np.all(np.isfinite(placement.translation)):
                 problem = f"constraint {number} has a placement that is no rotation and finite translation"
-                raise SourceError(self.where, problem)
-        offset = given.desired_contact_placement.homogeneous - np.eye(4) if is_rigid else None
-        if np.any(given.desired_constraint_offset if offset is None else offset):
-            raise SourceError(self.where, f"constraint {number} has a desired offset; needed: none")
-        (first, second), ends = placements, (int(given.joint1_id), int(given.joint2_id))
+                raise SourceError(self.source_name, problem)
+        if is_rigid:
+            offset = given.desired_contact_placement.homogeneous - np.eye(4)
+        else:
+            offset = given.desired_constraint_offset
+        if np.any(offset):
+            raise SourceError(self.source_name, f"constraint {number} has a desired offset; needed: none")
+        (first, second), joints = placements, (int(given.joint1_id), int(given.joint2_id))
         rigid = pin.RigidConstraintModel(
             given.type if is_rigid else ANCHOR_TYPES[kind],
             self.model,
-            *(ends[0], first, ends[1], second),
+            joints[0],
+            first,
+            joints[1],
+            second,
             pin.ReferenceFrame.LOCAL,
         )
         rigid.name = given.name
         return rigid
 
     def _configuration(self, model: Any, q: Sequence[float] | Array) -> Array:
+        """Return a configuration of the user with quaternions of norm 1; raises `SourceError`."""
         try:
             found = real_array(q)
         except (TypeError, ValueError, OverflowError) as error:
-            raise SourceError(self.where, f"q is {quoted(q)}; needed: {model.nq} numbers") from error
+            raise SourceError(self.source_name, f"q is {quoted(q)}; needed: {model.nq} numbers") from error
         if found.shape != (model.nq,) or not np.all(np.isfinite(found)):
             problem = f"q has shape {found.shape}, or numbers that are not finite"
-            raise SourceError(self.where, f"{problem}; needed: {model.nq} finite numbers")
+            raise SourceError(self.source_name, f"{problem}; needed: {model.nq} finite numbers")
         return np.asarray(pin.normalize(model, found))
 
-    def _hold(self) -> None:
-        """Set the second placement of constraints to the world, if it is the default, to the start."""
-        model = self.closed.model
+    def _place_default_ends(self) -> None:
+        """Move the second end of each constraint to the world with default placement to the first end.
+
+        Such a constraint holds a frame of the model where the frame is at the start.
+        """
+        model = self.closed_model.model
         data = model.createData()
         pin.framesForwardKinematics(model, data, self.q)
-        for constraint, (first, second) in zip(self.constraints, self.closed.frames, strict=True):
+        for constraint, (first, second) in zip(self.constraints, self.closed_model.frames, strict=True):
             if constraint.joint2_id == 0 and constraint.joint2_placement.isIdentity(0.0):
                 model.frames[second].placement = data.oMf[first]
 
     def _properties(self, number: int) -> JointProperties:
-        model = self.closed.model
+        """Return the properties of joint `number`, the largest ones if the joint has several velocities."""
+        model = self.closed_model.model
         joint, name = model.joints[number], str(model.names[number])
-        place = slice(joint.idx_v, joint.idx_v + joint.nv)
+        in_v = slice(joint.idx_v, joint.idx_v + joint.nv)
         damping, friction, armature = (
-            max((float(x) for x in values[place]), key=abs, default=0.0)
+            max((float(x) for x in values[in_v]), key=abs, default=0.0)
             for values in (model.damping, model.friction, model.armature)
         )
-        dry = (model.lowerDryFrictionLimit[place], model.upperDryFrictionLimit[place])
-        friction = max([friction, *(float(x) for x in np.ravel(np.abs(dry)))], key=abs)
-        turned = model.rotorInertia[place] * model.rotorGearRatio[place] ** 2
-        rotor = float(np.max(turned, initial=0.0)) if not armature else 0.0
+        dry_limits = (model.lowerDryFrictionLimit[in_v], model.upperDryFrictionLimit[in_v])
+        friction = max([friction, *(float(x) for x in np.ravel(np.abs(dry_limits)))], key=abs)
+        # rotor inertia seen at the joint
+        reflected = model.rotorInertia[in_v] * model.rotorGearRatio[in_v] ** 2
+        rotor = float(np.max(reflected, initial=0.0)) if not armature else 0.0
         limits = None
         if joint.nq == joint.nv == 1:
             low, high = (
@@ -186,6 +204,7 @@ class Given:
 def _add_frames(
     model: Any, names: Sequence[str], joints: Sequence[int], placements: Sequence[Any]
 ) -> tuple[int, int]:
+    """Add two frames with given names, joints and placements to a model, and return their numbers."""
     first, second = (
         int(model.addFrame(pin.Frame(name, int(joint), placement, pin.FrameType.OP_FRAME), False))
         for name, joint, placement in zip(names, joints, placements, strict=True)

@@ -1,4 +1,8 @@
-"""Check a URDF file before any parser expands it, and read properties of its joints."""
+"""Check a URDF file before Pinocchio parses it, and read properties of its joints.
+
+Pinocchio's parser accepts some wrong files silently, and its errors name no element. `parsed` checks names,
+numbers and the tree of links, and raises errors that name the line or element.
+"""
 
 from __future__ import annotations
 
@@ -27,30 +31,30 @@ NUMBER_ATTRIBUTES = {
     "dynamics": ("damping", "friction"),
     "mimic": ("multiplier", "offset"),
 }
-"""Attributes with numbers, by element."""
+"""Attributes with numbers, by tag of the element."""
 
 JOINT_VELOCITIES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, "floating": 6, "planar": 3}
-"""Number of velocities by joint type."""
+"""Number of velocities by type of joint; other types are unknown."""
 
 
 class SourceError(source_file.SourceError, UrdfError):
-    """File that is not a usable model, with the file, the place and the problem."""
+    """File that is not a usable model. The message has the file, the place in the file and the problem."""
 
 
 class JointProperties(NamedTuple):
-    """Properties of a joint in addition to its motion.
+    """Properties of a joint in addition to its kind, axis and placement.
 
     Attributes:
         name: name of the joint.
         damping: N s/m or N m s/rad.
         friction: dry friction, N or N m.
         armature: rotor inertia, kg or kg m^2.
-        limits: smallest and largest coordinate, and largest rate; None without limits.
+        limits: smallest and largest coordinate, m or rad, and largest rate; None without limits.
         unit: unit of the coordinate, m or rad.
         has_safety: True for a joint with a safety controller.
         stiffness: stiffness of the spring, N/m or N m/rad.
         rest: coordinate, m or rad, at which the spring exerts no force.
-        rotor: rotor inertia times gear ratio squared, kg m^2 or kg, if not part of the armature.
+        rotor: rotor inertia times squared gear ratio, kg m^2 or kg, if the armature does not contain it.
     """
 
     name: str
@@ -86,7 +90,7 @@ def joint_properties(root: ET.Element) -> list[JointProperties]:
 
 
 def read_loops(path: str, text: str) -> Loops:
-    """Parse the text of a loop file; raises `LoopFileError`."""
+    """Parse the text of the loop file `path`; raises `LoopFileError`."""
     loops = parse_loops(text, path)
     for key in ("closed_loop", "coupled"):
         if problem := exceeded("closures", len(getattr(loops, key))):
@@ -115,7 +119,7 @@ def parsed(path: str, text: str) -> ET.Element:
         for name, count in Counter(names).items():
             if count > 1:
                 raise SourceError(path, f"{what} {name!r:.100}: {count} of that name")
-    # numbers of elements, joints, and the tree of links
+    # sizes, joints, and the tree of links
     links, joints = ({element.get("name") for element in root.findall(tag)} for tag in ("link", "joint"))
     if not links:
         raise SourceError(path, "no links")
@@ -164,6 +168,14 @@ def check_inertias(path: str, root: ET.Element) -> None:
 
 
 def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: set[str | None]) -> None:
+    """Raise `SourceError` for an unknown type, links that do not exist, or a mimic of no other joint.
+
+    Args:
+        path: path of the URDF.
+        joint: element of the joint.
+        links: names of all links.
+        joints: names of all joints.
+    """
     where = f"joint {joint.get('name')!r:.100}"
     if joint.get("type") not in JOINT_VELOCITIES:
         kind = joint.get("type")
@@ -180,39 +192,50 @@ def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: s
 
 def _check_tree(path: str, root: ET.Element) -> None:
     """Raise `SourceError` unless joints connect one root link to all others; parsers do not check this."""
-    above: dict[str, ET.Element] = {}
+    # each link is the child of at most one joint
+    joint_above: dict[str, ET.Element] = {}
     for joint in root.findall("joint"):
-        child = _end(joint, "child")
-        if child in above:
-            both = f"{above[child].get('name')!r:.100} and {joint.get('name')!r:.100}"
+        child = _link_of(joint, "child")
+        if child in joint_above:
+            both = f"{joint_above[child].get('name')!r:.100} and {joint.get('name')!r:.100}"
             raise SourceError(path, f"link {child!r:.100}: child of both joint {both}; needed: of one")
-        above[child] = joint
-    tops = [str(link.get("name")) for link in root.findall("link") if link.get("name") not in above]
-    if len(tops) > 1:
-        problem = f"links {tops[0]!r:.100} and {tops[1]!r:.100}: no joint leads to either"
+        joint_above[child] = joint
+    # one root
+    roots = [str(link.get("name")) for link in root.findall("link") if link.get("name") not in joint_above]
+    if len(roots) > 1:
+        problem = f"links {roots[0]!r:.100} and {roots[1]!r:.100}: no joint leads to either"
         raise SourceError(path, f"{problem}; needed: one such link, the root")
-    reached = set(tops)
-    for child in above:
-        trail: dict[str, None] = {}
-        while child not in reached:
-            if child in trail:
-                problem = f"link {child!r:.100}: its joints form a circle"
+    # the parents of every link lead to the root
+    reached = set(roots)
+    for link in joint_above:
+        path_up: dict[str, None] = {}
+        while link not in reached:
+            if link in path_up:
+                problem = f"link {link!r:.100}: its joints form a circle"
                 raise SourceError(path, f"{problem}; needed: a tree, with loops in the loop file")
-            trail[child] = None
-            child = _end(above[child], "parent")
-        reached |= trail.keys()
+            path_up[link] = None
+            link = _link_of(joint_above[link], "parent")
+        reached |= path_up.keys()
 
 
-def _end(joint: ET.Element, end: str) -> str:
-    """Return the link at one end of a checked joint."""
+def _link_of(joint: ET.Element, end: str) -> str:
+    """Return the name of the link at one end, "parent" or "child", of a checked joint."""
     element = joint.find(end)
     return "" if element is None else str(element.get("link"))
 
 
 def _check_numbers(where: str, path: str, name: str, value: str) -> None:
-    wanted = 3 if name in ("xyz", "rpy") else 1
-    if len(value.split()) != wanted:
-        raise SourceError(path, f"{where} has {name}={value!r:.100}; needed: {wanted} numbers")
+    """Raise `SourceError` unless an attribute has the right count of finite numbers.
+
+    Args:
+        where: element in messages.
+        path: path of the URDF.
+        name: name of the attribute.
+        value: text of the attribute.
+    """
+    count = 3 if name in ("xyz", "rpy") else 1
+    if len(value.split()) != count:
+        raise SourceError(path, f"{where} has {name}={value!r:.100}; needed: {count} numbers")
     for token in value.split():
         try:
             number = float(token)

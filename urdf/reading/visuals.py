@@ -1,4 +1,8 @@
-"""Import the shapes of links for display: boxes, round bars and meshes."""
+"""Import the visual elements of a URDF's links for display: boxes, cylinders, spheres and meshes.
+
+Mesh files are read in a separate process with limits of time and memory (`load_meshes`), because a file may
+be hostile. An element that cannot be shown is reported, and changes nothing else.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +35,20 @@ MAX_MESHES_S = 60.0
 """Largest waiting time for all meshes, s; the CPU-time limit is in `urdf.reading.load_meshes`."""
 
 Color = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class _Visual:
-    """Visual element with its body, color and pose in the world at the start."""
+    """Visual element of a link.
+
+    Attributes:
+        body: number of the body in the scene.
+        link: name of the link.
+        element: XML element.
+        pose: `pinocchio.SE3` of the element in the world at the start.
+        color: color of the element or of its material; None without color.
+    """
 
     body: int
     link: str
@@ -45,16 +58,23 @@ class _Visual:
 
 
 class _Unusable(Exception):
-    """Visual element that cannot be shown, with the reason."""
+    """Visual element that cannot be shown; the message is the reason."""
 
 
 def with_visuals(
     path: str, root: ET.Element, start: RobotAtStart, tree: Tree, report: ImportReport
 ) -> list[Body]:
-    """Return the bodies of a tree with shapes and meshes; reports meshes that cannot be read.
+    """Return the bodies of a tree with shapes and meshes, and report visual elements that cannot be shown.
 
-    A mesh file must be in the folder of the URDF, in its parent folder, or in the package of its name. A
-    package is a parent folder of that name, or a folder with a `package.xml` in one of the parent folders.
+    A mesh file must be in the folder of the URDF, in its parent folder, or in the package that its path
+    names. A package is a parent folder of that name, or a folder with a `package.xml` in a parent folder.
+
+    Args:
+        path: path of the URDF.
+        root: root element of the URDF.
+        start: Pinocchio's model and data at the start state.
+        tree: imported bodies.
+        report: report that receives the entries.
     """
     shapes: list[tuple[_Visual, Shape]] = []
     meshes: list[tuple[_Visual, Path, Array]] = []
@@ -63,12 +83,12 @@ def with_visuals(
         try:
             shape = _primitive(visual)
             if shape is None:
-                meshes.append((visual, *_mesh(Path(path), visual)))
+                meshes.append((visual, *_mesh_file(Path(path), visual)))
             else:
                 shapes.append((visual, shape))
         except (_Unusable, NewtonEulerError) as error:
             report.left_out(element, str(error), moves_nothing=True)
-    files = _loaded(list(dict.fromkeys(file for _, file, _ in meshes)))
+    files = _load_meshes(list(dict.fromkeys(file for _, file, _ in meshes)))
     drawn: list[tuple[_Visual, Mesh]] = []
     for visual, file, scale in meshes:
         mesh = files[file]
@@ -110,6 +130,7 @@ def _visuals(root: ET.Element, start: RobotAtStart, tree: Tree) -> list[_Visual]
 
 
 def _rgba(material: ET.Element) -> Color | None:
+    """Return the color of an element `<material>`; None without a valid color."""
     element = material.find("color")
     if element is None:
         return None
@@ -121,7 +142,7 @@ def _rgba(material: ET.Element) -> Color | None:
 
 
 def origin(element: ET.Element | None) -> Any:
-    """Return the pose of a checked `<origin>`."""
+    """Return the `pinocchio.SE3` of a checked element `<origin>`; the identity without an element."""
     if element is None:
         return pin.SE3.Identity()
     rpy = [float(x) for x in element.get("rpy", "0 0 0").split()]
@@ -130,7 +151,7 @@ def origin(element: ET.Element | None) -> Any:
 
 
 def _primitive(visual: _Visual) -> Shape | None:
-    """Return the box, cylinder or sphere of a visual; None for other shapes."""
+    """Return the box, cylinder or sphere of a visual element; None for other shapes, such as meshes."""
     geometry = visual.element.find("geometry")
     box, cylinder, sphere = (
         None if geometry is None else geometry.find(kind) for kind in ("box", "cylinder", "sphere")
@@ -150,6 +171,7 @@ def _primitive(visual: _Visual) -> Shape | None:
 
 
 def _numbers(element: ET.Element, name: str, count: int) -> Array:
+    """Return the numbers (count,) of an attribute; raises `_Unusable` for anything else."""
     try:
         values = [float(x) for x in element.get(name, "").split()]
     except ValueError:
@@ -160,8 +182,11 @@ def _numbers(element: ET.Element, name: str, count: int) -> Array:
     return np.array(values)
 
 
-def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
-    """Return the file of a visual's mesh, and its scale (3,)."""
+def _mesh_file(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
+    """Return the path of the mesh file of a visual element, and the scale (3,) of the mesh.
+
+    Raises `_Unusable` for a file that does not exist, is too large, or is outside of the allowed folders.
+    """
     mesh = visual.element.find("geometry/mesh")
     if mesh is None:
         raise _Unusable("it has no box, cylinder, sphere or mesh")
@@ -172,8 +197,9 @@ def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
     if name.startswith("package://"):
         candidates = [(folder, folder / rest) for folder in packages(home, package)]
     else:
-        outer = home if home.parent == Path(home.anchor) else home.parent
-        candidates = [(outer, home / name.removeprefix("file://"))]
+        # files may be in the parent folder, unless it is the root of the disk
+        allowed_folder = home if home.parent == Path(home.anchor) else home.parent
+        candidates = [(allowed_folder, home / name.removeprefix("file://"))]
     for folder, file in candidates:
         if "\0" in name or not file.resolve().is_relative_to(folder.resolve()):
             raise _Unusable(f"mesh {name!r:.200} leads outside of {str(folder)!r}")
@@ -203,11 +229,11 @@ def packages(home: Path, name: str) -> list[Path]:
     return found
 
 
-def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:
-    """Read mesh files, in the coordinates of the files; None for a file that cannot be read."""
-    found: dict[Path, Mesh | None] = dict.fromkeys(files)
+def _load_meshes(files: list[Path]) -> dict[Path, Mesh | None]:
+    """Return the mesh of each file, in the coordinates of the file; None for a file that cannot be read."""
+    meshes: dict[Path, Mesh | None] = dict.fromkeys(files)
     if not files:
-        return found
+        return meshes
     with tempfile.TemporaryDirectory() as folder:
         # run by path, so that the process imports coal only
         script = Path(__file__).with_name("load_meshes.py")
@@ -224,12 +250,13 @@ def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:
         for number, file in enumerate(files):
             with suppress(OSError, ValueError, KeyError, EOFError, NewtonEulerError):
                 arrays = np.load(Path(folder) / f"{number}.npz")
-                found[file] = Mesh(arrays["vertices"], arrays["triangles"].reshape(-1, 3))
-    return found
+                meshes[file] = Mesh(arrays["vertices"], arrays["triangles"].reshape(-1, 3))
+    return meshes
 
 
 def _placed(visual: _Visual, mesh: Mesh, scale: Array) -> Mesh:
-    """Place the mesh of a file at the pose of a visual."""
+    """Return the mesh of a file, scaled by (3,) and placed at the pose of a visual element, world frame."""
     vertices = (scale * mesh.vertices) @ visual.pose.rotation.T + visual.pose.translation
-    turned = mesh.triangles if np.prod(scale) > 0.0 else mesh.triangles[:, ::-1]
-    return Mesh(vertices, turned, visual.color)
+    # a reflection reverses the order of corners, which defines the outer side
+    triangles = mesh.triangles if np.prod(scale) > 0.0 else mesh.triangles[:, ::-1]
+    return Mesh(vertices, triangles, visual.color)

@@ -1,7 +1,7 @@
-"""Vocabulary of URDF files: elements and attributes that are read, that move nothing, and all others.
+"""Vocabulary of URDF files: which elements and attributes are read, which move nothing, which are unknown.
 
-Many tools extend URDF, and parsers ignore unknown elements. An element that is in no list of this module may
-act, and a report counts it as not understood.
+Many tools extend URDF, and parsers ignore elements that they do not know. An element that is in no list of
+this module may exert a force or a constraint. The import report counts such an element as not understood.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from newton_euler.model.source_file import SourceError as FileError
 from newton_euler.reading.import_report import ImportReport
 
 DRAKE_PREFIX = "drake:"
+"""Prefix of the elements that Drake adds to URDF."""
 
 READ_ELEMENTS = {
     "robot": frozenset({"link", "joint"}),
@@ -24,10 +25,10 @@ READ_ELEMENTS = {
         {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller"}
     ),
 }
-"""Elements that the reader imports, by parent element."""
+"""Tags of the elements that the reader imports, by tag of the parent element."""
 
 REPEATED_ELEMENTS = frozenset({"visual", "collision"})
-"""Elements that a link may have several times; parsers read only the first of all other elements."""
+"""Elements that a link may have several times. Of other repeated elements, parsers read only the first."""
 
 PASSIVE_ELEMENTS = {
     "robot": frozenset(
@@ -156,7 +157,9 @@ PASSIVE_ELEMENTS = {
     "transmission": frozenset({"drake:gear_ratio", "drake:rotor_inertia"}),
     "mujoco": frozenset({"compiler", "size"}),
 }
-"""Elements without forces and constraints, by parent element."""
+"""Tags of elements without forces and constraints, by parent element.
+
+A `<gazebo>` element belongs to a link, to a joint ("gazebo link", "gazebo joint"), or to the whole model."""
 
 READ_ATTRIBUTES = {
     "origin": frozenset({"xyz", "rpy"}),
@@ -182,33 +185,39 @@ READ_ATTRIBUTES = {
     "parent": frozenset({"link", "joint"}),
     "child": frozenset({"link", "joint"}),
 }
-"""Known attributes of elements whose numbers act."""
+"""Known attributes of the elements whose numbers affect the motion."""
 
 PASSIVE_PLUGIN = re.compile(
     r"control|state_?publisher|camera|imu|laser|ray|lidar|gps|gnss|p3d|ft_?sensor|force_?torque|sensor|"
     r"bumper|contact|range|odometry|ground_truth|video|range|joint_state|pose",
     re.IGNORECASE,
 )
-"""File names of Gazebo's plugins that exert no force without a command."""
+"""Pattern of the file names of Gazebo's plugins that exert no force without a command."""
 
 ACTING_IN_TRANSMISSION = re.compile(r"inertia|stiff|damp|friction|backlash|spring|elastic", re.IGNORECASE)
-"""Parts of transmissions that exert forces; other parts map commands to forces."""
+"""Pattern of the tags in transmissions that exert forces; other tags map commands to forces."""
 
 ACTING_TAGS = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
-"""Tags of elements that connect or push bodies, of any tool."""
+"""Pattern of the tags, of any tool, of elements that connect or push bodies."""
 
 
 def tag_of(element: ET.Element) -> str:
-    """Return the tag of an element: Drake's elements with their prefix, others without a namespace."""
+    """Return the tag of an element: Drake's tags with their prefix, other tags without their namespace."""
     space, _, tag = element.tag.rpartition("}")
     return f"{DRAKE_PREFIX}{tag}" if "drake" in space.lower() else tag
 
 
 def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str, str], int], None]:
-    """Return a callback for `scan` that refuses SDF files and macros of xacro."""
+    """Return a callback for `newton_euler.model.source_file.scan` that refuses SDF files and xacro macros.
+
+    Args:
+        path: path of the file, for messages.
+        error: class of the error to raise.
+    """
     seen: list[str] = []
 
     def begin(tag: str, attributes: dict[str, str], line: int) -> None:
+        """Check the beginning of an element."""
         seen.append(tag)
         if len(seen) == 1 and tag == "sdf":
             needed = (
@@ -226,7 +235,7 @@ def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str
 
 
 def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
-    """Yield elements that no rule of this module knows, with their names in reports.
+    """Yield the elements that no list of this module contains, with their names in reports.
 
     The search includes elements in `<gazebo>`, `<transmission>` and `<mujoco>`.
     """
@@ -244,20 +253,21 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
             yield from _inside(element, place, where if name else tag)
         elif tag in ("transmission", "mujoco"):
             for part in element.iter():
-                own = tag_of(part)
-                acts = ACTING_IN_TRANSMISSION.search(own) if tag == "transmission" else True
-                if part is not element and acts and own not in PASSIVE_ELEMENTS[tag]:
-                    yield part, f"<{own}> of {where if name else tag}"
+                part_tag = tag_of(part)
+                acts = ACTING_IN_TRANSMISSION.search(part_tag) if tag == "transmission" else True
+                if part is not element and acts and part_tag not in PASSIVE_ELEMENTS[tag]:
+                    yield part, f"<{part_tag}> of {where if name else tag}"
         elif tag not in PASSIVE_ELEMENTS["robot"]:
             yield element, f"<{tag}>{f' {name!r:.100}' if name else ''}"
     # repeated elements, and unknown attributes of elements that are read
     for element in (*root.findall("link"), *root.findall("joint")):
         yield from _repeated(element)
         for part in (*element, *element.findall("inertial/*")):
-            others = [name for name in part.attrib if name not in READ_ATTRIBUTES.get(part.tag, part.attrib)]
-            if others:
+            known = READ_ATTRIBUTES.get(part.tag, part.attrib)
+            unknown_attributes = [name for name in part.attrib if name not in known]
+            if unknown_attributes:
                 where = f"{element.tag} {element.get('name')!r:.100}"
-                yield part, f"{', '.join(others)} of <{part.tag}> of {where}"
+                yield part, f"{', '.join(unknown_attributes)} of <{part.tag}> of {where}"
 
 
 def _repeated(element: ET.Element) -> Iterator[tuple[ET.Element, str]]:
@@ -270,6 +280,13 @@ def _repeated(element: ET.Element) -> Iterator[tuple[ET.Element, str]]:
 
 
 def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.Element, str]]:
+    """Yield the unknown children of an element, with their names in reports.
+
+    Args:
+        element: parent element.
+        place: key of `PASSIVE_ELEMENTS`.
+        where: name of the parent in reports.
+    """
     known = READ_ELEMENTS.get(place, frozenset()) | PASSIVE_ELEMENTS[place]
     if place.startswith("gazebo"):  # flags of joints on links, and of links on joints, do nothing
         known |= PASSIVE_ELEMENTS["gazebo link"] | PASSIVE_ELEMENTS["gazebo joint"]
@@ -283,7 +300,7 @@ def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.El
 
 
 def report_unmoving(root: ET.Element, report: ImportReport) -> None:
-    """Report the numbers of elements that move nothing."""
+    """Report, for each tag below the root, how many elements move nothing."""
     counts = Counter(tag_of(element) for element in root)
     for tag, count in counts.items():
         if tag not in ("link", "joint", "material"):
