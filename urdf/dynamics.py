@@ -43,7 +43,7 @@ from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, mass_matrix
 from urdf.proximal import ConstraintDynamics, Units
 from urdf.reactions import (
-    driven,
+    drive_wrenches,
     external_forces,
     joint_points,
     joint_wrenches,
@@ -411,7 +411,7 @@ class PinocchioSystem:
         forces_on = -self._rotors.single * qddot
         np.add.at(forces_on, self._actuated_v, actuation)
         points = joint_points(self.mechanism, frames)
-        forces, torques = reactions(wrenches, points, driven(self._tree, columns, points, forces_on))
+        forces, torques = reactions(wrenches, points, drive_wrenches(self._tree, columns, points, forces_on))
         for joint, torque in self._rotors.torques(frames, accelerations[:, 3:]):
             torques[joint] -= torque
         return Evaluation(

@@ -1,7 +1,8 @@
-"""Loop file of a URDF: loop closures, and joints whose type differs from the URDF.
+"""Parse the loop file of a URDF, which describes what a URDF cannot: closed loops and ball joints.
 
-The keys are those of Gepetto's example-parallel-robots (`robot.yaml`), read like its loader_tools.py does,
-and `coupled`.
+The file is YAML. Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), with the meaning
+that its loader_tools.py gives them, and in addition `coupled`, weighted sums of joint coordinates that are
+zero.
 """
 
 from __future__ import annotations
@@ -19,33 +20,37 @@ from newton_euler.reading.import_report import unique_name
 from urdf.errors import LoopFileError
 
 CLOSURE_TYPES = ("3d", "6d", "rod")
-"""Types of loop closures in a loop file, in upper or lower case."""
+"""Types of loop closures in a loop file, in upper or lower case.
+
+"""Type of a hinge about the x axes of both frames, only for elements that tools add to URDF."""
 
 REVOLUTE = "revolute"
-"""Type of a hinge about the x axes of both frames, which elements of a URDF use, and no loop file."""
+"""Type of a hinge about the x axes of both frames; only elements that tools add to URDF have this type."""
 
 UNIVERSAL = {f"UJOINT_{a}{b}": a + b for a in "XYZ" for b in "XYZ" if a != b} | {"CARDAN": "XY"}
-"""Joint types of two hinges in a row, with the axes of the hinges in the frame of the joint."""
+"""Axes of the two hinges of a universal joint, in the frame of the joint, by type in a loop file."""
 
 JOINT_TYPES = ("SPHERICAL", "FIXED", *UNIVERSAL)
+"""Types of joints in a loop file that differ from the type in the URDF."""
 
 LOOP_FILE_KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type", "coupled")
+"""Keys of a loop file; `coupled`, and `joint_name` with `joint_type`, may be missing."""
 
 
 @dataclass(frozen=True)
 class Loops:
-    """Content of a loop file. `coupled`, and `joint_name` with `joint_type`, may be missing in the file.
+    """Content of a loop file.
 
     Attributes:
         source: name of the file, for messages.
         closed_loop: pairs of names of links or joints whose frames a loop closure connects.
-        type: for each pair, one of `CLOSURE_TYPES`: equal origins, equal frames, or constant distance.
+        type: for each pair, one of `CLOSURE_TYPES`, or `REVOLUTE`.
         name_mot: names of joints with a motor.
         joint_name: names of joints whose type differs from the URDF.
         joint_type: for each of these joints, one of `JOINT_TYPES`. FIXED joints are held at 0; for the other
             types, the axis in the URDF is ignored.
-        coupled: for each coupling, names of joints, and factors of the first, second, ... powers of their
-            coordinates. The sum of the products is zero.
+        coupled: for each coupling, the factors of the powers 1, 2, ... of coordinates, by name of the joint.
+            The sum of the products is zero.
     """
 
     source: str
@@ -62,7 +67,11 @@ NO_LOOPS = Loops("", (), (), (), (), (), ())
 
 
 def closure_names(model: Any, constraints: Sequence[Any]) -> tuple[tuple[str, str], ...]:
-    """Return names, as in a loop file, for the two frames of each rigid constraint of a model in memory."""
+    """Return names for the two frames of each constraint of a Pinocchio model in memory.
+
+    The names have the form of `urdf.write`: "<constraint>_on_<joint>". The constraints are
+    `RigidConstraintModel`s of the `pinocchio.Model`.
+    """
     pairs: list[tuple[str, str]] = []
     taken: list[str] = []
     for number, constraint in enumerate(constraints):
@@ -108,13 +117,16 @@ def parse_loops(text: str, source: str) -> Loops:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is one frame; needed: two")
     # lengths and types
     document["type"] = [kind.lower() for kind in document["type"]]
-    for key, valid, of in (("type", CLOSURE_TYPES, "closed_loop"), ("joint_type", JOINT_TYPES, "joint_name")):
-        if len(document[key]) != len(document[of]):
-            problem = f"{len(document[key])} entries for {len(document[of])} of {of}"
-            raise LoopFileError(source, key, problem)
-        for kind in document[key]:
+    for type_key, valid, key in (
+        ("type", CLOSURE_TYPES, "closed_loop"),
+        ("joint_type", JOINT_TYPES, "joint_name"),
+    ):
+        if len(document[type_key]) != len(document[key]):
+            problem = f"{len(document[type_key])} entries for {len(document[key])} of {key}"
+            raise LoopFileError(source, type_key, problem)
+        for kind in document[type_key]:
             if kind not in valid:
-                raise LoopFileError(source, key, f"unknown {kind!r:.200}; {choices(kind, valid)}")
+                raise LoopFileError(source, type_key, f"unknown {kind!r:.200}; {choices(kind, valid)}")
     if len(set(document["joint_name"])) < len(document["joint_name"]):
         raise LoopFileError(source, "joint_name", "names a joint twice")
     document["coupled"] = [_coupling(entry, source) for entry in document["coupled"]]
@@ -123,6 +135,10 @@ def parse_loops(text: str, source: str) -> Loops:
 
 
 def _coupling(entry: Any, source: str) -> dict[str, tuple[float, ...]]:
+    """Return an entry of `coupled` in the form of `Loops.coupled`; raises `LoopFileError`.
+
+    In the file, a single number instead of a list is the factor of the first power.
+    """
     try:
         lists = {name: given if isinstance(given, list) else [given] for name, given in entry.items()}
         factors = {name: tuple(map(float, given)) for name, given in lists.items()}

@@ -1,7 +1,7 @@
-"""Build a Pinocchio model with rigid constraints from a URDF and its loop file.
+"""Build a Pinocchio model with loop closures from the text of a URDF and its loop file.
 
-Pinocchio orders joints by name along each branch and has quaternions (x, y, z, w). `CoordinateMap` converts
-to and from the coordinates of `newton_euler`.
+Pinocchio orders the joints of each branch by name, and has quaternions (x, y, z, w). `CoordinateMap` converts
+between its coordinates and those of newton_euler's spanning tree.
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import REVOLUTE, UNIVERSAL, Loops
 
 HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+"""Pinocchio's joint models of hinges, by axis."""
 
 BaseName = Literal["fixed", "free"]
-"""Root link of a URDF: fixed to the ground, or free."""
+"""How the root link of a URDF moves: fixed to the ground, or freely."""
 
 BASES: tuple[BaseName, ...] = get_args(BaseName)
+"""All values of `BaseName`."""
 
 MAX_ROUNDED_COMPONENT = 1e-11
-"""Component of a unit axis that Pinocchio's parser may round to 0; the parser rounds below 1e-12."""
+"""Component of a unit axis below which Pinocchio's parser may round to 0; the parser rounds below 1e-12."""
 
 PINOCCHIO_GROUND = "universe"
-"""Pinocchio's name of the root joint."""
+"""Pinocchio's name of joint 0, to which the ground belongs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +45,9 @@ class ClosedLoopModel:
             has two: points on its axis, 1 m apart, because Pinocchio has no hinge constraint.
         frames: numbers of the two frames of each constraint.
         rods: numbers of the two frames of each rod.
-        couplings: (c, d, nv) factors of the powers 1 to d of the coordinates of hinges and slides, by number
-            of the velocity. The sum of the products is zero.
-        urdf_joints: name of the joint of the URDF for each joint of Pinocchio.
+        couplings: (c, d, nv) factors of the powers 1 to d of the coordinates of hinges and slides, by index
+            of the velocity, for each of c couplings. The sum of the products is zero.
+        urdf_joints: name of the joint in the URDF for each of Pinocchio's joints.
     """
 
     model: Any
@@ -68,7 +70,7 @@ def build(
     Args:
         urdf: URDF text, SI units.
         loops: content of the loop file.
-        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 in every closure.
+        alpha: parameter, 1/s, of Baumgarte's stabilization in every closure: K_D = 2 alpha, K_P = alpha^2.
         base: one of `BASES`.
         keeps_axes: True to keep axes within 1e-12 of a coordinate axis, which Pinocchio's parser rounds.
 
@@ -92,7 +94,7 @@ def build(
     if held:
         placeholder = pin.buildReducedModel(placeholder, held, pin.neutral(placeholder))
     _check_joints(loops, "name_mot", loops.name_mot, list(placeholder.names)[1:])
-    model, urdf_joints = _rebuilt(placeholder, types, _rounded_axes(urdf) if keeps_axes else {})
+    model, urdf_joints = _rebuild(placeholder, types, _rounded_axes(urdf) if keeps_axes else {})
 
     # loop closures
     constraints = pin.StdVec_RigidConstraintModel()
@@ -105,14 +107,14 @@ def build(
         pairs = [(first, second)]
         if kind == REVOLUTE:
             pairs.append((_add_axis_frame(model, first), _add_axis_frame(model, second)))
-        for one, two in pairs:
+        for frame_1, frame_2 in pairs:
             constraint = pin.RigidConstraintModel(
                 pin.ContactType.CONTACT_6D if kind == "6d" else pin.ContactType.CONTACT_3D,
                 model,
-                model.frames[one].parentJoint,
-                model.frames[one].placement,
-                model.frames[two].parentJoint,
-                model.frames[two].placement,
+                model.frames[frame_1].parentJoint,
+                model.frames[frame_1].placement,
+                model.frames[frame_2].parentJoint,
+                model.frames[frame_2].placement,
                 pin.ReferenceFrame.LOCAL,
             )
             constraint.name = " ".join(pair)
@@ -120,19 +122,22 @@ def build(
                 pin.BaumgarteCorrectorParameters(alpha * alpha, 2.0 * alpha)
             )
             constraints.append(constraint)
-            frames.append((one, two))
+            frames.append((frame_1, frame_2))
     # couplings of hinges and slides
-    single = {str(n): j.idx_v for n, j in zip(model.names, model.joints, strict=True) if j.nv == 1}
+    velocity_index = {
+        str(name): joint.idx_v for name, joint in zip(model.names, model.joints, strict=True) if joint.nv == 1
+    }
     degree = max((len(factors) for coupling in loops.coupled for factors in coupling.values()), default=1)
     couplings = np.zeros((len(loops.coupled), degree, model.nv))
-    for rows, coupling in zip(couplings, loops.coupled, strict=True):
-        _check_joints(loops, "coupled", coupling, single)
+    for powers, coupling in zip(couplings, loops.coupled, strict=True):
+        _check_joints(loops, "coupled", coupling, velocity_index)
         for name, factors in coupling.items():
-            rows[: len(factors), single[name]] = factors
+            powers[: len(factors), velocity_index[name]] = factors
     return ClosedLoopModel(model, constraints, tuple(frames), tuple(rods), couplings, urdf_joints)
 
 
 def _check_joints(loops: Loops, key: str, names: Iterable[str], known: Container[str]) -> None:
+    """Raise `LoopFileError` for a name below `key` in the loop file that is no moving joint of the URDF."""
     for name in names:
         if name not in known:
             raise LoopFileError(loops.source, key, f"the URDF has no moving joint {name!r}")
@@ -153,82 +158,97 @@ def _frame(model: Any, name: str, loops: Loops) -> int:
 
 def _add_axis_frame(model: Any, frame: int) -> int:
     """Add a frame at a distance of 1 m along the x axis of a frame; return its number."""
-    beside = pin.Frame(model.frames[frame])
-    beside.name, beside.inertia = f"axis of {beside.name}", pin.Inertia.Zero()
-    beside.placement = beside.placement * pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
-    return int(model.addFrame(beside, False))
+    on_axis = pin.Frame(model.frames[frame])
+    on_axis.name, on_axis.inertia = f"axis of {on_axis.name}", pin.Inertia.Zero()
+    on_axis.placement = on_axis.placement * pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    return int(model.addFrame(on_axis, False))
 
 
 def _rounded_axes(urdf: str) -> dict[str, Array]:
     """Return axes (3,) of a URDF that Pinocchio's parser may round, by joint name."""
-    found = {}
+    axes = {}
     for joint in ET.fromstring(urdf).findall("joint"):
         element = joint.find("axis")
         if element is not None:
             axis = np.array([float(x) for x in element.get("xyz", "").split()])
             small = np.abs(axis) < MAX_ROUNDED_COMPONENT
+            # nearly, but not exactly, along a coordinate axis
             if np.sum(small) == 2 and np.any(axis[small]):
-                found[str(joint.get("name"))] = axis / np.linalg.norm(axis)
-    return found
+                axes[str(joint.get("name"))] = axis / np.linalg.norm(axis)
+    return axes
 
 
-def _rebuilt(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) -> tuple[Any, tuple[str, ...]]:
-    """Rebuild a model with other types or axes of some joints.
+def _rebuild(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) -> tuple[Any, tuple[str, ...]]:
+    """Copy a model with other types or axes of some joints.
+
+    Args:
+        placeholder: `pinocchio.Model` that the parser has built.
+        types: one of `urdf.loops.JOINT_TYPES` by name of the joint.
+        axes: (3,) axis by name of the joint.
 
     Returns:
         The model, and for each of its joints the name of the joint in the placeholder.
     """
     model = pin.Model()
     model.name = placeholder.name
-    numbers, owners = [0], [PINOCCHIO_GROUND]
+    # new number of each joint of the placeholder, and old name of each joint of the model
+    numbers, urdf_joints = [0], [PINOCCHIO_GROUND]
     for index in range(1, placeholder.njoints):
-        owner = name = str(placeholder.names[index])
+        urdf_joint = name = str(placeholder.names[index])
         parent, placement = numbers[placeholder.parents[index]], placeholder.jointPlacements[index]
         joint, kind = placeholder.joints[index], types.get(name)
         if kind is None and name in axes:
-            slides = joint.shortname().startswith("JointModelP")
-            joint = (pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned)(
-                axes[name]
-            )
+            is_slide = joint.shortname().startswith("JointModelP")
+            joint_model = pin.JointModelPrismaticUnaligned if is_slide else pin.JointModelRevoluteUnaligned
+            joint = joint_model(axes[name])
         if kind == "SPHERICAL":
             joint = pin.JointModelSpherical()
         elif kind in UNIVERSAL:
+            # two hinges; the second one carries the body
             first, second = UNIVERSAL[kind][0], UNIVERSAL[kind][1]
-            parent = model.addJoint(parent, HINGE_MODELS[first](), placement, f"{owner}_{first}")
-            owners.append(owner)
-            joint, placement, name = HINGE_MODELS[second](), pin.SE3.Identity(), f"{owner}_{second}"
-        added = model.addJoint(parent, joint, placement, name)
-        model.appendBodyToJoint(added, placeholder.inertias[index], pin.SE3.Identity())
-        numbers.append(added)
-        owners.append(owner)
+            parent = model.addJoint(parent, HINGE_MODELS[first](), placement, f"{urdf_joint}_{first}")
+            urdf_joints.append(urdf_joint)
+            joint, placement, name = HINGE_MODELS[second](), pin.SE3.Identity(), f"{urdf_joint}_{second}"
+        number = model.addJoint(parent, joint, placement, name)
+        model.appendBodyToJoint(number, placeholder.inertias[index], pin.SE3.Identity())
+        numbers.append(number)
+        urdf_joints.append(urdf_joint)
     model.inertias[0] = placeholder.inertias[0]  # inertia of links that are fixed to the root
     for frame in list(placeholder.frames)[1:]:
         frame.parentJoint = numbers[frame.parentJoint]
         model.addFrame(frame, False)  # the inertia of the joint already includes the frame
-    return model, tuple(owners)
+    return model, tuple(urdf_joints)
 
 
 def link_inertia(model: Any, index: int) -> Any:
-    """Return the `pinocchio.Inertia` of the link with frame number `index`, in the frame.
+    """Return the `pinocchio.Inertia` of the link with frame number `index`, in the frame of the link.
 
-    Pinocchio adds the inertias of links that fixed joints connect, and keeps the parts at the fixed joints.
+    Pinocchio adds the inertias of links that fixed joints connect to the inertia of the moving joint, and
+    stores the inertia of each of them at the frame of its fixed joint.
     """
     link = model.frames[index]
-    leading = model.frames[link.parentFrame]
-    if leading.type == pin.FrameType.FIXED_JOINT:
-        return leading.inertia
+    joint_frame = model.frames[link.parentFrame]
+    if joint_frame.type == pin.FrameType.FIXED_JOINT:
+        return joint_frame.inertia
     inertia = model.inertias[link.parentJoint]
     for frame in model.frames:
-        held = frame.type == pin.FrameType.FIXED_JOINT and frame.parentJoint == link.parentJoint
-        if held and frame.inertia.mass > 0.0:
+        is_fixed_joint = frame.type == pin.FrameType.FIXED_JOINT and frame.parentJoint == link.parentJoint
+        if is_fixed_joint and frame.inertia.mass > 0.0:
             inertia = inertia - frame.placement.act(frame.inertia)
     return inertia
 
 
 def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
-    """Compute the mass matrix (nv, nv) in tree velocities, armature included, at Pinocchio's q (nq,)."""
+    """Compute the mass matrix (nv, nv) in tree velocities, with armatures.
+
+    Args:
+        model: `pinocchio.Model`.
+        data: `pinocchio.Data`, which is overwritten.
+        map: map between tree coordinates and Pinocchio's.
+        q: (nq,) Pinocchio's configuration.
+    """
     upper = np.array(pin.crba(model, data, q))  # Pinocchio fills the upper triangle only
-    mass = np.where(map.below, upper.T, upper)
+    mass = np.where(map.is_below_diagonal, upper.T, upper)
     return map.v_from_pinocchio(map.v_from_pinocchio(mass).T)
 
 
@@ -239,45 +259,53 @@ class CoordinateMap:
     Angular velocities of balls are in the frame of the child in both.
 
     Attributes:
-        below: (nv, nv) True below the diagonal of a mass matrix.
+        is_below_diagonal: (nv, nv) True below the diagonal of a mass matrix.
     """
 
     def __init__(self, model: Any, welded: WeldedMechanism) -> None:
-        order_q = np.zeros(model.nq, dtype=int)
-        order_v = np.zeros(model.nv, dtype=int)
+        """Find the order of coordinates by the names of joints.
+
+        Args:
+            model: `pinocchio.Model` of the welded mechanism.
+            welded: welded mechanism, whose spanning tree has the coordinates.
+        """
+        # index in the tree of each of Pinocchio's coordinates and velocities
+        tree_q = np.zeros(model.nq, dtype=int)
+        tree_v = np.zeros(model.nv, dtype=int)
         tree = welded.tree
-        names = [name for kept in tree.joints for name in motion_names(tree.joint(kept.joint), kept.forward)]
-        for name, (motion, on_q, on_v) in zip(names, tree.motions, strict=True):
+        names = [name for each in tree.joints for name in motion_names(tree.joint(each.joint), each.forward)]
+        for name, (motion, in_q, in_v) in zip(names, tree.motions, strict=True):
             joint = model.joints[model.getJointId(name)]
-            columns = np.arange(on_q.start, on_q.stop)
-            if motion.kind == "ball":
+            columns = np.arange(in_q.start, in_q.stop)
+            if motion.kind == "ball":  # (w, x, y, z) to (x, y, z, w)
                 columns = np.roll(columns, -1)
-            order_q[joint.idx_q : joint.idx_q + joint.nq] = columns
-            order_v[joint.idx_v : joint.idx_v + joint.nv] = np.arange(on_v.start, on_v.stop)
-        single = [(on_q.start, on_v.start) for motion, on_q, on_v in tree.motions if motion.kind != "ball"]
+            tree_q[joint.idx_q : joint.idx_q + joint.nq] = columns
+            tree_v[joint.idx_v : joint.idx_v + joint.nv] = np.arange(in_v.start, in_v.stop)
+        # indices of hinges and slides in q and v of the tree
+        single = [(in_q.start, in_v.start) for motion, in_q, in_v in tree.motions if motion.kind != "ball"]
         self._single_q, self._single_v = np.array(single, dtype=int).reshape(-1, 2).T
-        self._order_q, self._order_v = order_q, order_v
-        self._place_q, self._place_v = np.argsort(order_q), np.argsort(order_v)
-        self.below = np.tri(model.nv, k=-1, dtype=bool)
+        self._tree_q, self._tree_v = tree_q, tree_v
+        self._pinocchio_q, self._pinocchio_v = np.argsort(tree_q), np.argsort(tree_v)
+        self.is_below_diagonal = np.tri(model.nv, k=-1, dtype=bool)
 
     def displacements(self, q: Array) -> Array:
-        """Return coordinates (nv,) of hinges and slides by number of the velocity; 0 for balls."""
-        found = np.zeros(len(self._order_v))
-        found[self._single_v] = q[self._single_q]
-        return found
+        """Return the coordinates of hinges and slides, ordered as velocities (nv,); 0 for balls."""
+        x = np.zeros(len(self._tree_v))
+        x[self._single_v] = q[self._single_q]
+        return x
 
     def q_to_pinocchio(self, q: Array) -> Array:
         """Convert coordinates (nq,) of the tree to Pinocchio's."""
-        return q.take(self._order_q)
+        return q.take(self._tree_q)
 
     def q_from_pinocchio(self, q: Array) -> Array:
         """Convert Pinocchio's coordinates (nq,) to the tree's."""
-        return q.take(self._place_q)
+        return q.take(self._pinocchio_q)
 
     def v_to_pinocchio(self, v: Array) -> Array:
         """Convert velocities, accelerations or generalized forces (nv,) of the tree to Pinocchio's."""
-        return v.take(self._order_v)
+        return v.take(self._tree_v)
 
     def v_from_pinocchio(self, v: Array) -> Array:
         """Convert Pinocchio's velocities, accelerations or Jacobian columns (..., nv) to the tree's."""
-        return v.take(self._place_v, axis=-1)
+        return v.take(self._pinocchio_v, axis=-1)

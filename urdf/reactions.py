@@ -1,6 +1,8 @@
-"""Compute joint reactions from Pinocchio's inverse dynamics.
+"""Compute joint reactions from Pinocchio's inverse dynamics (`rnea`).
 
-Wrenches are (6,): force and torque about the world's origin, N and N m, world frame.
+`rnea` returns the wrench that each joint transmits. The reaction of a joint is this wrench without its
+drives: the forces of actuators, springs, dampers and rotors on its hinges and slides. Wrenches are (6,):
+force, N, and torque, N m, about the world's origin unless stated otherwise, world frame.
 """
 
 from __future__ import annotations
@@ -20,51 +22,55 @@ from newton_euler.model.spanning_tree import SpanningTree, WeldedMechanism, moti
 from newton_euler.scalars import Array
 
 
-def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> list[tuple[int, Array]]:
-    """Return joints with the wrenches (6,) of their drives on the second bodies, about the joint points.
+def drive_wrenches(
+    tree: SpanningTree, columns: Array, points: Array, forces: Array
+) -> list[tuple[int, Array]]:
+    """Return the number of each driven joint with the wrench (6,) of its drives on the second body.
 
-    The force on one of several hinges or slides of a joint does no work on the others.
+    The wrench is about the joint point. By definition, the force on one of several hinges or slides of a
+    joint does no work on the others: it acts along a dual axis.
 
     Args:
         tree: spanning tree that numbers the velocities.
-        columns: (6, nv) Pinocchio's joint Jacobians in the order of the tree.
+        columns: (6, nv) Pinocchio's joint Jacobian in the order of the tree: for each joint velocity, the
+            velocity of the point at the world's origin, and the angular velocity.
         points: (j, 3) joint points, m, world frame.
         forces: (nv,) forces on hinges and slides, N or N m.
     """
-    found = []
-    for kept in tree.joints:
-        if not np.any(forces[kept.v]):
+    wrenches = []
+    for tree_joint in tree.joints:
+        if not np.any(forces[tree_joint.v]):
             continue
-        # joints of one motion
-        if len(kept.motions) == 1 and kept.motions[0].kind != "ball":
+        point = points[tree_joint.joint]
+        slides = [in_v.start for motion, _, in_v in tree_joint.places if motion.kind == "slide"]
+        hinges = [in_v.start for motion, _, in_v in tree_joint.places if motion.kind == "hinge"]
+        axes = columns[3:, hinges].T
+        if len(tree_joint.motions) == 1 and tree_joint.motions[0].kind != "ball":
+            # a single hinge or slide
             wrench = np.zeros(6)
-            part = slice(0, 3) if kept.motions[0].kind == "slide" else slice(3, 6)
-            wrench[part] = forces[kept.v.start] * columns[part, kept.v.start]
-            found.append((kept.joint, wrench if kept.forward else -wrench))
-            continue
-        slides, hinges = (
-            [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
-            for kind in ("slide", "hinge")
-        )
-        angular = columns[3:, hinges].T
-        if tree.joint(kept.joint).kind == ParallelHinges.kind:
-            rates = columns[:3, hinges].T + np.cross(angular, points[kept.joint])
-            wrench = np.concatenate(driving_wrench(angular, rates, forces[hinges]))
-            found.append((kept.joint, wrench if kept.forward else -wrench))
-            continue
-        # hinges in a row, after slides in a row: forces along dual axes
-        duals = dual_axes(angular)
-        wrench = np.concatenate([np.zeros(3), forces[hinges] @ duals])
-        if slides:
-            wrench[:3] = forces[slides] @ dual_axes(columns[:3, slides].T)
-            at_origin = columns[:3, hinges].T
-            wrench[3:] -= ((at_origin + np.cross(angular, points[kept.joint])) @ wrench[:3]) @ duals
-        found.append((kept.joint, wrench if kept.forward else -wrench))
-    return found
+            part = slice(0, 3) if slides else slice(3, 6)
+            wrench[part] = forces[tree_joint.v.start] * columns[part, tree_joint.v.start]
+        elif tree.joint(tree_joint.joint).kind == ParallelHinges.kind:
+            velocities_at_point = columns[:3, hinges].T + np.cross(axes, point)
+            wrench = np.concatenate(driving_wrench(axes, velocities_at_point, forces[hinges]))
+        else:
+            # hinges in a row, after slides in a row
+            duals = dual_axes(axes)
+            wrench = np.concatenate([np.zeros(3), forces[hinges] @ duals])
+            if slides:
+                wrench[:3] = forces[slides] @ dual_axes(columns[:3, slides].T)
+                # cancel the work of the slides' forces on the hinges
+                velocities_at_point = columns[:3, hinges].T + np.cross(axes, point)
+                wrench[3:] -= (velocities_at_point @ wrench[:3]) @ duals
+        wrenches.append((tree_joint.joint, wrench if tree_joint.forward else -wrench))
+    return wrenches
 
 
 def joint_points(mechanism: Mechanism, frames: Sequence[Frame]) -> Array:
-    """Return the joint points (j, 3) on the second bodies, m, world frame."""
+    """Return the points (j, 3) of joints on their second bodies, m, world frame.
+
+    `frames` are the poses and velocities of the bodies.
+    """
     points = np.zeros((len(mechanism.joints), 3))
     for index, equations in enumerate(mechanism.equations):
         body = frames[equations.second]
@@ -73,11 +79,12 @@ def joint_points(mechanism: Mechanism, frames: Sequence[Frame]) -> Array:
 
 
 def external_forces(model: Any, data: Any, wrenches: Iterable[tuple[int, Any]]) -> Any:
-    """Collect external forces for `rnea`: on Pinocchio's joints, in their frames.
+    """Sum the external forces of `rnea`: a `pinocchio.Force` for each joint, in the frame of the joint.
 
     Args:
-        model, data: Pinocchio's, with joint placements.
-        wrenches: frames, and what acts on what they are fixed to, about the world's origin.
+        model: `pinocchio.Model`.
+        data: `pinocchio.Data` with joint placements.
+        wrenches: number of a frame, and `pinocchio.Force` about the world's origin on the body of the frame.
     """
     external = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
     for frame, wrench in wrenches:
@@ -96,16 +103,16 @@ def joint_wrenches(
     frames: Sequence[Frame],
     accelerations: Array,
 ) -> Array:
-    """Compute the wrench of each joint of the welded mechanism on its second body, forces included.
+    """Compute the wrench of each joint of the welded mechanism on its second body, drives included.
 
     Args:
         scene: scene with the gravity.
         welded: mechanism of the scene with cut loops.
         model: Pinocchio's model.
         data: Pinocchio's data after `rnea` with the wrenches below.
-        closure_wrenches: (6,) for each loop closure, on its second body.
-        applied: (6,) for each body of the welded mechanism, of ball springs, point springs and wrenches.
-        frames: frames of the bodies.
+        closure_wrenches: (6,) wrench of each loop closure on its second body.
+        applied: (6,) wrench of ball springs, point springs, wrenches and wind on each body of the mechanism.
+        frames: poses and velocities of the bodies.
         accelerations: (b, 6) linear and angular accelerations of the bodies.
 
     Returns:
@@ -116,47 +123,50 @@ def joint_wrenches(
     for cut, wrench in zip(tree.cuts, closure_wrenches, strict=True):
         wrenches[cut] = wrench
     # tree joints from the leaves to the root
-    for kept in reversed(tree.joints):
-        if kept.joint >= len(joints):
-            continue  # joints of bodies that only rods hold
-        if kept.motions:
-            last = model.getJointId(motion_names(tree.joint(kept.joint), kept.forward)[-1])
+    for tree_joint in reversed(tree.joints):
+        if tree_joint.joint >= len(joints):
+            continue  # a free joint of a body that only rods hold
+        if tree_joint.motions:
+            last = model.getJointId(motion_names(tree.joint(tree_joint.joint), tree_joint.forward)[-1])
             on_child = data.oMi[last].act(data.f[last]).vector
         else:
-            # Pinocchio merges links of a fixed joint: use the balance of the child
-            child = welded.mechanism.bodies[kept.child].name
-            on_child = _needed_wrench(scene, welded, kept.child, frames, accelerations)
-            on_child -= applied[kept.child]
+            # Pinocchio merges links of a fixed joint: use the balance of forces of the child
+            child = welded.mechanism.bodies[tree_joint.child].name
+            on_child = _total_wrench(scene, welded, tree_joint.child, frames, accelerations)
+            on_child -= applied[tree_joint.child]
             for index, joint in enumerate(joints):
-                if index != kept.joint and child in (joint.first, joint.second):
+                if index != tree_joint.joint and child in (joint.first, joint.second):
                     on_child -= wrenches[index] if joint.second == child else -wrenches[index]
-        wrenches[kept.joint] = on_child if kept.forward else -on_child
+        wrenches[tree_joint.joint] = on_child if tree_joint.forward else -on_child
     return wrenches
 
 
-def _needed_wrench(
+def _total_wrench(
     scene: Scene, welded: WeldedMechanism, index: int, frames: Sequence[Frame], accelerations: Array
 ) -> Array:
-    """Compute the total wrench of all joints on a body by Newton's and Euler's equations."""
-    body, whole = welded.mechanism.bodies[index], welded.origin[index]
-    position, a, _, omega = frames[whole]
-    inertia = a @ body.inertia @ a.T
-    force = body.mass * (accelerations[whole, :3] - scene.gravity)
-    torque = inertia @ accelerations[whole, 3:] + np.cross(omega, inertia @ omega)
+    """Compute the wrench (6,) on body `index`, without its weight, by Newton's and Euler's equations.
+
+    A half of a cut body moves with the body of the scene that it was cut from.
+    """
+    body, scene_body = welded.mechanism.bodies[index], welded.origin[index]
+    position, rotation, _, omega = frames[scene_body]
+    inertia = rotation @ body.inertia @ rotation.T
+    force = body.mass * (accelerations[scene_body, :3] - scene.gravity)
+    torque = inertia @ accelerations[scene_body, 3:] + np.cross(omega, inertia @ omega)
     return np.concatenate([force, torque + np.cross(position, force)])
 
 
-def reactions(wrenches: Array, points: Array, actuation: list[tuple[int, Array]]) -> tuple[Array, Array]:
-    """Return forces and torques (j, 3) on the second bodies at the joint points, without drives.
+def reactions(wrenches: Array, points: Array, drives: list[tuple[int, Array]]) -> tuple[Array, Array]:
+    """Return forces (j, 3), N, and torques (j, 3), N m, on the second bodies at the joint points.
 
     Args:
         wrenches: (j, 6) or more rows, see `joint_wrenches`.
         points: (j, 3) joint points, m, world frame.
-        actuation: wrenches of drives, see `driven`.
+        drives: wrenches of drives, which are subtracted, see `drive_wrenches`.
     """
     forces = wrenches[: len(points), :3].copy()
     torques = wrenches[: len(points), 3:] - np.cross(points, forces)
-    for joint, wrench in actuation:
+    for joint, wrench in drives:
         forces[joint] -= wrench[:3]
         torques[joint] -= wrench[3:]
     return forces, torques

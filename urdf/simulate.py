@@ -1,4 +1,4 @@
-"""Simulate a scene by Pinocchio."""
+"""Simulate a scene with Pinocchio's accelerations and newton_euler's integrators."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def simulate(
         scene: scene to simulate, passed to Pinocchio as URDF and loop file.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection" after each step, "baumgarte" (Pinocchio's corrector gains) or "none".
-        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; None for 10, the value of the paper.
+        alpha: parameter, 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; None for 10.
         control: options of the steps, see `newton_euler.simulate`.
 
     Raises:
