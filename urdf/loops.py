@@ -22,7 +22,8 @@ from urdf.errors import LoopFileError
 CLOSURE_TYPES = ("3d", "6d", "rod")
 """Types of loop closures in a loop file, in upper or lower case.
 
-"""Type of a hinge about the x axes of both frames, only for elements that tools add to URDF."""
+"3d": the origins of two frames coincide; "6d": the frames coincide; "rod": the origins keep their
+distance."""
 
 REVOLUTE = "revolute"
 """Type of a hinge about the x axes of both frames; only elements that tools add to URDF have this type."""
