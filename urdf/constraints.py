@@ -1,13 +1,14 @@
-"""Constraint errors and Jacobians from Pinocchio's kinematics: closures, rods, couplings and motions.
+"""Residuals and Jacobians of constraints from Pinocchio's kinematics, for `urdf.dynamics`.
 
-`constraintDynamics` supports closures, but not rods, couplings and prescribed motions. With points p1 and p2
-of a rod, d = p2 - p1 and l = |d|,
+`Closures` are points and frames that coincide, which Pinocchio's `constraintDynamics` supports. `Rows` are
+rods, couplings and prescribed motions, which it does not support. With points p1 and p2 of a rod of length L,
+d = p2 - p1 and l = |d|,
 
     Phi = l - L,    Phi_q = d^T (J2 - J1) / l
     Phi_q qddot + (d . (a2 - a1) + |dd/dt|^2 - (dl/dt)^2) / l = 0
 
-with accelerations a1 and a2 of the points at qddot = 0. Motions are linear in q. Couplings are sums of
-polynomials p(x) of joint coordinates,
+with accelerations a1 and a2 of the points at qddot = 0. The residual of a prescribed motion is linear in q.
+Couplings are sums of polynomials p(x) of joint coordinates,
 
     Phi = sum p(x),    Phi_x = p'(x),    Phi_q qddot + sum p''(x) (dx/dt)^2 = 0
 """
@@ -28,86 +29,105 @@ from urdf.model import ClosedLoopModel, CoordinateMap
 class Closures:
     """Rigid constraints of a model, with 3 or 6 rows each.
 
-    The rows are the first origin minus the second, m, world frame. A weld also has the rotation vector from
-    the first frame to the second, rad.
+    The first three rows are the origin of the first frame minus the origin of the second, m, world frame. A
+    weld also has the rotation vector from the first frame to the second, rad, in the first frame.
 
     Attributes:
         units: (k,) units of the rows: `length` (m) for lengths, 1 for angles.
-        pairs: frames of each constraint, and True for a weld.
+        pairs: numbers of the two frames of each constraint, and True for a weld.
     """
 
     def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, length: float) -> None:
+        """Prepare the rows.
+
+        Args:
+            closed: Pinocchio's model with its loop closures.
+            map: map of velocities for the columns of the Jacobian.
+            length: unit of lengths, m.
+        """
         self._model, self._map = closed.model, map
-        welds = [constraint.type == pin.ContactType.CONTACT_6D for constraint in closed.constraints]
-        self.pairs = list(zip(closed.frames, welds, strict=True))
-        of_weld = np.repeat([length, 1.0], 3)
-        units = [of_weld if weld else of_weld[:3] for weld in welds]
+        is_weld = [constraint.type == pin.ContactType.CONTACT_6D for constraint in closed.constraints]
+        self.pairs = list(zip(closed.frames, is_weld, strict=True))
+        units_of_weld = np.repeat([length, 1.0], 3)
+        units = [units_of_weld if weld else units_of_weld[:3] for weld in is_weld]
         self.units = np.concatenate([np.zeros(0), *units])
 
     def phi(self, data: Any) -> Array:
-        """Return the constraint errors (k,); `data` needs frame placements."""
+        """Return the residuals (k,), m or rad; `data` needs frame placements."""
         rows = [np.zeros(0)]
-        for (first, second), weld in self.pairs:
+        for (first, second), is_weld in self.pairs:
             a, b = data.oMf[first], data.oMf[second]
             rows.append(a.translation - b.translation)
-            if weld:
+            if is_weld:
                 rows.append(pin.log3(a.rotation.T @ b.rotation))
         return np.concatenate(rows)
 
     def jacobian(self, data: Any) -> Array:
         """Return the Jacobian (k, nv) in tree velocities; `data` needs joint Jacobians and placements."""
         rows = [np.zeros((0, self._model.nv))]
-        for (first, second), weld in self.pairs:
+        for (first, second), is_weld in self.pairs:
             difference = frame_jacobian(self._model, data, first) - frame_jacobian(self._model, data, second)
             rows.append(difference[:3])
-            if weld:
+            if is_weld:
                 a, b = data.oMf[first].rotation, data.oMf[second].rotation
+                # d log3(R)/dt = Jlog3(R) omega, with the relative angular velocity omega in the second frame
                 rows.append(-pin.Jlog3(a.T @ b) @ b.T @ difference[3:])
         return self._map.v_from_pinocchio(np.concatenate(rows))
 
     def gamma(self, data: Any) -> Array:
-        """Return gamma (k,) of Phi_q qddot = gamma for closed loops.
+        """Return gamma (k,) of Phi_q qddot = gamma, for loops that are closed.
 
         `data` needs `forwardKinematics` at qddot = 0.
         """
         rows = [np.zeros(0)]
-        for (first, second), weld in self.pairs:
-            of = (self._model, data)
+        for (first, second), is_weld in self.pairs:
             a, b = (
-                pin.getFrameClassicalAcceleration(*of, k, pin.LOCAL_WORLD_ALIGNED) for k in (first, second)
+                pin.getFrameClassicalAcceleration(self._model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+                for frame in (first, second)
             )
             rows.append(b.linear - a.linear)
-            if weld:
+            if is_weld:
                 rows.append(data.oMf[second].rotation.T @ (a.angular - b.angular))
         return np.concatenate(rows)
 
     def wrenches(self, data: Any, multipliers: Array) -> list[Any]:
-        """Return the wrenches of multipliers (k,) on second bodies about the world's origin."""
-        found, start = [], 0
-        for (first, second), weld in self.pairs:
+        """Return the `pinocchio.Force` of each constraint on the second body, about the world's origin.
+
+        Args:
+            data: `pinocchio.Data` with frame placements.
+            multipliers: (k,) Lagrange multipliers.
+        """
+        wrenches, row = [], 0
+        for (first, second), is_weld in self.pairs:
             b = data.oMf[second]
-            force, torque = -multipliers[start : start + 3], np.zeros(3)
-            if weld:
-                turned = pin.Jlog3(data.oMf[first].rotation.T @ b.rotation) @ b.rotation.T
-                torque = turned.T @ multipliers[start + 3 : start + 6]
-            found.append(pin.Force(force, torque + np.cross(b.translation, force)))
-            start += 6 if weld else 3
-        return found
+            force, torque = -multipliers[row : row + 3], np.zeros(3)
+            if is_weld:
+                rotation_rate = pin.Jlog3(data.oMf[first].rotation.T @ b.rotation) @ b.rotation.T
+                torque = rotation_rate.T @ multipliers[row + 3 : row + 6]
+            wrenches.append(pin.Force(force, torque + np.cross(b.translation, force)))
+            row += 6 if is_weld else 3
+        return wrenches
 
 
 def frame_jacobian(model: Any, data: Any, frame: int) -> Array:
-    """Return the Jacobian (6, nv) of a frame's linear and angular velocity, world axes, Pinocchio's order."""
+    """Return the Jacobian (6, nv) of the linear and angular velocity of a frame, world axes.
+
+    Columns are in Pinocchio's order; `data` needs joint Jacobians and frame placements.
+    """
     jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
     return np.reshape(jacobian, (6, model.nv))  # Pinocchio returns a single column as a vector
 
 
 def power_sums(powers: Array, x: Array, derivative: int) -> Array:
-    """Evaluate polynomials (c, n) of coordinates x (n,), or their derivatives, by Horner's rule.
+    """Evaluate polynomials of coordinates, or their derivatives, by Horner's rule.
 
     Args:
         powers: (c, d, n) factors of the powers 1 to d.
         x: coordinates, m or rad.
-        derivative: order, 0, 1 or 2.
+        derivative: order of the derivative, 0, 1 or 2.
+
+    Returns:
+        (c, n) values.
     """
     total = np.zeros((len(powers), len(x)))
     for k in range(powers.shape[1], max(derivative, 1) - 1, -1):
@@ -129,22 +149,31 @@ class Rows:
         couplings: TreeCouplings,
         length: float,
     ) -> None:
+        """Prepare the rows: rods, prescribed motions, then screws, gears and other couplings.
+
+        Args:
+            closed: Pinocchio's model with rods and couplings of the loop file.
+            map: map between tree coordinates and Pinocchio's.
+            couplings: couplings of the scene, prescribed motions first.
+            length: unit of lengths, m.
+        """
         self._model, self._rods, self._map, self._couplings = closed.model, closed.rods, map, couplings
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
         self._lengths = [float(np.linalg.norm(self._line(data, rod))) for rod in self._rods]
-        # couplings come from the loop file, motions from the scene
-        self._motions = len(couplings.couplings) - len(closed.couplings)
-        self._powers = map.v_from_pinocchio(closed.couplings)  # (c, d, nv)
+        # the loop file has the couplings, the scene also has prescribed motions
+        self._motion_count = len(couplings.couplings) - len(closed.couplings)
+        # factors (c, d, nv) of the powers 1 to d of the coordinates in c couplings
+        self._powers = map.v_from_pinocchio(closed.couplings)
         self.units = np.concatenate([np.full(len(self._rods), length), couplings.units])
 
     def phi(self, data: Any, q: Array, time: float) -> Array:
-        """Return constraint errors (r,), m or rad; `data` needs `framesForwardKinematics` at q."""
-        open_by = [
+        """Return residuals (r,), m or rad; `data` needs `framesForwardKinematics` at q."""
+        of_rods = [
             float(np.linalg.norm(self._line(data, rod))) - length
             for rod, length in zip(self._rods, self._lengths, strict=True)
         ]
-        return np.concatenate([open_by, self._couplings.phi(q, time)])
+        return np.concatenate([of_rods, self._couplings.phi(q, time)])
 
     def phi_t(self, time: float) -> Array:
         """Return the partial derivative (r,) of `phi` with respect to time."""
@@ -158,28 +187,32 @@ class Rows:
         rows = []
         for rod in self._rods:
             first, second = (frame_jacobian(self._model, data, frame) for frame in rod)
-            line = self._direction(data, rod)[None] @ (second - first)[:3]
-            rows.append(self._map.v_from_pinocchio(line))
-        if self._motions:
-            rows.append(self._couplings.jacobian(q)[: self._motions])
+            rate_of_length = self._direction(data, rod)[None] @ (second - first)[:3]
+            rows.append(self._map.v_from_pinocchio(rate_of_length))
+        if self._motion_count:
+            rows.append(self._couplings.jacobian(q)[: self._motion_count])
         return np.concatenate([*rows, power_sums(self._powers, self._map.displacements(q), 1)])
 
     def gamma(self, data: Any, q: Array, v: Array, time: float) -> Array:
         """Return gamma (r,) of Phi_q qddot = gamma; `data` needs `forwardKinematics` at qddot = 0."""
-        model, aligned = self._model, pin.LOCAL_WORLD_ALIGNED
-        products = []
+        model, axes = self._model, pin.LOCAL_WORLD_ALIGNED
+        of_rods = []
         for rod in self._rods:
-            v1, v2 = (pin.getFrameVelocity(model, data, frame, aligned).linear for frame in rod)
-            a1, a2 = (pin.getFrameClassicalAcceleration(model, data, frame, aligned).linear for frame in rod)
-            length, rate = np.linalg.norm(self._line(data, rod)), v2 - v1
+            v1, v2 = (pin.getFrameVelocity(model, data, frame, axes).linear for frame in rod)
+            a1, a2 = (pin.getFrameClassicalAcceleration(model, data, frame, axes).linear for frame in rod)
+            length, d_rate = np.linalg.norm(self._line(data, rod)), v2 - v1
             u = self._direction(data, rod)
-            products.append(u @ (a2 - a1) + (rate @ rate - (u @ rate) ** 2) / length)
-        asked = self._couplings.acceleration(time)
-        asked[self._motions :] -= power_sums(self._powers, self._map.displacements(q), 2) @ v**2
-        return np.concatenate([-np.array(products), asked])
+            of_rods.append(u @ (a2 - a1) + (d_rate @ d_rate - (u @ d_rate) ** 2) / length)
+        # accelerations of prescribed motions, and -sum p''(x) (dx/dt)^2 of couplings
+        of_couplings = self._couplings.acceleration(time)
+        of_couplings[self._motion_count :] -= power_sums(self._powers, self._map.displacements(q), 2) @ v**2
+        return np.concatenate([-np.array(of_rods), of_couplings])
 
     def rod_wrenches(self, data: Any, multipliers: Array) -> list[Any]:
-        """Compute wrenches of rods on their second bodies, about the world's origin."""
+        """Return the `pinocchio.Force` of each rod on its second body, about the world's origin.
+
+        `multipliers` (r,) are the Lagrange multipliers, rods first.
+        """
         wrenches = []
         for rod, multiplier in zip(self._rods, multipliers, strict=False):
             force = multiplier * self._direction(data, rod)
@@ -187,13 +220,14 @@ class Rows:
         return wrenches
 
     def motion_power(self, multipliers: Array, time: float) -> float:
-        """Return the power of prescribed motions, W."""
+        """Return the power of prescribed motions, W, for multipliers (r,) at a time, s."""
         return float(multipliers[len(self._rods) :] @ self._couplings.rate(time))
 
     def _line(self, data: Any, rod: tuple[int, int]) -> Array:
-        """Return the vector (3,), m, from the first point to the second."""
+        """Return the vector (3,), m, world frame, from the first point of a rod to the second."""
         return np.asarray(data.oMf[rod[1]].translation - data.oMf[rod[0]].translation)
 
     def _direction(self, data: Any, rod: tuple[int, int]) -> Array:
+        """Return the unit vector (3,) of a rod from its first point to the second."""
         d = self._line(data, rod)
         return np.asarray(d / np.linalg.norm(d))

@@ -1,13 +1,14 @@
-"""Equations of motion of a scene by Pinocchio, from its URDF and loop file.
+"""Equations of motion of a scene by Pinocchio, from the scene's URDF and loop file.
 
-Accelerations come from `pinocchio.constraintDynamics`: rigid closures by the sparse Cholesky factorization of
-Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained Dynamic Equations", RSS
-2021.
-The constraints are instead eliminated with Pinocchio's mass matrix, Jacobians and bias forces in these cases:
+Accelerations come from `pinocchio.constraintDynamics`, a sparse Cholesky factorization with rigid loop
+closures (Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained Dynamic
+Equations", RSS 2021). In the following cases, the linear system of accelerations and multipliers is solved
+with Pinocchio's mass matrix, Jacobians and bias forces instead ("elimination" in this module):
 
 - rods, couplings and prescribed motions, which `constraintDynamics` does not support;
-- nearly redundant closures, whose iterations treat noise as constraints and cannot omit rows;
-- bodies with almost no inertia that close a loop, for which the iterations lose digits.
+- closures that are redundant up to the rounding of the file: `constraintDynamics` treats the rounding as
+  constraints, and cannot omit rows;
+- bodies with almost no inertia that close a loop, for which `constraintDynamics` loses digits.
 """
 
 from __future__ import annotations
@@ -55,15 +56,24 @@ from urdf.write import closures, to_loops, to_urdf
 class PinocchioSystem:
     """Equations of motion of a scene by Pinocchio, a `newton_euler.equations.system.System`.
 
-    q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, see
+    At loops that Pinocchio cannot close by a joint, a body is cut into two halves, which a weld joins: the
+    welded mechanism. q (nq,) and v (nv,) are coordinates of its spanning tree, see
     `newton_euler.model.spanning_tree`: zero at the initial pose, quaternions (w, x, y, z). If the scene
-    tracks work, the work is the last element of q. For rods and couplings, see `urdf.constraints`.
+    tracks work, the work is the last element of q. Constraint rows (k,) are those of closures, then those of
+    rods, prescribed motions and couplings, see `urdf.constraints`.
 
     Attributes:
-        closed: Pinocchio model with its closures, SI units.
+        scene: scene with the present values of control laws.
+        mechanism: mechanism of the scene.
+        closed: Pinocchio's model with its loop closures, SI units.
         map: map between q, v and Pinocchio's coordinates.
         couplings: gears, screws and prescribed motions.
-        time: s, at which prescribed motions are evaluated.
+        quaternions: places of the quaternions in q.
+        time: time, s, of prescribed motions, control laws and wind.
+        nq: number of coordinates, including the work.
+        nv: number of velocities.
+        phi_units: (k,) units of the constraint rows.
+        velocity_units: (nv,) units of the velocities.
     """
 
     name = "pinocchio"
@@ -73,7 +83,7 @@ class PinocchioSystem:
 
         Args:
             scene: scene to evaluate.
-            alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 of the closures; 0 for none.
+            alpha: parameter, 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; 0 for no stabilization.
 
         Raises:
             NameClashError: for a mechanism whose names clash in a URDF.
@@ -98,8 +108,8 @@ class PinocchioSystem:
         self.map = CoordinateMap(self._model, self._welded)
         names = self._welded.mechanism.body_names
         self._links = [self._model.getFrameId(name, pin.FrameType.BODY) for name in names]
-        self._bodies = self._add_body_frames()
-        self._forces = PointForces(scene, self._model, self._bodies)
+        self._body_frames = self._add_body_frames()
+        self._forces = PointForces(scene, self._model, self._body_frames)
         self._balls = BallForces(scene, self._tree)
         self._rotors = Rotors(scene, self._tree)
         self._model.armature = self.map.v_to_pinocchio(self._rotors.inertias)
@@ -107,52 +117,58 @@ class PinocchioSystem:
         # units, constraints and control laws
         self.velocity_units, length = self._tree.velocity_units, self._tree.mechanism.size
         q_units = np.ones(self.nq)
-        for motion, on_q, _ in self._tree.motions:
-            q_units[on_q] = length if motion.kind == "slide" else 1.0
+        for motion, in_q, _ in self._tree.motions:
+            q_units[in_q] = length if motion.kind == "slide" else 1.0
         mass = sum(body.mass for body in self.mechanism.bodies[1:])
         self._units = Units(length, mass, q_units, self.velocity_units)
         self._closures = Closures(self.closed, self.map, length)
         self._rows = Rows(self.closed, self.map, self.couplings, length)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
-        acting = [law.key for law in scene.joint_forces]
-        keys = acting + [key for key in scene.sensed if key not in acting]
+        # joint coordinates that springs and laws act on, then other coordinates that laws measure; none of
+        # these joints closes a loop
+        actuated = [law.key for law in scene.joint_forces]
+        keys = actuated + [key for key in scene.sensed if key not in actuated]
         self._laws = JointLaws(scene.joint_forces, keys)
-        on = np.array([self._tree.place(*key) for key in keys], dtype=int).reshape(
-            -1, 2
-        )  # no driven joint closes a loop
-        self._measured_q, self._measured_v = on.T
-        self._actuated_v = self._measured_v[: len(acting)]
+        indices = np.array([self._tree.place(*key) for key in keys], dtype=int).reshape(-1, 2)
+        self._measured_q, self._measured_v = indices.T
+        self._actuated_v = self._measured_v[: len(actuated)]
         self._sensed = [keys.index(key) for key in scene.sensed]
-        self._control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
+        # inverse dynamics, if a control law uses a model of the mechanism
+        self._model_control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
         self._rank = constraint_rank(self)
-        # choose between constraintDynamics and elimination: with drift, nearly redundant rows contradict each
-        # other
-        decided = mobility(scene)
-        exchanges = len(self._rows.units) > 0 or len(decided.exchangeable) > 0
-        self._eliminates = exchanges or decided.residual > 0.0
-        self._solved: tuple[Any, tuple[Array, Array, Array]] | None = None
+        # choose between constraintDynamics and elimination: when a run drifts from closed loops, nearly
+        # redundant rows contradict each other
+        decision = mobility(scene)
+        needs_elimination = len(self._rows.units) > 0 or len(decision.exchangeable) > 0
+        self._eliminates = needs_elimination or decision.residual > 0.0
+        # state and result of the latest elimination
+        self._latest_solution: tuple[Any, tuple[Array, Array, Array]] | None = None
         if not self._eliminates:
             q, _ = self.coordinates(initial_state(scene))
             self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, self._rank)
             self._eliminates = self._proximal.loses_digits
         if self._eliminates:
             self._unused = rows_left_out(self)
-        self._moving = bool(self._forces) or self._eliminates
+        self._needs_kinematics = bool(self._forces) or self._eliminates
 
     def _add_body_frames(self) -> list[int]:
-        """Add a frame for each body, at the center of mass with orientation `Body.quaternion`."""
+        """Add a frame for each body, at the center of mass with orientation `Body.quaternion`.
+
+        Returns:
+            Numbers of the frames.
+        """
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
-        added = []
+        numbers = []
         for body, rotation in zip(self.mechanism.bodies, self._tree.initial_rotations, strict=False):
             index = self._model.getFrameId(body.name, pin.FrameType.BODY)
             link = self._model.frames[index]
             center = body.center_of_mass - data.oMf[index].translation
             placement = link.placement * pin.SE3(rotation, center)
             frame = pin.Frame(f"{body.name}_body", link.parentJoint, index, placement, pin.FrameType.OP_FRAME)
-            added.append(self._model.addFrame(frame))
-        return added
+            numbers.append(self._model.addFrame(frame))
+        return numbers
 
     def mass_matrix(self, q: Array) -> Array:
         """Compute the mass matrix (nv, nv) with rotors."""
@@ -183,7 +199,7 @@ class PinocchioSystem:
         if self._balls:
             power += self._balls.power(v)
         if self._forces:
-            self._move(q, v)
+            self._compute_kinematics(q, v)
             power += self._forces.power(self._data, self.scene, self.time)
         if self.scene.motions:
             power += self._rows.motion_power(self._solve(q, v)[2], self.time)
@@ -194,32 +210,42 @@ class PinocchioSystem:
         return np.concatenate([self._tree.retract(q, step), q[self._work]])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Return coordinates, m or rad, and rates of `Scene.sensed`."""
+        """Return coordinates, m or rad, and rates of `Scene.sensed`, the coordinates that laws measure."""
         x, rate = self._measured(q, v)
         return list(zip(x[self._sensed], rate[self._sensed], strict=True))
 
     def _measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return coordinates, m or rad, and rates of `Scene.joint_forces`, then of others that laws read."""
+        """Return coordinates, m or rad, and rates: of `Scene.joint_forces`, then of other measured ones."""
         return q[self._measured_q], v[self._measured_v]
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
-        measured, model = self._measured(q, v), NO_FORCES
-        if self._control:
-            commands = self._laws.commands(self.scene.control, *measured, self.time)
-            model = self._control.forces(q[: self._tree.nq], v, self.time, commands)
-        return self._laws.force(self.scene.joint_forces, *measured, self.time, model)
+        (x, rate), model_forces = self._measured(q, v), NO_FORCES
+        if self._model_control:
+            accelerations = self._laws.commands(self.scene.control, x, rate, self.time)
+            model_forces = self._model_control.forces(q[: self._tree.nq], v, self.time, accelerations)
+        return self._laws.force(self.scene.joint_forces, x, rate, self.time, model_forces)
 
     def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
-        """Compute the forces on joint coordinates, N or N m, for accelerations, by Pinocchio's matrices."""
+        """Compute by inverse dynamics the forces on joint coordinates that cause given accelerations.
+
+        Args:
+            q: (nq,) tree coordinates.
+            v: (nv,) tree velocities.
+            keys: joint and coordinate of each force.
+            accelerations: accelerations of these coordinates, m/s^2 or rad/s^2.
+
+        Returns:
+            Forces, N or N m.
+        """
         terms = self.mass_and_force(q, v)
-        self._move(q, v)
+        self._compute_kinematics(q, v)
         gamma = np.concatenate(
             [self._closures.gamma(self._data), self._rows.gamma(self._data, q, v, self.time)]
         )
         return servo_forces(self, self._tree, terms, (self._jacobian(q), gamma), keys, accelerations)
 
-    def _move(self, q: Array, v: Array) -> None:
+    def _compute_kinematics(self, q: Array, v: Array) -> None:
         """Compute Pinocchio's joints, Jacobians and frames at a state, with zero joint accelerations."""
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, np.zeros(self.nv))
@@ -227,18 +253,21 @@ class PinocchioSystem:
         pin.updateFramePlacements(self._model, self._data)
 
     def generalized_force(self, q: Array, v: Array) -> Array:
-        """Compute the generalized forces (nv,) except gravity; calls `_move` if `_moving`."""
+        """Compute the generalized forces (nv,) except gravity.
+
+        If point forces or elimination need frames and Jacobians, they are computed for this state.
+        """
         force = np.zeros(self.nv)
         np.add.at(force, self._actuated_v, self.actuation(q, v))
         if self._balls:
-            force[self._balls.on_v] += self._balls.torques(q, v)
-        if self._moving:
-            self._move(q, v)
+            force[self._balls.velocity_indices] += self._balls.torques(q, v)
+        if self._needs_kinematics:
+            self._compute_kinematics(q, v)
         if self._forces:
-            pushes = self._forces.pushes(self._data, self.scene, self.time)
-            wrenches = np.array([(*push.force, *push.torque) for push in pushes])
-            frames = [frame_jacobian(self._model, self._data, push.frame) for push in pushes]
-            force += self.map.v_from_pinocchio(wrenches.ravel() @ np.concatenate(frames))
+            applied = self._forces.applied_forces(self._data, self.scene, self.time)
+            wrenches = np.array([(*each.force, *each.torque) for each in applied])
+            jacobians = [frame_jacobian(self._model, self._data, each.frame) for each in applied]
+            force += self.map.v_from_pinocchio(wrenches.ravel() @ np.concatenate(jacobians))
         return force
 
     def acceleration(self, q: Array, v: Array) -> Array:
@@ -246,27 +275,30 @@ class PinocchioSystem:
         return self._solve(q, v)[0]
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Solve for vdot (nv,) and the multipliers of closures and of `Rows`.
+        """Solve for vdot (nv,), the multipliers of closures, and the multipliers of rods and couplings.
 
-        The multipliers are empty with `constraintDynamics`, which keeps them.
+        With `constraintDynamics`, both arrays of multipliers are empty, and `wrenches` of the solver has the
+        forces of closures.
         """
         if not self._eliminates:
+            # dimensionless forces and accelerations
             force = self.generalized_force(q, v) * self.velocity_units / self._units.moment
-            found = self._checked(self._proximal.acceleration(q, v, force))
-            return self.velocity_units * found, np.zeros(0), np.zeros(0)
+            acceleration = self._checked(self._proximal.acceleration(q, v, force))
+            return self.velocity_units * acceleration, np.zeros(0), np.zeros(0)
+        # keep the latest solution, which the power of prescribed motions also needs
         state = self.scene, q.tobytes(), v.tobytes(), self.time
-        if (
-            self._solved is None or self._solved[0] != state
-        ):  # the power of prescribed motions needs the same solution
-            self._solved = state, self._eliminated(q, v)
-        return self._solved[1]
+        if self._latest_solution is None or self._latest_solution[0] != state:
+            self._latest_solution = state, self._solve_by_elimination(q, v)
+        return self._latest_solution[1]
 
-    def _eliminated(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Solve with all constraints eliminated, see `_solve`."""
+    def _solve_by_elimination(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Solve the linear system of accelerations and multipliers, see `_solve`."""
         mass, force = self.mass_and_force(q, v)
         data, jacobian = self._data, self._jacobian(q)
-        drift = 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
-        gamma = np.concatenate([self._closures.gamma(data), self._rows.gamma(data, q, v, self.time)]) - drift
+        # J vdot = gamma - K_D dPhi/dt - K_P Phi
+        stabilization = 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
+        gamma = np.concatenate([self._closures.gamma(data), self._rows.gamma(data, q, v, self.time)])
+        gamma = gamma - stabilization
         try:
             found, multipliers = solve_constrained(
                 mass,
@@ -283,6 +315,7 @@ class PinocchioSystem:
         return self._checked(found), of_closures, others
 
     def _checked(self, acceleration: Array) -> Array:
+        """Return accelerations (nv,), or raise `SingularityError` if they are not finite."""
         if not np.isfinite(acceleration).all():
             names = [self._welded.mechanism.joint_names[k] for k in self._tree.cuts]
             raise SingularityError(
@@ -292,7 +325,10 @@ class PinocchioSystem:
         return acceleration
 
     def _closure_wrenches(self, of_closures: Array, others: Array) -> list[Any]:
-        """Compute the wrenches of loop closures on second bodies about the world's origin, in tree order."""
+        """Return the `pinocchio.Force` of each loop closure on its second body, about the world's origin.
+
+        The order is that of `SpanningTree.cuts`. For the arguments see `_solve`.
+        """
         if self._eliminates:
             wrenches = self._closures.wrenches(self._data, of_closures)
         else:
@@ -303,12 +339,12 @@ class PinocchioSystem:
         return [next(rods if isinstance(joint, Rod) else closures) for joint in joints]
 
     def phi(self, q: Array) -> Array:
-        """Return the constraint errors (k,) of closures, then of `Rows`."""
+        """Return the residuals (k,) of all constraint rows, m or rad."""
         pin.framesForwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q))
         return self._phi(q)
 
     def _phi(self, q: Array) -> Array:
-        """Return the constraint errors (k,) for frames that are placed at q."""
+        """Return the residuals (k,) at q, where the frames in `_data` are already placed."""
         return np.concatenate([self._closures.phi(self._data), self._rows.phi(self._data, q, self.time)])
 
     def coupling_phi(self, q: Array) -> Array:
@@ -320,27 +356,30 @@ class PinocchioSystem:
         return np.concatenate([np.zeros(len(self._closures.units)), self._rows.phi_t(self.time)])
 
     def phi_jacobian(self, q: Array) -> Array:
-        """Return the derivative (k, nv) of `phi` along `retract`, also of its rate with respect to v."""
-        self._place(q)
+        """Return the Jacobian J (k, nv) of `phi`: d phi = J step for q = retract(q, step).
+
+        For a motion, d phi/dt = J v + phi_t.
+        """
+        self._compute_jacobians(q)
         return self._jacobian(q)
 
     def _jacobian(self, q: Array) -> Array:
-        """Return the constraint Jacobian (k, nv) for frames and Jacobians at q."""
+        """Return the constraint Jacobian (k, nv) at q, where frames and joint Jacobians are computed."""
         return np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data, q)])
 
-    def _place(self, q: Array) -> None:
+    def _compute_jacobians(self, q: Array) -> None:
         """Compute joint Jacobians and frame placements at q."""
         pin.computeJointJacobians(self._model, self._data, self.map.q_to_pinocchio(q))
         pin.updateFramePlacements(self._model, self._data)
 
-    # Results in the terms of a scene
+    # Results for the bodies and joints of the scene
 
     def mass_properties(self) -> MassProperties:
         """Return masses and inertias of Pinocchio's model, with the halves of cut bodies combined."""
         return mass_properties(self.mechanism, self._model, self._welded)
 
     def joint_geometry(self) -> dict[str, JointGeometry]:
-        """Return the joints of the model at its initial pose."""
+        """Return kinds, axes and points of the joints of the model at its initial pose, by name."""
         return joint_geometry(self.closed, self._welded)
 
     def state(self, q: Array, v: Array) -> State:
@@ -349,26 +388,28 @@ class PinocchioSystem:
         return self._state(self._frames(), q)
 
     def _frames(self) -> list[Frame]:
-        """Return the frames of bodies after forward kinematics."""
+        """Return poses and velocities of the bodies, after forward kinematics with velocities."""
         pin.updateFramePlacements(self._model, self._data)
-        poses = [self._data.oMf[frame].copy() for frame in self._bodies]
+        poses = [self._data.oMf[frame].copy() for frame in self._body_frames]
         velocities = self._frame_motions(pin.getFrameVelocity)
         return [
             Frame(pose.translation, pose.rotation, velocity[:3], velocity[3:])
             for pose, velocity in zip(poses, velocities, strict=True)
         ]
 
-    def _frame_motions(self, of: Any) -> Array:
-        """Return linear and angular velocities or accelerations (b, 6) of bodies, world frame."""
-        return np.array(
-            [of(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED).vector for frame in self._bodies]
-        )
+    def _frame_motions(self, get: Any) -> Array:
+        """Return linear and angular velocities or accelerations (b, 6) of bodies, world frame.
+
+        `get` is Pinocchio's function for a frame, such as `pinocchio.getFrameVelocity`.
+        """
+        axes = pin.LOCAL_WORLD_ALIGNED
+        return np.array([get(self._model, self._data, frame, axes).vector for frame in self._body_frames])
 
     def velocity_transformation(self, q: Array) -> Array:
-        """Return velocities (6 b, nv) of bodies 0, 1, ... per velocity v, by Pinocchio's Jacobians."""
-        self._place(q)
-        rows = np.concatenate([frame_jacobian(self._model, self._data, frame) for frame in self._bodies])
-        return self.map.v_from_pinocchio(rows)
+        """Return the body Jacobian (6 b, nv): linear and angular velocity of each body per velocity v."""
+        self._compute_jacobians(q)
+        jacobians = [frame_jacobian(self._model, self._data, frame) for frame in self._body_frames]
+        return self.map.v_from_pinocchio(np.concatenate(jacobians))
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Compute accelerations, reactions and energies at a state.
@@ -377,22 +418,22 @@ class PinocchioSystem:
             SingularityError: if Pinocchio's accelerations are not finite.
         """
         # accelerations, and wrenches of loop closures and forces
-        qddot, *multipliers = self._solve(q, v)
+        vdot, *multipliers = self._solve(q, v)
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
-        pin_a = self.map.v_to_pinocchio(qddot)
+        pin_a = self.map.v_to_pinocchio(vdot)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, pin_a)
         frames = self._frames()
         closure_wrenches = self._closure_wrenches(*multipliers)
-        cut_wrenches = [
-            (self._model.getFrameId(name, pin.FrameType.BODY), sign * wrench)
-            for pair, wrench in zip(closures(self._welded), closure_wrenches, strict=True)
-            for (name, _, _), sign in zip(pair, (-1.0, 1.0), strict=True)
-        ]
+        # external forces on links: closures, with the opposite wrench on the first body, and other forces
+        wrenches_on_links = []
+        for ends, wrench in zip(closures(self._welded), closure_wrenches, strict=True):
+            for (link, _, _), sign in zip(ends, (-1.0, 1.0), strict=True):
+                wrenches_on_links.append((self._model.getFrameId(link, pin.FrameType.BODY), sign * wrench))
         accelerations = self._frame_motions(pin.getFrameClassicalAcceleration)
-        applied = self._applied(q, v)
-        cut_wrenches += zip(self._links, applied, strict=True)
+        applied = self._applied_wrenches(q, v)
+        wrenches_on_links += zip(self._links, applied, strict=True)
         # inverse dynamics give the wrenches of tree joints
-        external = external_forces(self._model, self._data, cut_wrenches)
+        external = external_forces(self._model, self._data, wrenches_on_links)
         pin.rnea(self._model, self._data, pin_q, pin_v, pin_a, external)
         wrenches = joint_wrenches(
             self.scene,
@@ -404,14 +445,15 @@ class PinocchioSystem:
             frames,
             accelerations,
         )
-        # reactions: wrenches without actuators, springs and rotors
+        # reactions: wrenches without the drives, which are actuators, springs and rotors
         actuation = self.actuation(q, v)
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
-        forces_on = -self._rotors.single * qddot
-        np.add.at(forces_on, self._actuated_v, actuation)
+        drive_forces = -self._rotors.single * vdot
+        np.add.at(drive_forces, self._actuated_v, actuation)
         points = joint_points(self.mechanism, frames)
-        forces, torques = reactions(wrenches, points, drive_wrenches(self._tree, columns, points, forces_on))
+        drives = drive_wrenches(self._tree, columns, points, drive_forces)
+        forces, torques = reactions(wrenches, points, drives)
         for joint, torque in self._rotors.torques(frames, accelerations[:, 3:]):
             torques[joint] -= torque
         return Evaluation(
@@ -428,13 +470,13 @@ class PinocchioSystem:
         return self._observation(self.state(q, v), q, v)
 
     def _observation(self, state: State, q: Array, v: Array) -> Observation:
-        """Return an observation of a state for frames that are placed."""
-        kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)  # pin.computeKineticEnergy includes rotors in part
+        """Return a state and its energies, where the frames in `_data` are already placed."""
+        # pin.computeKineticEnergy includes armatures only in part
+        kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)
+        # pin.computePotentialEnergy omits bodies that are fixed to the ground
         potential = pin.computePotentialEnergy(self._model, self._data, self.map.q_to_pinocchio(q))
         root, (x, _) = self._model.inertias[0], self._measured(q, v)
-        fixed = -root.mass * float(
-            self.scene.gravity @ root.lever
-        )  # bodies fixed to the ground, which Pinocchio omits
+        fixed = -root.mass * float(self.scene.gravity @ root.lever)
         springs = self._laws.energy(x) + self._balls.energy(q) + self._forces.energy(self._data)
         return Observation(
             state=state,
@@ -443,17 +485,20 @@ class PinocchioSystem:
             work=q[self._work][0] if self.scene.tracks_work else None,
         )
 
-    def _applied(self, q: Array, v: Array) -> list[Any]:
-        """Sum the wrenches of balls and points on each body of the welded mechanism, about the origin."""
+    def _applied_wrenches(self, q: Array, v: Array) -> list[Any]:
+        """Return the sum of the forces of balls and points on each body of the welded mechanism.
+
+        The result has a `pinocchio.Force` about the world's origin for each body.
+        """
         rotations = [self._data.oMf[link].rotation for link in self._links]
-        found = [pin.Force.Zero() for _ in self._links]
-        on_points = self._forces.wrenches(self._data, self.scene, self.time)
-        for body, wrench in (*self._balls.wrenches(q, v, rotations), *on_points):
-            found[body] += wrench
-        return found
+        sums = [pin.Force.Zero() for _ in self._links]
+        of_points = self._forces.wrenches(self._data, self.scene, self.time)
+        for body, wrench in (*self._balls.wrenches(q, v, rotations), *of_points):
+            sums[body] += wrench
+        return sums
 
     def _state(self, frames: Sequence[Frame], q: Array) -> State:
-        """Return the state of bodies with these frames at tree coordinates q."""
+        """Return the state of bodies with these poses and velocities, at tree coordinates q."""
         return State(
             np.array([frame.position for frame in frames]),
             np.array([from_rotation(frame.rotation) for frame in frames]),

@@ -1,8 +1,9 @@
-"""Forces of a scene for Pinocchio.
+"""Forces of a scene for Pinocchio's equations of motion.
 
-Control laws and springs of joints and balls are functions of tree coordinates. Point springs, wrenches and
-wind act on frames of Pinocchio. All forces are computed here from the fields of the elements, so that a
-mistake in newton_euler's force laws shows as a difference.
+Control laws and springs of joints and balls are functions of the coordinates of the spanning tree. Point
+springs, wrenches and wind act on frames of Pinocchio's model. All forces are computed here from the
+attributes of the elements, and not by newton_euler's methods. A mistake in these methods therefore shows as a
+difference between the engines.
 """
 
 from __future__ import annotations
@@ -26,22 +27,29 @@ from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array
 
 ZERO = np.zeros(3)
+"""Force or torque of zero."""
 
 
 class JointLaws:
     """Springs and control laws on joint coordinates, in the order of `Scene.joint_forces`.
 
     Springs and PD laws are evaluated together as f = u_0 - (K_p (x - x_0) + K_d dx/dt), with u_0 = 0 for
-    springs. For laws that depend on time, x_0 is 0 and u_0 has the time-dependent part.
+    springs. For laws that depend on time, x_0 is 0 and u_0 is the time-dependent part.
     """
 
     def __init__(self, laws: Sequence[Law | JointSpring], keys: Sequence[Key]) -> None:
-        """Prepare laws; `keys` are their joint coordinates, then other coordinates that laws read."""
-        self._places = {key: keys.index(key) for key in keys}
+        """Prepare the laws.
+
+        Args:
+            laws: springs and control laws.
+            keys: joint coordinate of each law, then other coordinates that laws measure. A key is a joint and
+                the number of its coordinate.
+        """
+        self._index_of_key = {key: keys.index(key) for key in keys}
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
         self._driven = DrivenLaws(laws)
-        self._others = [k for k, law in enumerate(laws) if not isinstance(law, PD | JointSpring)]
+        self._other_laws = [k for k, law in enumerate(laws) if not isinstance(law, PD | JointSpring)]
         for k, law in enumerate(laws):
             if not isinstance(law, PD | JointSpring):
                 continue
@@ -59,50 +67,61 @@ class JointLaws:
         time: float,
         model: Mapping[Key, float],
     ) -> Array:
-        """Compute forces (a,), N or N m.
+        """Compute the forces (a,), N or N m, of all laws.
 
         Args:
             laws: laws with the present forces of sampled controllers.
-            x: joint coordinates of `keys`, m or rad.
+            x: coordinates of `keys`, m or rad.
             rate: rates of these coordinates.
             time: s.
-            model: model-based forces of laws, N or N m, by coordinate.
+            model: forces of laws that need a model of the mechanism, N or N m, by coordinate.
         """
-        at, rates = x[: len(laws)], rate[: len(laws)]
-        force = self._constant - (self._stiffness * (at - self._rest) + self._damping * rates)
+        x_of_laws, rate_of_laws = x[: len(laws)], rate[: len(laws)]
+        force = self._constant - (self._stiffness * (x_of_laws - self._rest) + self._damping * rate_of_laws)
         if len(self._driven.places):
             force[self._driven.places] += self._driven.at(laws, time)
-        for k in self._others:
+        for k in self._other_laws:
             law = laws[k]
             if isinstance(law, DeclaredLaw):
-                force[k] = self._feedback(law, x, rate, time)
+                force[k] = self._feedback_force(law, x, rate, time)
             elif isinstance(law, HeldLaw):
                 force[k] = law.held
-            elif not isinstance(law, JointSpring):  # no other kind: springs are summed up above
+            elif not isinstance(law, JointSpring):  # springs are evaluated above
                 assert_never(law)
-        for key, known in model.items():
-            force[self._places[key]] += known
+        for key, model_force in model.items():
+            force[self._index_of_key[key]] += model_force
         return force
 
-    def _feedback(self, law: DeclaredLaw, x: Array, rate: Array, time: float) -> float:
+    def _feedback_force(self, law: DeclaredLaw, x: Array, rate: Array, time: float) -> float:
+        """Return feedforward plus feedback of a law, N or N m; for the arguments see `force`."""
         force = float(law.feedforward_at(time))
         for key, (k_p, k_d) in law.feedback.items():
-            k, wanted = self._places[key], law.references(time)[key]
-            force += k_p * (wanted.value - x[k]) + k_d * (wanted.rate - rate[k])
+            k, reference = self._index_of_key[key], law.references(time)[key]
+            force += k_p * (reference.value - x[k]) + k_d * (reference.rate - rate[k])
         return force
 
     def commands(self, laws: Sequence[Law], x: Array, rate: Array, time: float) -> list[float]:
-        """Compute the accelerations, m/s^2 or rad/s^2, that computed-torque laws command, in order."""
-        found = []
+        """Return the acceleration, m/s^2 or rad/s^2, that each computed-torque law commands.
+
+        For the arguments see `force`.
+        """
+        accelerations = []
         for law in laws:
             if isinstance(law, ComputedTorque):
-                k, wanted = self._places[law.key], law.references(time)[law.key]
-                error, error_rate = wanted.value - x[k], wanted.rate - rate[k]
-                found.append(wanted.acceleration + law.damping * error_rate + law.stiffness * error)
-        return found
+                k, reference = self._index_of_key[law.key], law.references(time)[law.key]
+                error, error_rate = reference.value - x[k], reference.rate - rate[k]
+                accelerations.append(
+                    reference.acceleration + law.damping * error_rate + law.stiffness * error
+                )
+        return accelerations
 
     def power(self, force: Array, rate: Array) -> float:
-        """Compute the power, W, of control laws and dampers from the result of `force`."""
+        """Compute the power, W, of control laws and dampers; springs have an energy instead.
+
+        Args:
+            force: (a,) result of the method `force`.
+            rate: rates of the coordinates of `keys`.
+        """
         rates = rate[: len(force)]
         return float(np.where(self._is_spring, -self._damping * rates, force) @ rates)
 
@@ -112,7 +131,7 @@ class JointLaws:
         return float(0.5 * self._stiffness[self._is_spring] @ (stretch * stretch))
 
 
-class Push(NamedTuple):
+class AppliedForce(NamedTuple):
     """Force and torque on a body at the origin of a frame, world axes.
 
     Attributes:
@@ -129,154 +148,187 @@ class Push(NamedTuple):
 
 
 class BallForces:
-    """Springs and dampers of balls, all of which are tree joints.
+    """Springs and dampers of balls, all of which are joints of the spanning tree.
 
     Q is the rotation of the ball from the frame of the child to the parent, and the identity at the initial
     pose. E is the rotation of the second body relative to the first at rest. The deflection in the frame of
     the child is
 
         theta = Q^T log(Q E^T),  or  -log(Q^T E^T)  if the second body of the joint is the parent.
+
+    Attributes:
+        velocity_indices: (n, 3) indices of the balls' angular velocities in v.
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
+        """Find the ball springs of a scene, and their coordinates in a spanning tree."""
         self._springs = [force for force in scene.forces if isinstance(force, BallSpring)]
-        self._rests = [pin.exp3(spring.rest) for spring in self._springs]
-        self._kept, places = [], []
+        self._rests = [pin.exp3(spring.rest) for spring in self._springs]  # E
+        self._tree_joints, slices = [], []
         for spring in self._springs:
             index = scene.mechanism.joint_index(spring.joint)
-            (kept,) = (kept for kept in tree.joints if kept.joint == index)
-            self._kept.append(kept)
-            places += [(on_q, on_v) for motion, on_q, on_v in kept.places if motion.kind == "ball"]
-        self._on_q = [on_q for on_q, _ in places]
-        self.on_v = np.array([range(tree.nv)[on_v] for _, on_v in places], dtype=int).reshape(-1, 3)
+            (tree_joint,) = (each for each in tree.joints if each.joint == index)
+            self._tree_joints.append(tree_joint)
+            slices += [(in_q, in_v) for motion, in_q, in_v in tree_joint.places if motion.kind == "ball"]
+        self._in_q = [in_q for in_q, _ in slices]
+        indices = [range(tree.nv)[in_v] for _, in_v in slices]
+        self.velocity_indices = np.array(indices, dtype=int).reshape(-1, 3)
         self._damping = np.array([spring.damping for spring in self._springs])
 
     def __bool__(self) -> bool:
+        """Return True if the scene has ball springs."""
         return bool(self._springs)
 
-    def _theta(self, k: int, q: Array) -> Array:
-        """Return the rotation vector (3,) of ball number k from its rest, frame of the child."""
-        turned = pin.Quaternion(*q[self._on_q[k]]).toRotationMatrix()
-        if self._kept[k].forward:
-            return np.asarray(turned.T @ pin.log3(turned @ self._rests[k].T))
-        return np.asarray(-pin.log3(turned.T @ self._rests[k].T))
+    def _deflection(self, k: int, q: Array) -> Array:
+        """Return theta (3,) of ball number `k`: the rotation vector from its rest, rad, child frame."""
+        rotation = pin.Quaternion(*q[self._in_q[k]]).toRotationMatrix()  # Q
+        if self._tree_joints[k].forward:
+            return np.asarray(rotation.T @ pin.log3(rotation @ self._rests[k].T))
+        return np.asarray(-pin.log3(rotation.T @ self._rests[k].T))
 
     def torques(self, q: Array, v: Array) -> Array:
-        """Compute the torques (n, 3), N m, on the children, in their frames: generalized forces at `on_v`."""
-        found = -self._damping[:, None] * v[self.on_v]
+        """Compute the torques (n, 3), N m, on the children, in the frames of the children.
+
+        The torques are the generalized forces at `velocity_indices`.
+        """
+        torques = -self._damping[:, None] * v[self.velocity_indices]
         for k, spring in enumerate(self._springs):
             if spring.stiffness:
-                found[k] -= spring.stiffness * self._theta(k, q)
-        return found
+                torques[k] -= spring.stiffness * self._deflection(k, q)
+        return torques
 
     def power(self, v: Array) -> float:
         """Compute the power of the dampers, W."""
-        return -float(self._damping @ np.sum(v[self.on_v] ** 2, axis=1))
+        return -float(self._damping @ np.sum(v[self.velocity_indices] ** 2, axis=1))
 
     def energy(self, q: Array) -> float:
         """Compute the energy of the springs, J."""
-        thetas = [(spring.stiffness, self._theta(k, q)) for k, spring in enumerate(self._springs)]
+        thetas = [(spring.stiffness, self._deflection(k, q)) for k, spring in enumerate(self._springs)]
         return sum(0.5 * stiffness * float(theta @ theta) for stiffness, theta in thetas)
 
     def wrenches(self, q: Array, v: Array, rotations: Sequence[Array]) -> Iterator[tuple[int, Any]]:
-        """Yield numbers of bodies and wrenches on them, world frame; `rotations` are those of tree frames."""
-        for kept, torque in zip(self._kept, self.torques(q, v), strict=True):
-            wrench = pin.Force(ZERO, rotations[kept.child] @ torque)
-            yield kept.child, wrench
-            yield kept.parent, -wrench
+        """Yield the number of a body and the `pinocchio.Force` on it, world frame, for both bodies of a ball.
+
+        Args:
+            q: (nq,) tree coordinates.
+            v: (nv,) tree velocities.
+            rotations: (3, 3) rotation to the world of each body's frame in the tree.
+        """
+        for tree_joint, torque in zip(self._tree_joints, self.torques(q, v), strict=True):
+            wrench = pin.Force(ZERO, rotations[tree_joint.child] @ torque)
+            yield tree_joint.child, wrench
+            yield tree_joint.parent, -wrench
 
 
 class PointForces:
     """Point springs, wrenches and wind loads of a scene.
 
-    Forces are computed from `data` after `pinocchio.updateFramePlacements`, with velocities.
+    Methods take a `pinocchio.Data` with frame placements and velocities.
     """
 
     def __init__(self, scene: Scene, model: Any, body_frames: list[int]) -> None:
-        """Add frames at the points of forces to `model`, parallel to the `body_frames`."""
+        """Add a frame to Pinocchio's model at each point on which a force acts.
+
+        Args:
+            scene: scene with the forces.
+            model: `pinocchio.Model`, which gets the frames.
+            body_frames: number of the frame of each body, parallel to which the new frames are.
+        """
         self._model = model
+        # spring, numbers of its two bodies, and of the frames at its ends
         self._springs: list[tuple[PointSpring, tuple[int, int], tuple[int, int]]] = []
+        # wrench, numbers of its body and frame, and force and torque in the frame of the body
         self._wrenches: list[tuple[Wrench, int, int, Array, Array]] = []
+        # index of the wind load in `scene.forces`, and numbers of its body and frame
         self._winds: list[tuple[int, int, int]] = []
         mechanism = scene.mechanism
 
-        def added(name: str, body: int, point: Array, axes: Array | None = None) -> int:
-            leading = body_frames[body]
+        def add_frame(name: str, body: int, point: Array, axes: Array | None = None) -> int:
+            """Add a frame at a point (3,) on a body, world frame at the initial pose; return its number."""
+            body_frame = body_frames[body]
             pose = mechanism.bodies[body].pose
-            turned = np.eye(3) if axes is None else pose.rotation.T @ axes
-            offset = pin.SE3(turned, pose.point_to_body(point))
-            frame = model.frames[leading]
+            rotation = np.eye(3) if axes is None else pose.rotation.T @ axes
+            offset = pin.SE3(rotation, pose.point_to_body(point))
+            frame = model.frames[body_frame]
             placement = frame.placement * offset
-            found = pin.Frame(name, frame.parentJoint, leading, placement, pin.FrameType.OP_FRAME)
-            return int(model.addFrame(found))
+            new_frame = pin.Frame(name, frame.parentJoint, body_frame, placement, pin.FrameType.OP_FRAME)
+            return int(model.addFrame(new_frame))
 
         for number, force in enumerate(scene.forces):
             if isinstance(force, PointSpring):
                 bodies = mechanism.body_index(force.first), mechanism.body_index(force.second)
                 points = force.point_on_first, force.point_on_second
                 first, second = (
-                    added(f"spring {force.name} on {mechanism.body_names[body]}", body, point)
+                    add_frame(f"spring {force.name} on {mechanism.body_names[body]}", body, point)
                     for body, point in zip(bodies, points, strict=True)
                 )
                 self._springs.append((force, bodies, (first, second)))
             elif isinstance(force, Wrench):
                 body = mechanism.body_index(force.body)
                 turn = mechanism.bodies[body].pose.vector_to_body
-                frame = added(f"wrench {force.name}", body, force.point)
+                frame = add_frame(f"wrench {force.name}", body, force.point)
                 self._wrenches.append((force, body, frame, turn(force.force), turn(force.torque)))
             elif isinstance(force, WindLoad):
                 body = mechanism.body_index(force.body)
-                frame = added(f"wind {force.name}", body, force.point, force.axes)
+                frame = add_frame(f"wind {force.name}", body, force.point, force.axes)
                 self._winds.append((number, body, frame))
             elif not isinstance(force, JointSpring | BallSpring):  # see `JointLaws` and `BallForces`
                 assert_never(force)
 
     def __bool__(self) -> bool:
+        """Return True if the scene has point springs, wrenches or wind loads."""
         return bool(self._springs or self._wrenches or self._winds)
 
-    def pushes(self, data: Any, scene: Scene, time: float) -> list[Push]:
+    def applied_forces(self, data: Any, scene: Scene, time: float) -> list[AppliedForce]:
         """Compute the forces and torques on bodies at a time, s, with the present wind of the scene."""
-        winds = self._wind_pushes(data, scene, time)
-        return [*self._spring_pushes(data), *self._wrench_pushes(data), *winds]
+        # a sampled wind has its present value in the scene
+        winds = self._wind_forces(data, scene, time)
+        return [*self._spring_forces(data), *self._wrench_forces(data), *winds]
 
-    def _spring_pushes(self, data: Any) -> list[Push]:
-        found = []
+    def _spring_forces(self, data: Any) -> list[AppliedForce]:
+        """Return the forces of point springs and their dampers on both bodies."""
+        forces = []
         for spring, bodies, frames in self._springs:
-            d, rate = self._line(data, frames)
+            d, d_rate = self._line(data, frames)
             length = float(np.linalg.norm(d))
-            stretch = spring.stiffness * (length - spring.rest_length)
+            spring_force = spring.stiffness * (length - spring.rest_length)
             # a spring without rest length and damping may have zero length
-            tension = stretch + spring.damping * float(d @ rate) / (length or 1.0)
-            pull = tension * d / (length or 1.0)
-            found += [Push(bodies[0], frames[0], pull, ZERO), Push(bodies[1], frames[1], -pull, ZERO)]
-        return found
+            tension = spring_force + spring.damping * float(d @ d_rate) / (length or 1.0)
+            on_first = tension * d / (length or 1.0)
+            forces.append(AppliedForce(bodies[0], frames[0], on_first, ZERO))
+            forces.append(AppliedForce(bodies[1], frames[1], -on_first, ZERO))
+        return forces
 
-    def _wrench_pushes(self, data: Any) -> list[Push]:
-        found = []
+    def _wrench_forces(self, data: Any) -> list[AppliedForce]:
+        """Return the constant forces and torques of wrenches, in the axes of the world or of their body."""
+        forces = []
         for wrench, body, frame, force, torque in self._wrenches:
-            turn = data.oMf[frame].rotation
+            to_world = data.oMf[frame].rotation
             if wrench.frame == "body":
-                found.append(Push(body, frame, turn @ force, turn @ torque))
+                forces.append(AppliedForce(body, frame, to_world @ force, to_world @ torque))
             else:
-                found.append(Push(body, frame, wrench.force, wrench.torque))
-        return found
+                forces.append(AppliedForce(body, frame, wrench.force, wrench.torque))
+        return forces
 
-    def _wind_pushes(self, data: Any, scene: Scene, time: float) -> list[Push]:
-        found = []
+    def _wind_forces(self, data: Any, scene: Scene, time: float) -> list[AppliedForce]:
+        """Return the forces and torques of wind on plates at a time, s."""
+        forces = []
         for number, body, frame in self._winds:
             load = scene.forces[number]
             assert isinstance(load, WindLoad)
+            # axes of the plate: two sides, then the normal
             axes = data.oMf[frame].rotation
-            center = pin.getFrameVelocity(self._model, data, frame, pin.LOCAL).linear
-            push, *moments = wind_on_plate(load, axes.T @ load.velocity(time) - center)
-            found.append(Push(body, frame, push * axes[:, 2], axes[:, :2] @ moments))
-        return found
+            plate_velocity = pin.getFrameVelocity(self._model, data, frame, pin.LOCAL).linear
+            relative_wind = axes.T @ load.velocity(time) - plate_velocity
+            normal_force, *moments = wind_on_plate(load, relative_wind)
+            forces.append(AppliedForce(body, frame, normal_force * axes[:, 2], axes[:, :2] @ moments))
+        return forces
 
     def wrenches(self, data: Any, scene: Scene, time: float) -> Iterator[tuple[int, Any]]:
-        """Yield numbers of bodies and wrenches on them about the world's origin."""
-        for push in self.pushes(data, scene, time):
-            origin = pin.SE3(np.eye(3), data.oMf[push.frame].translation)
-            yield push.body, origin.act(pin.Force(push.force, push.torque))
+        """Yield the number of a body and a `pinocchio.Force` on it, about the world's origin, world frame."""
+        for applied in self.applied_forces(data, scene, time):
+            to_origin = pin.SE3(np.eye(3), data.oMf[applied.frame].translation)
+            yield applied.body, to_origin.act(pin.Force(applied.force, applied.torque))
 
     def energy(self, data: Any) -> float:
         """Compute the energy of the springs, J."""
@@ -289,11 +341,11 @@ class PointForces:
         """Compute the power of dampers, wrenches and wind, W."""
         power = 0.0
         for spring, _, frames in self._springs:
-            d, rate = self._line(data, frames)
-            power -= spring.damping * float(d @ rate) ** 2 / (float(d @ d) or 1.0)
-        for push in (*self._wrench_pushes(data), *self._wind_pushes(data, scene, time)):
-            velocity = self._velocity(data, push.frame)
-            power += float(push.force @ velocity.linear + push.torque @ velocity.angular)
+            d, d_rate = self._line(data, frames)
+            power -= spring.damping * float(d @ d_rate) ** 2 / (float(d @ d) or 1.0)
+        for applied in (*self._wrench_forces(data), *self._wind_forces(data, scene, time)):
+            velocity = self._velocity(data, applied.frame)
+            power += float(applied.force @ velocity.linear + applied.torque @ velocity.angular)
         return power
 
     def _line(self, data: Any, frames: tuple[int, int]) -> tuple[Array, Array]:
@@ -303,11 +355,12 @@ class PointForces:
         return second - first, rates[1] - rates[0]
 
     def _velocity(self, data: Any, frame: int) -> Any:
+        """Return the `pinocchio.Motion` of a frame, world axes."""
         return pin.getFrameVelocity(self._model, data, frame, pin.LOCAL_WORLD_ALIGNED)
 
 
 class Rotors:
-    """Rotor inertias of tree joints.
+    """Armatures (rotor inertias) of tree joints.
 
     Attributes:
         inertias: (nv,) rotor inertias, kg m^2 or kg.
@@ -315,6 +368,8 @@ class Rotors:
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
+        """Find the armatures of a scene, and their velocities in a spanning tree."""
+        # number of the joint, numbers of its bodies, and rotor inertia of each ball
         self._balls: list[tuple[int, tuple[int, int], float]] = []
         self.single, of_balls = np.zeros((2, tree.nv))
         for armature in scene.armatures:
@@ -324,11 +379,19 @@ class Rotors:
                 self._balls.append((joint, ends(scene.mechanism, armature.joint), armature.inertia))
                 of_balls[place] = armature.inertia
             else:
-                on = tree.place(*armature.key)
-                assert on is not None
-                self.single[on[1]] = armature.inertia
+                indices = tree.place(*armature.key)
+                assert indices is not None
+                _, v_index = indices
+                self.single[v_index] = armature.inertia
         self.inertias = self.single + of_balls
 
     def torques(self, frames: list[Frame], angular: Array) -> list[tuple[int, Array]]:
-        """Return torques (3,), N m, of rotors of balls on second bodies, for angular accelerations (b, 3)."""
-        return [(joint, -a * spin_rate(frames, angular, bodies)) for joint, bodies, a in self._balls]
+        """Return the number of each ball's joint and the torque (3,), N m, of its rotor on the second body.
+
+        Args:
+            frames: poses and velocities of the bodies.
+            angular: (b, 3) angular accelerations of the bodies, rad/s^2.
+        """
+        return [
+            (joint, -inertia * spin_rate(frames, angular, bodies)) for joint, bodies, inertia in self._balls
+        ]

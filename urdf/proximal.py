@@ -1,12 +1,13 @@
-"""Accelerations by Pinocchio's `constraintDynamics`, regularized for redundant closures, and by `aba`.
+"""Accelerations by Pinocchio's `constraintDynamics`, also for redundant closures, and by `aba` without loops.
 
-With J M^-1 J^T regularized by mu, each proximal iteration reduces the effect of mu along an eigenvector of
-eigenvalue lambda by the factor mu / (mu + lambda) (Carpentier, Budhiraja and Mansard, "Proximal and Sparse
-Resolution of Constrained Dynamic Equations", RSS 2021, section III).
+If constraint rows are redundant, J M^-1 J^T is singular. Pinocchio then adds a regularization mu to its
+diagonal, and removes the effect of mu by proximal iterations. Each iteration reduces the effect along an
+eigenvector of eigenvalue lambda by the factor mu / (mu + lambda) (Carpentier, Budhiraja and Mansard,
+"Proximal and Sparse Resolution of Constrained Dynamic Equations", RSS 2021, section III).
 
 mu is the same for rows in meters and in radians. The solver therefore has a copy of the model in units of the
 mechanism's size and mass, which give both kinds of rows equal weight. In SI units, accelerations of a loop of
-1 cm have an error of 1e-8.
+1 cm would have an error of 1e-8.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ RELATIVE_MU = 1e-6
 Units are the mechanism's size and mass. Iterations remove the effect of mu. With a smaller mu, forces that
 cause no acceleration would grow with drift."""
 
-MAX_EIGENVALUE_SHARE = 0.1
+MAX_EIGENVALUE_FRACTION = 0.1
 """Largest mu relative to the smallest nonzero eigenvalue, so that a few iterations remove its effect."""
 
 MIN_RELATIVE_MU = 1e-12
@@ -40,20 +41,24 @@ MAX_MEAN_RATIO = 1e8
 The ratio is larger if a body with almost no inertia closes a loop, for example 1e-11 and 1e-4 kg m^2."""
 
 PROXIMAL_ACCURACY = 1e-13
-"""Relative change between iterations that ends the iterations."""
+"""Relative change between iterations at which Pinocchio ends the iterations."""
 
 MAX_PROXIMAL_ITERATIONS = 30
+"""Largest number of iterations."""
 
-FIRST_ITERATIONS, MAX_SETTLED_CHANGE = 8, 1e-11
-"""Number of first iterations, and the change of multipliers in the last of them that ends the solution.
+FIRST_ITERATIONS = 8
+"""Number of iterations after which the change of the multipliers is examined."""
 
-The change is relative to 1 plus the norm of the multipliers. Each iteration reduces the change by the same
-factor, here at most 3 %. Multipliers that cause no acceleration continue to change by round-off."""
+MAX_SETTLED_CHANGE = 1e-11
+"""Change of the multipliers in the last of `FIRST_ITERATIONS` below which no further iterations are needed.
+
+The change is relative to 1 plus the norm of the multipliers. Each iteration reduces the change to at most
+3 %. Multipliers that cause no acceleration continue to change by round-off, and may not reach 1e-13."""
 
 MAX_FINAL_CHANGE = 1e-6
 """Relative change in the last iteration above which the iterations have not converged.
 
-The configuration is then near a singular one, or drift has made redundant closures contradict each other."""
+The reason is a configuration near a singular one, or drift, which makes redundant closures contradictory."""
 
 
 class Units(NamedTuple):
@@ -87,16 +92,16 @@ class ConstraintDynamics:
     def __init__(
         self, closed: ClosedLoopModel, map: CoordinateMap, units: Units, q: Array, count: int
     ) -> None:
-        """Choose plain elimination for independent closures, or iterations for redundant ones.
+        """Choose iterations for redundant closures, or one solution without them for independent ones.
 
         Pinocchio returns NaN for redundant closures without regularization.
 
         Args:
-            closed: model and closures.
+            closed: Pinocchio's model with its loop closures.
             map: map between tree coordinates and Pinocchio's.
             units: units of the copy of the model.
-            q: (nq,) start.
-            count: number of independent rows; fewer may be independent at the start.
+            q: (nq,) tree coordinates at the start.
+            count: number of independent rows in general; fewer may be independent at the start.
         """
         self._closed, self._map, self._units = closed, map, units
         self._closures, self._data = Closures(closed, map, units.length), closed.model.createData()
@@ -107,63 +112,76 @@ class ConstraintDynamics:
         )
         pin.initConstraintDynamics(self._model, self._scaled_data, self._constraints, self._constraint_data)
         jacobian = self._jacobian(q)
-        self._redundant = len(jacobian) - min(rank(jacobian), count)
-        plain = pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, 0.0, 1)
-        self._settings, ratio = self._regularized(q) if self._redundant else (plain, 0.0)
-        self.loses_digits = ratio > MAX_MEAN_RATIO
-        self._redundant = len(jacobian) - count
+        # number of redundant rows at the start, for the first choice, then the number in general
+        self._redundant_count = len(jacobian) - min(rank(jacobian), count)
+        if self._redundant_count:
+            self._settings, mean_ratio = self._regularized(q)
+        else:
+            self._settings, mean_ratio = pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, 0.0, 1), 0.0
+        self.loses_digits = mean_ratio > MAX_MEAN_RATIO
+        self._redundant_count = len(jacobian) - count
 
     def acceleration(self, q: Array, v: Array, force: Array) -> Array:
-        """Compute accelerations (nv,) under generalized forces (nv,); NaN if no solution exists."""
-        pin_q, pin_v = (
-            self._map.q_to_pinocchio(q / self._units.q),
-            self._map.v_to_pinocchio(v / self._units.v),
-        )
+        """Compute dimensionless accelerations (nv,); NaN if no solution exists.
+
+        Args:
+            q: (nq,) tree coordinates, SI units.
+            v: (nv,) tree velocities, SI units.
+            force: (nv,) dimensionless generalized forces.
+        """
+        pin_q = self._map.q_to_pinocchio(q / self._units.q)
+        pin_v = self._map.v_to_pinocchio(v / self._units.v)
         state, settings = (pin_q, pin_v, self._map.v_to_pinocchio(force)), self._settings
         if not len(self._constraints):  # `aba` needs n operations, `constraintDynamics` n^3
             return self._map.v_from_pinocchio(pin.aba(self._model, self._scaled_data, *state))
+        # redundant closures: try a few iterations first
         if settings.mu:
             few = pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, settings.mu, FIRST_ITERATIONS)
-            found, multipliers = self._solved(state, few), self._scaled_data.lambda_c
+            acceleration, multipliers = self._solve(state, few), self._scaled_data.lambda_c
             if few.relative_residual <= MAX_SETTLED_CHANGE * (1.0 + sqrt(multipliers @ multipliers)):
-                return found
-        found = self._solved(state, settings)
+                return acceleration
+        acceleration = self._solve(state, settings)
+        # if the iterations do not converge, choose mu for this configuration; a mu that is only slightly
+        # smaller would magnify contradictions of closures
         if settings.mu and not settings.relative_residual <= MAX_FINAL_CHANGE:
-            here, _ = self._regularized(q)
-            # a smaller mu would magnify contradictions of closures
-            if here.mu < MAX_EIGENVALUE_SHARE * settings.mu:
-                return self._solved(state, here)
-        return found
+            settings_here, _ = self._regularized(q)
+            if settings_here.mu < MAX_EIGENVALUE_FRACTION * settings.mu:
+                return self._solve(state, settings_here)
+        return acceleration
 
-    def _solved(self, state: tuple[Array, Array, Array], settings: Any) -> Array:
-        """Solve for accelerations at q, v and forces in Pinocchio's order."""
+    def _solve(self, state: tuple[Array, Array, Array], settings: Any) -> Array:
+        """Return accelerations (nv,), tree order, for a state (q, v, forces) in Pinocchio's order."""
         closures = self._constraints, self._constraint_data
         found = pin.constraintDynamics(self._model, self._scaled_data, *state, *closures, settings)
         return self._map.v_from_pinocchio(found)
 
     def wrenches(self) -> list[Any]:
-        """Wrenches on second bodies about the world's origin, SI units, of the accelerations found last."""
+        """Return the `pinocchio.Force` of each closure on its second body, for the latest accelerations.
+
+        Forces are about the world's origin, in SI units.
+        """
         force = self._units.mass * self._units.length
         scaled = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
         return [pin.Force(w.linear * force, w.angular * self._units.moment) for w in scaled]
 
     def _jacobian(self, q: Array) -> Array:
-        """(k, nv) of the closures, dimensionless."""
+        """Return the dimensionless Jacobian (k, nv) of the closures."""
         pin.computeJointJacobians(self._closed.model, self._data, self._map.q_to_pinocchio(q))
         pin.updateFramePlacements(self._closed.model, self._data)
         return self._closures.jacobian(self._data) * self._units.v / self._closures.units[:, None]
 
     def _regularized(self, q: Array) -> tuple[Any, float]:
-        """Choose iterations for redundant closures at a configuration, see `regularized`."""
+        """Choose the settings of the iterations at a configuration q (nq,), see `regularized`."""
         scaled_q = self._map.q_to_pinocchio(q / self._units.q)
         mass = mass_matrix(self._model, self._scaled_data, self._map, scaled_q)
-        return regularized(self._jacobian(q), mass, self._redundant)
+        return regularized(self._jacobian(q), mass, self._redundant_count)
 
 
 def _in_units(closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> tuple[Any, Any]:
-    """Copy a model and its constraints, in other units; its frames stay as they are."""
+    """Return a copy of a model and of its constraints in other units; frames keep their SI units."""
 
     def placed(placement: Any) -> Any:
+        """Return a placement with its translation in the unit of length."""
         return pin.SE3(placement.rotation, placement.translation / units.length)
 
     model, constraints = closed.model.copy(), pin.StdVec_RigidConstraintModel()
@@ -171,8 +189,9 @@ def _in_units(closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> tupl
     model.armature = model.armature * map.v_to_pinocchio(units.v) ** 2 / units.moment
     for index, inertia in enumerate(closed.model.inertias):
         model.jointPlacements[index] = placed(model.jointPlacements[index])
-        own = inertia.mass / units.mass, inertia.lever / units.length, inertia.inertia / units.moment
-        model.inertias[index] = pin.Inertia(*own)
+        model.inertias[index] = pin.Inertia(
+            inertia.mass / units.mass, inertia.lever / units.length, inertia.inertia / units.moment
+        )
     for constraint in closed.constraints:
         scaled = pin.RigidConstraintModel(constraint)
         scaled.joint1_placement = placed(constraint.joint1_placement)
@@ -182,7 +201,7 @@ def _in_units(closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> tupl
 
 
 def regularized(jacobian: Array, mass: Array, redundant: int) -> tuple[Any, float]:
-    """Choose the settings of iterations.
+    """Choose the regularization mu of the proximal iterations.
 
     Args:
         jacobian: (k, nv) dimensionless Jacobian.
@@ -196,5 +215,5 @@ def regularized(jacobian: Array, mass: Array, redundant: int) -> tuple[Any, floa
     mean = float(np.mean(np.diag(response)))
     nonzero = np.linalg.eigvalsh(response)[redundant:]
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
-    mu = min(RELATIVE_MU * max(mean, 1.0), max(MAX_EIGENVALUE_SHARE * weakest, MIN_RELATIVE_MU * mean))
+    mu = min(RELATIVE_MU * max(mean, 1.0), max(MAX_EIGENVALUE_FRACTION * weakest, MIN_RELATIVE_MU * mean))
     return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, mu, MAX_PROXIMAL_ITERATIONS), mean / mu
