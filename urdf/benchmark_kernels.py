@@ -1,7 +1,7 @@
-"""Benchmark kernels of Pinocchio: right-hand sides and runs with as little Python as possible.
+"""Benchmark kernels of Pinocchio: right-hand sides and runs with as little Python overhead as possible.
 
-States y = (q, v) have Pinocchio's order, SI units, so that nothing is converted during a run. The kernels
-store poses at output times only.
+crosscheck's benchmarks measure Pinocchio's speed with these kernels. States y = (q, v) have Pinocchio's order
+and SI units, so that nothing is converted during a run. The kernels store poses at output times only.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
 
 REGULARIZATIONS = ((0.0, 1), (1e-8, 1), (1e-8, 3), (1e-6, 3), (1e-6, 10), (1e-6, 30), (1e-4, 30))
-"""Regularizations (mu, iterations) of `constraintDynamics`, cheapest first, for redundant closures."""
+"""Pairs of the regularization mu and a number of iterations of `constraintDynamics`, cheapest first.
+
+Redundant closures need a regularization; the iterations remove its effect (see `urdf.proximal`)."""
 
 MAX_REGULARIZATION_ERROR = 1e-9
 """Largest relative error of accelerations by a regularization."""
@@ -38,6 +40,7 @@ MAX_LSODA_STEPS = 1000
 """Largest number of steps of LSODA per output interval."""
 
 Rates = Callable[[float, Array], Array]
+"""Function of time t and state y that returns ydot."""
 
 
 class Equations(NamedTuple):
@@ -45,7 +48,7 @@ class Equations(NamedTuple):
 
     Attributes:
         system: Pinocchio's system of the scene.
-        acceleration: function without arguments, one right-hand side at the initial state.
+        acceleration: function without arguments that computes accelerations at the initial state.
         rates: function of t and y that returns ydot (nq + nv,), always in the same array.
         start: (nq + nv,) initial y.
         nq: number of coordinates q in y.
@@ -59,31 +62,33 @@ class Equations(NamedTuple):
 
 
 def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) -> Equations:
-    """Make the equations of motion by `constraintDynamics` or `lcaba`.
+    """Return the equations of motion by Pinocchio's `constraintDynamics` or `lcaba`.
+
+    `lcaba` is Pinocchio's articulated-body algorithm for closed loops.
 
     Args:
         scene: scene to simulate.
-        alpha: 1/s, of Baumgarte's gains.
-        lcaba: (mu, iterations) of `lcaba`; None for `constraintDynamics`.
+        alpha: parameter, 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
+        lcaba: mu and number of iterations of `lcaba`; None for `constraintDynamics`.
 
     Raises:
         UrdfError: for a scene with elements that `lcaba` does not support.
     """
-    scene = replace(scene, outputs=frozenset())  # no work in the coordinates
+    scene = replace(scene, outputs=frozenset())  # otherwise the work may be one of the coordinates
     system = PinocchioSystem(scene, alpha)
-    outside = _outside(scene)
-    if outside and lcaba:
+    unsupported = _unsupported_elements(scene)
+    if unsupported and lcaba:
         known = "gravity, forces on joint coordinates, and loops that balls or welds close"
-        raise UrdfError(f"{outside[0]}: Pinocchio's lcaba supports only {known}")
-    if outside:
-        return _checked_equations(system)
+        raise UrdfError(f"{unsupported[0]}: Pinocchio's lcaba supports only {known}")
+    if unsupported:
+        return _equations_by_system(system)
     model, constraints = system.closed.model, system.closed.constraints
     # arrays that every call reuses
     data = model.createData()
     nq, nv = model.nq, model.nv
-    gains, constant = _laws(scene, system)
-    tau, rates = np.zeros(nv), np.empty(nq + nv)
-    qdot, vdot = rates[:nq], rates[nq:]
+    gains, constant = _affine_laws(scene, system)
+    tau, ydot = np.zeros(nv), np.empty(nq + nv)
+    qdot, vdot = ydot[:nq], ydot[nq:]
     q, v = system.coordinates(initial_state(scene))
     start = np.concatenate([system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)])
     tau[:] = gains @ start + constant
@@ -95,38 +100,40 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     solve = pin.lcaba if lcaba else pin.constraintDynamics
 
     def accelerate(settings: Any) -> Array:
+        """Return the accelerations at the initial state for `pinocchio.ProximalSettings`."""
         return solve(model, data, start[:nq], start[nq:], tau, constraints, datas, settings)
 
-    # the regularization, and the places of balls and single coordinates
-    proximal = _proximal(*lcaba) if lcaba else _chosen(system, accelerate)
+    # the regularization, and the indices of balls and of other coordinates
+    settings = _proximal_settings(*lcaba) if lcaba else _cheapest_accurate_settings(system, accelerate)
     joints = list(model.joints)[1:]
     balls = [(joint.idx_q, joint.idx_v) for joint in joints if joint.nq == 4]
-    plain_q = [joint.idx_q for joint in joints if joint.nq == 1]
-    plain_v = [joint.idx_v for joint in joints if joint.nq == 1]
-    actuated = bool(scene.joint_forces)
+    single_q = [joint.idx_q for joint in joints if joint.nq == 1]
+    single_v = [joint.idx_v for joint in joints if joint.nq == 1]
+    is_actuated = bool(scene.joint_forces)
     dot, add = np.dot, np.add
 
     def rates_at(t: float, y: Array) -> Array:
+        """Return ydot at a state."""
         v = y[nq:]
-        if actuated:
+        if is_actuated:
             dot(gains, y, tau)
             add(tau, constant, tau)
         if balls:
-            qdot[plain_q] = v[plain_v]
-            for on_q, on_v in balls:
-                qdot[on_q : on_q + 4] = _turned(y[on_q : on_q + 4].tolist(), v[on_v : on_v + 3].tolist())
+            qdot[single_q] = v[single_v]
+            for i, k in balls:
+                qdot[i : i + 4] = _quaternion_rate(y[i : i + 4].tolist(), v[k : k + 3].tolist())
         else:
             qdot[:] = v
-        vdot[:] = solve(model, data, y[:nq], v, tau, constraints, datas, proximal)
-        return rates
+        vdot[:] = solve(model, data, y[:nq], v, tau, constraints, datas, settings)
+        return ydot
 
     q0, v0, tau0 = start[:nq].copy(), start[nq:].copy(), tau.copy()
-    arguments = (model, data, q0, v0, tau0, constraints, datas, proximal)
+    arguments = (model, data, q0, v0, tau0, constraints, datas, settings)
     return Equations(system, partial(solve, *arguments), rates_at, start, nq)
 
 
 def articulated_bodies(scene: Scene) -> Callable[[], Array]:
-    """Make a call of no arguments that computes accelerations at the initial state by Pinocchio's `aba`.
+    """Return a function without arguments that computes initial accelerations by Pinocchio's `aba`.
 
     Raises:
         UrdfError: for a scene with loops, and for a force that `lcaba` does not know.
@@ -135,47 +142,57 @@ def articulated_bodies(scene: Scene) -> Callable[[], Array]:
     system, start, nq = equations.system, equations.start, equations.nq
     if system.closed.constraints:
         raise UrdfError(f"scene {scene.name!r}: Pinocchio's aba knows no loops")
-    gains, constant = _laws(system.scene, system)
+    gains, constant = _affine_laws(system.scene, system)
     model, tau = system.closed.model, gains @ start + constant
     return partial(pin.aba, model, model.createData(), start[:nq].copy(), start[nq:].copy(), tau)
 
 
-def _checked_equations(system: PinocchioSystem) -> Equations:
-    """Make the equations from `PinocchioSystem`, for elements that `constraintDynamics` does not support."""
-    to, nq = system.map, system.closed.model.nq
-    rates = np.empty(nq + system.nv)
+def _equations_by_system(system: PinocchioSystem) -> Equations:
+    """Return the equations by `PinocchioSystem`, for elements that `constraintDynamics` does not support."""
+    map, nq = system.map, system.closed.model.nq
+    ydot = np.empty(nq + system.nv)
     q, v = system.coordinates(initial_state(system.scene))
 
     def rates_at(t: float, y: Array) -> Array:
-        q, v = to.q_from_pinocchio(y[:nq]), to.v_from_pinocchio(y[nq:])
-        now = at_time(system, t)
-        rates[:nq], rates[nq:] = to.q_to_pinocchio(now.rate(q, v)), to.v_to_pinocchio(now.acceleration(q, v))
-        return rates
+        """Return ydot at a time and state."""
+        q, v = map.q_from_pinocchio(y[:nq]), map.v_from_pinocchio(y[nq:])
+        system_at_t = at_time(system, t)
+        ydot[:nq] = map.q_to_pinocchio(system_at_t.rate(q, v))
+        ydot[nq:] = map.v_to_pinocchio(system_at_t.acceleration(q, v))
+        return ydot
 
-    start = np.concatenate([to.q_to_pinocchio(q), to.v_to_pinocchio(v)])
+    start = np.concatenate([map.q_to_pinocchio(q), map.v_to_pinocchio(v)])
     return Equations(system, partial(system.acceleration, q, v), rates_at, start, nq)
 
 
-def _outside(scene: Scene) -> list[str]:
-    """List elements other than gravity, closures of Pinocchio and affine laws of joint coordinates."""
-    found = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
-    found += [law.element for law in scene.control if not isinstance(law, PD) or law.is_driven]
-    found += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
-    return found + [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
+def _unsupported_elements(scene: Scene) -> list[str]:
+    """Return the names of elements that `constraintDynamics` and `lcaba` do not support.
+
+    They support gravity, loops that balls or welds close, and affine laws of joint coordinates.
+    """
+    names = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
+    names += [law.element for law in scene.control if not isinstance(law, PD) or law.is_driven]
+    names += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
+    return names + [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
 
 
-def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
-    """Return control laws and joint springs as an affine function of y: (nv, nq + nv) and (nv,)."""
-    order_q = list(system.map.q_to_pinocchio(np.arange(system.nq)))
-    order_v = list(system.map.v_to_pinocchio(np.arange(system.nv)))
+def _affine_laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
+    """Return gains (nv, nq + nv) and constants (nv,) of all control laws and joint springs.
+
+    The generalized forces are gains @ y + constants, in Pinocchio's order.
+    """
+    # index in the tree of each of Pinocchio's coordinates and velocities
+    tree_q = list(system.map.q_to_pinocchio(np.arange(system.nq)))
+    tree_v = list(system.map.v_to_pinocchio(np.arange(system.nv)))
     tree = weld_loops(scene.mechanism, loaded=scene.loaded_balls).tree
     gains, constant = np.zeros((tree.nv, tree.nq + tree.nv)), np.zeros(tree.nv)
     for law in scene.joint_forces:
-        place = tree.place(law.joint, law.coordinate)
-        assert place is not None  # only balls close loops
+        indices = tree.place(law.joint, law.coordinate)
+        assert indices is not None  # no hinge or slide closes a loop
         assert isinstance(law, PD | JointSpring)
-        row = order_v.index(place[1])
-        gains[row, order_q.index(place[0])] -= law.stiffness
+        q_index, v_index = indices
+        row = tree_v.index(v_index)
+        gains[row, tree_q.index(q_index)] -= law.stiffness
         gains[row, tree.nq + row] -= law.damping
         if isinstance(law, PD):
             constant[row] += law.force(0.0, 0.0, 0.0)
@@ -184,23 +201,31 @@ def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
     return gains, constant
 
 
-def _proximal(mu: float, iterations: int) -> Any:
+def _proximal_settings(mu: float, iterations: int) -> Any:
+    """Return `pinocchio.ProximalSettings` with a regularization mu and a largest number of iterations."""
     return pin.ProximalSettings(0.0, 1e-13, mu, iterations)
 
 
-def _chosen(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
-    """Choose the cheapest accurate regularization; none for independent closures."""
+def _cheapest_accurate_settings(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
+    """Return the first of `REGULARIZATIONS` with accurate accelerations at the initial state.
+
+    Without regularization, Pinocchio returns NaN for redundant closures.
+
+    Args:
+        system: Pinocchio's system of the scene, whose accelerations are the reference.
+        accelerate: computes the initial accelerations for `pinocchio.ProximalSettings`.
+    """
     q, v = system.coordinates(initial_state(system.scene))
     exact = system.map.v_to_pinocchio(system.acceleration(q, v))
-    for mu, iterations in REGULARIZATIONS:  # plain elimination returns NaN for redundant closures
-        settings = _proximal(mu, iterations)
+    for mu, iterations in REGULARIZATIONS:
+        settings = _proximal_settings(mu, iterations)
         error = np.max(np.abs(accelerate(settings) - exact))
         if error <= MAX_REGULARIZATION_ERROR * max(float(np.max(np.abs(exact))), 1e-6):
             break
     return settings
 
 
-def _turned(p: list[float], omega: list[float]) -> tuple[float, float, float, float]:
+def _quaternion_rate(p: list[float], omega: list[float]) -> tuple[float, float, float, float]:
     """Return the rate of a quaternion (x, y, z, w) at an angular velocity, rad/s, in the body frame."""
     x, y, z, w = p
     a, b, c = omega
@@ -213,7 +238,12 @@ def _turned(p: list[float], omega: list[float]) -> tuple[float, float, float, fl
 
 
 def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
-    """Integrate by LSODA, Adams and BDF methods of variable order, with interpolated outputs.
+    """Integrate by SciPy's LSODA (Adams and BDF methods of variable order) with interpolated outputs.
+
+    Args:
+        equations: equations of motion.
+        rtol: relative tolerance.
+        atol: absolute tolerance, SI units.
 
     Returns:
         y (n, nq + nv) at outputs, and the number of evaluations.
@@ -239,12 +269,13 @@ def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
 
 
 class Kinematics:
-    """Poses of joints at every output, through a view of Pinocchio's placements.
+    """Poses of joints at all outputs of a run, read through a view of Pinocchio's memory.
 
-    A placement has 12 numbers: the columns of the rotation matrix and the translation, m, world frame.
+    A placement has 12 numbers: the columns of the rotation matrix, then the translation, m, world frame.
     """
 
     def __init__(self, equations: Equations) -> None:
+        """Prepare the view of the placements in a new `pinocchio.Data`."""
         self._equations = equations
         self._model = equations.system.closed.model
         self._data = self._model.createData()
@@ -260,11 +291,11 @@ class Kinematics:
             rows[:, ball] /= np.linalg.norm(rows[:, ball], axis=1, keepdims=True)
         model, data, view, nq = self._model, self._data, self._placements, self._equations.nq
         forward = pin.forwardKinematics
-        found = np.empty((len(rows), *view.shape))
-        for placements, q in zip(found, rows[:, :nq], strict=True):
+        placements = np.empty((len(rows), *view.shape))
+        for at_output, q in zip(placements, rows[:, :nq], strict=True):
             forward(model, data, q)
-            placements[...] = view
-        return found
+            at_output[...] = view
+        return placements
 
     def poses(self, placements: Array) -> tuple[Array, Array]:
         """Return positions (n, b, 3), m, and quaternions (n, b, 4) of the scene's bodies, ground first.
@@ -277,13 +308,14 @@ class Kinematics:
             reached = float(self._equations.system.scene.times[np.argmin(finite)])
             raise IntegrationError(reached, "its motion is not finite")
         bodies = self._equations.system.mechanism.bodies
-        found = np.empty((len(placements), len(bodies), 7))
+        poses = np.empty((len(placements), len(bodies), 7))  # position, then quaternion (x, y, z, w)
         for k, body in enumerate(bodies):
             frame = self._model.frames[self._model.getFrameId(f"{body.name}_body", pin.FrameType.OP_FRAME)]
             if frame.parentJoint == 0:
-                found[:, k] = pin.SE3ToXYZQUAT(frame.placement)
+                poses[:, k] = pin.SE3ToXYZQUAT(frame.placement)
                 continue
-            for pose, placement in zip(found[:, k], placements[:, frame.parentJoint - 1], strict=True):
+            for pose, placement in zip(poses[:, k], placements[:, frame.parentJoint - 1], strict=True):
                 joint = pin.SE3(placement[:9].reshape(3, 3).T, placement[9:])
                 pose[:] = pin.SE3ToXYZQUAT(joint * frame.placement)
-        return found[..., :3], found[..., [6, 3, 4, 5]]
+        w_x_y_z = [6, 3, 4, 5]
+        return poses[..., :3], poses[..., w_x_y_z]

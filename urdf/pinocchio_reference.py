@@ -1,7 +1,9 @@
-"""Pinocchio model with loop closures as the reference model of a scene.
+"""Reference model from a Pinocchio model with loop closures, against which an imported scene is verified.
 
-See `newton_euler.reading`. Loop closures, couplings and mimics are constraint rows. `urdf.reference` derives
-the reference models of URDF files and of models in memory from the class of this module.
+`newton_euler.reading` compares masses, motions, constraints and forces of an imported scene with those of a
+`ReferenceModel`. The class of this module computes them by Pinocchio. Loop closures, couplings and mimics
+(joints that follow others) are constraint rows. `urdf.reference` derives the reference models of URDF files
+and of models in memory from this class.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportReport, left_out, unique_name
-from newton_euler.reading.quantities import Constraints, Forces, Kinematics
+from newton_euler.reading.quantities import FORCE_KINDS, Constraints, Forces, Kinematics
 from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, names_of_wholes
 from newton_euler.scalars import Array, cross, tilde
 from urdf.constraints import power_sums
@@ -28,7 +30,7 @@ class Closure(NamedTuple):
 
     Attributes:
         element: name in reports.
-        kind: one of `urdf.loops.CLOSURE_TYPES`.
+        kind: one of `urdf.loops.CLOSURE_TYPES`, or `REVOLUTE`.
         first: number of the first frame.
         second: number of the second frame, which no other closure has.
     """
@@ -39,72 +41,122 @@ class Closure(NamedTuple):
     second: int
 
 
+class PointSpring(NamedTuple):
+    """Spring and damper between the origins of two frames.
+
+    Attributes:
+        name: name of the spring.
+        first: number of the first frame.
+        second: number of the second frame.
+        stiffness: N/m.
+        rest_length: m.
+        damping: N s/m.
+    """
+
+    name: str
+    first: int
+    second: int
+    stiffness: float
+    rest_length: float
+    damping: float
+
+
+GRAVITY_ONLY = np.eye(len(FORCE_KINDS))[FORCE_KINDS.index("gravity")][:, None]
+"""Factors (4, 1) that keep the row of gravity in forces (4, nv) of all `FORCE_KINDS`."""
+
+
 class PinocchioReference(ReferenceModel):
-    """Reference model of a Pinocchio model with loop closures."""
+    """Reference model of a Pinocchio model with loop closures.
+
+    Configurations q (nq,) and velocities v (nv,) are Pinocchio's. Residuals of couplings and mimics are
+    linear in the displacement x from a configuration, plus polynomials of second and higher powers.
+    """
 
     def __init__(
-        self, model: Any, owners: Sequence[str], closures: list[Closure], report: ImportReport, scene: Scene
+        self,
+        model: Any,
+        joint_names: Sequence[str],
+        closures: list[Closure],
+        report: ImportReport,
+        scene: Scene,
     ) -> None:
-        """Take over a model.
+        """Take a model, which is changed.
+
+        Subclasses add dampers, springs and couplings, and then call `_begin`.
 
         Args:
-            model: `pinocchio.Model` with the gravity of the scene, which is changed.
-            owners: name in reports of each joint.
+            model: `pinocchio.Model` with the gravity of the scene.
+            joint_names: name of each joint in reports, without the kind of the element.
             closures: loop closures.
             report: import report.
             scene: imported scene; its initial pose selects the start among the closed configurations.
         """
-        self._model, self._of, self._closures = model, owners, closures
-        self._without, self._report = left_out(report), report
-        self._lengths: dict[int, float] = {}
+        self._model, self._joint_names, self._closures = model, joint_names, closures
+        self._topics_left_out, self._report = left_out(report), report
+        self._rod_lengths: dict[int, float] = {}  # by number of the closure, once the start is known
         self._data: Any = model.createData()
         self._damping, self._stiffness, self._rests = np.zeros((3, model.nv))
-        self._springs: list[tuple[str, tuple[int, int], float, float, float]] = []
-        self._rows, self._offsets, self._owners = np.zeros((0, model.nv)), np.zeros(0), list[str]()
-        self._bent = np.zeros((0, MAX_DEGREE, model.nv))  # factors of second and higher powers
-        self._name(scene)
+        self._springs: list[PointSpring] = []
+        # couplings and mimics: linear factors (c, nv), constants (c,), elements, factors of higher powers
+        self._linear, self._offsets = np.zeros((0, model.nv)), np.zeros(0)
+        self._coupling_elements = list[str]()
+        self._higher_powers = np.zeros((0, MAX_DEGREE, model.nv))
+        self._set_names_and_units(scene)
 
-    def _begin(self, q: Array, opened: Array, scene: Scene) -> None:
-        """Find the start next to a configuration (nq,); `opened` are the errors of coupling rows there."""
-        self._from, self._open = q, opened
+    def _begin(self, q: Array, residuals: Array, scene: Scene) -> None:
+        """Find the start next to a configuration.
+
+        Args:
+            q: (nq,) configuration in the file.
+            residuals: (c,) residuals of couplings and mimics at `q`.
+            scene: imported scene.
+        """
+        self._q0, self._residuals_at_q0 = q, residuals
         self.stated = q, np.zeros(self._model.nv)
         self.begin(scene)
         self.keep_offsets()
 
-    def _name(self, scene: Scene) -> None:
+    def _set_names_and_units(self, scene: Scene) -> None:
+        """Set names of bodies and velocities, units, and largest displacements, see `ReferenceModel`."""
         model, self.size = self._model, scene.mechanism.size
+        # joints that move a body with mass, and the name of each body
         self._joints = [k for k in range(1, model.njoints) if model.inertias[k].mass > 0.0]
-        taken = ["ground"]
+        names = ["ground"]
         for k in self._joints:
             bodies = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
-            taken.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", taken))
-        self.names = names_of_wholes(taken[1:], scene.mechanism.body_names)
+            names.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", names))
+        self.names = names_of_wholes(names[1:], scene.mechanism.body_names)
+        # velocities
         massless = {k for k in range(1, model.njoints) if k not in self._joints}
-        self.ranges = np.full(model.nv, 3.0)
-        names = [""] * model.nv
+        self.ranges = np.full(model.nv, 3.0)  # nearly half a revolution, or three sizes
+        motions = [""] * model.nv
         data, neutral = model.createData(), pin.neutral(model)
         columns = np.reshape(pin.computeJointJacobians(model, data, neutral), (6, model.nv))
         for k in range(1, model.njoints):
-            place = slice(model.joints[k].idx_v, model.joints[k].idx_v + model.joints[k].nv)
-            names[place] = [f"joint {self._of[k]!r}"] * model.joints[k].nv
+            in_v = slice(model.joints[k].idx_v, model.joints[k].idx_v + model.joints[k].nv)
+            motions[in_v] = [f"joint {self._joint_names[k]!r}"] * model.joints[k].nv
             if k in massless or model.parents[k] in massless:
-                self.ranges[place] = MAX_HINGE_ROW_ANGLE
-        self.motions = tuple(names)
-        self.lengths = ~np.any(columns[3:] != 0.0, axis=0)
+                self.ranges[in_v] = MAX_HINGE_ROW_ANGLE
+        self.motions = tuple(motions)
+        self.lengths = ~np.any(columns[3:] != 0.0, axis=0)  # no angular velocity
         self.units = np.where(self.lengths, self.size, 1.0)
 
     def _topics(self, element: str) -> set[str]:
-        return self._without.get(element, set())
+        """Return the topics of an element that the import report leaves out; "" is the whole element."""
+        return self._topics_left_out.get(element, set())
 
     # Quantities by Pinocchio
 
     def moved(self, q: Array, step: Array) -> Array:
+        """Return the configuration (nq,) that velocities `step` (nv,) reach from q (nq,) in 1 s."""
         return np.asarray(pin.integrate(self._model, q, step))
 
     def difference(self, q: Array, other: Array) -> Array:
+        """Return the velocities (nv,) that lead from configuration q (nq,) to `other` (nq,) in 1 s."""
         return np.asarray(pin.difference(self._model, q, other))
 
     def points(self, q: Array) -> Array:
+        """Return centers of mass and origins of all moving joints (k, 3), m, world frame."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q)
         placed = list(zip(list(data.oMi)[1:], list(model.inertias)[1:], strict=True))
@@ -112,6 +164,7 @@ class PinocchioReference(ReferenceModel):
         return np.array([*centers, *(pose.translation for pose, _ in placed)])
 
     def mass_properties(self) -> MassProperties:
+        """Return masses, centers of mass and inertias of the bodies at the start, world frame."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, self.start)
         placed = [data.oMi[k].act(model.inertias[k]) for k in self._joints]
@@ -119,143 +172,166 @@ class PinocchioReference(ReferenceModel):
         return MassProperties(*(np.array(value) for value in values))
 
     def kinematics(self, q: Array, v: Array) -> Kinematics:
+        """Compute poses, Jacobians and velocity-dependent accelerations of the bodies."""
         model, data = self._model, self._data
         pin.computeJointJacobians(model, data, q)
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         count = len(self._joints)
-        places, turns = np.zeros((count, 3)), np.zeros((count, 3, 3))
-        rows, drift = np.zeros((count, 6, model.nv)), np.zeros((count, 6))
+        centers, rotations = np.zeros((count, 3)), np.zeros((count, 3, 3))
+        jacobians, drift = np.zeros((count, 6, model.nv)), np.zeros((count, 6))
         for n, k in enumerate(self._joints):
             pose = data.oMi[k]
+            # from the origin of the joint to the center of mass
             arm = pose.rotation @ model.inertias[k].lever
-            places[n], turns[n] = pose.translation + arm, pose.rotation
+            centers[n], rotations[n] = pose.translation + arm, pose.rotation
             columns = pin.getJointJacobian(model, data, k, pin.LOCAL_WORLD_ALIGNED)
-            rows[n] = np.reshape(columns, (6, model.nv))
-            rows[n, :3] -= tilde(arm) @ rows[n, 3:]
-            found = pin.getClassicalAcceleration(model, data, k, pin.LOCAL_WORLD_ALIGNED)
-            omega = rows[n, 3:] @ v
-            drift[n, 3:] = found.angular
-            across = cross(found.angular, arm) + cross(omega, cross(omega, arm))
-            drift[n, :3] = found.linear + across
-        return Kinematics(places, turns, rows, drift)
+            jacobians[n] = np.reshape(columns, (6, model.nv))
+            jacobians[n, :3] -= tilde(arm) @ jacobians[n, 3:]
+            # acceleration at zero accelerations of the coordinates
+            acceleration = pin.getClassicalAcceleration(model, data, k, pin.LOCAL_WORLD_ALIGNED)
+            omega = jacobians[n, 3:] @ v
+            relative = cross(acceleration.angular, arm) + cross(omega, cross(omega, arm))
+            drift[n] = np.concatenate([acceleration.linear + relative, acceleration.angular])
+        return Kinematics(centers, rotations, jacobians, drift)
 
     def constraints(self, q: Array) -> Constraints:
+        """Return dimensionless residuals and Jacobian of loop closures, couplings and mimics."""
         model, data = self._model, self._data
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
-        residuals, rows, owners = [np.zeros(0)], [np.zeros((0, model.nv))], list[str]()
+        residuals, rows, elements = [np.zeros(0)], [np.zeros((0, model.nv))], list[str]()
         for number, (element, kind, first, second) in enumerate(self._closures):
             a, b = data.oMf[first], data.oMf[second]
-            line, apart = a.translation - b.translation, self._moving(first) - self._moving(second)
-            before = len(rows)
+            # from the second origin to the first, and its derivative together with the relative rotation
+            d = a.translation - b.translation
+            relative_jacobian = self._frame_jacobian(first) - self._frame_jacobian(second)
+            block_count = len(rows)
             if kind != "rod":
-                residuals.append(line / self.size)
-                rows.append(apart[:3] / self.size)
-            elif number in self._lengths:  # the length of a rod is known after the start is found
-                length = np.linalg.norm(line)
-                residuals.append(np.array([length - self._lengths[number]]) / self.size)
-                rows.append((line / length @ apart[:3])[None] / self.size)
-            if (
-                kind == REVOLUTE
-            ):  # the x axis of the first frame is perpendicular to the y and z axes of the second
-                along, across = a.rotation[:, 0], b.rotation[:, 1:].T
-                residuals.append(across @ along)
-                rows.append(np.cross(along, across) @ apart[3:])
+                residuals.append(d / self.size)
+                rows.append(relative_jacobian[:3] / self.size)
+            elif number in self._rod_lengths:  # the length of a rod is known after the start is found
+                length = np.linalg.norm(d)
+                residuals.append(np.array([length - self._rod_lengths[number]]) / self.size)
+                rows.append((d / length @ relative_jacobian[:3])[None] / self.size)
+            if kind == REVOLUTE:
+                # the x axis of the first frame is perpendicular to the y and z axes of the second
+                x_axis, y_and_z_axes = a.rotation[:, 0], b.rotation[:, 1:].T
+                residuals.append(y_and_z_axes @ x_axis)
+                rows.append(np.cross(x_axis, y_and_z_axes) @ relative_jacobian[3:])
             if kind == "6d":
-                turn = a.rotation.T @ b.rotation
-                residuals.append(pin.log3(turn))
-                rows.append(-pin.Jlog3(turn) @ b.rotation.T @ apart[3:])
-            owners += [element] * sum(map(len, rows[before:]))
+                relative_rotation = a.rotation.T @ b.rotation
+                residuals.append(pin.log3(relative_rotation))
+                rows.append(-pin.Jlog3(relative_rotation) @ b.rotation.T @ relative_jacobian[3:])
+            elements += [element] * sum(map(len, rows[block_count:]))
         # couplings and mimics
         x = pin.difference(model, pin.neutral(model), q)
-        bent = np.sum(power_sums(self._bent, x, 0), axis=1)
-        residuals.append(self._rows @ pin.difference(model, self._from, q) + self._open + bent)
-        jacobian = np.concatenate([*rows, self._rows + power_sums(self._bent, x, 1)]) * self.units
-        return Constraints(np.concatenate(residuals), jacobian, [*owners, *self._owners])
+        higher = np.sum(power_sums(self._higher_powers, x, 0), axis=1)
+        linear = self._linear @ pin.difference(model, self._q0, q)
+        residuals.append(linear + self._residuals_at_q0 + higher)
+        rows.append(self._linear + power_sums(self._higher_powers, x, 1))
+        jacobian = np.concatenate(rows) * self.units
+        return Constraints(np.concatenate(residuals), jacobian, [*elements, *self._coupling_elements])
 
     def keep_offsets(self) -> None:
+        """Redefine loop closures, couplings and mimics so that their residuals are zero at the start."""
         model, data = self._model, self._data
         pin.framesForwardKinematics(model, data, self.start)
         for number, (_, kind, first, second) in enumerate(self._closures):
             if kind == "rod":
-                line = data.oMf[first].translation - data.oMf[second].translation
-                self._lengths[number] = float(np.linalg.norm(line))
+                d = data.oMf[first].translation - data.oMf[second].translation
+                self._rod_lengths[number] = float(np.linalg.norm(d))
             else:
+                # move the second frame to the first; a ball needs the origin only
                 joint = data.oMi[model.frames[second].parentJoint]
-                wanted = (
-                    data.oMf[first]
-                    if kind in ("6d", REVOLUTE)
-                    else pin.SE3(np.eye(3), data.oMf[first].translation)
-                )
-                model.frames[second].placement = joint.actInv(wanted)
-        self._from, self._open = self.start, np.zeros(len(self._open))
+                target = data.oMf[first]
+                if kind not in ("6d", REVOLUTE):
+                    target = pin.SE3(np.eye(3), target.translation)
+                model.frames[second].placement = joint.actInv(target)
+        self._q0, self._residuals_at_q0 = self.start, np.zeros(len(self._residuals_at_q0))
         self._data = model.createData()
 
-    def _moving(self, frame: int) -> Array:
-        """Return the Jacobian (6, nv) of a frame's linear and angular velocity, world axes."""
-        found = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        return np.reshape(found, (6, self._model.nv))
+    def _frame_jacobian(self, frame: int) -> Array:
+        """Return the Jacobian (6, nv) of the linear and angular velocity of a frame, world axes."""
+        jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
+        return np.reshape(jacobian, (6, self._model.nv))
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
+        """Return the mass matrices (nv, nv) of bodies and of armatures."""
         upper = np.triu(pin.crba(self._model, self._data, q))
-        rotors = np.diag(self._model.armature)
-        return upper + np.triu(upper, 1).T - rotors, rotors
+        armatures = np.diag(self._model.armature)
+        return upper + np.triu(upper, 1).T - armatures, armatures
 
     def forces(self, q: Array, v: Array) -> Forces:
-        weight = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
-        bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + weight
+        """Return the generalized forces (nv,) of gravity, springs, dampers, actuators, and bias."""
+        gravity = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
+        bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + gravity
         springs, dampers = -self._stiffness * (self._coordinates(q) - self._rests), -self._damping * v
-        for name, *_ in self._springs:
-            pulls = self._pulls(name, q, v)
-            springs, dampers = springs + pulls[0], dampers + pulls[1]
-        return Forces(weight, springs, dampers, np.zeros(len(v)), bias)
+        for spring in self._springs:
+            spring_force, damper_force, _ = self._point_spring_forces(spring, q, v)
+            springs, dampers = springs + spring_force, dampers + damper_force
+        return Forces(gravity, springs, dampers, np.zeros(len(v)), bias)
 
     def _coordinates(self, q: Array) -> Array:
-        """Return the coordinates (nv,) of hinges and slides."""
+        """Return the coordinates of hinges and slides, ordered as velocities (nv,)."""
         return np.asarray(pin.difference(self._model, pin.neutral(self._model), q))
 
-    def _pulls(self, spring: str, q: Array, v: Array) -> tuple[Array, Array, float]:
-        """Return generalized forces (nv,) of a point spring and of its damper, and its energy, J."""
+    def _point_spring_forces(self, spring: PointSpring, q: Array, v: Array) -> tuple[Array, Array, float]:
+        """Return the generalized forces (nv,) of a point spring and of its damper, and the energy, J."""
         model, data = self._model, self._data
-        frames, stiffness, rest, damping = next(each[1:] for each in self._springs if each[0] == spring)
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
-        first, second = frames
-        line = data.oMf[second].translation - data.oMf[first].translation
-        length = float(np.linalg.norm(line))
-        rate = line / length @ (self._moving(second) - self._moving(first))[:3]
-        stretch = length - rest
-        return -stiffness * stretch * rate, -damping * (rate @ v) * rate, 0.5 * stiffness * stretch**2
+        d = data.oMf[spring.second].translation - data.oMf[spring.first].translation
+        length = float(np.linalg.norm(d))
+        relative_jacobian = self._frame_jacobian(spring.second) - self._frame_jacobian(spring.first)
+        length_jacobian = d / length @ relative_jacobian[:3]
+        stretch = length - spring.rest_length
+        return (
+            -spring.stiffness * stretch * length_jacobian,
+            -spring.damping * (length_jacobian @ v) * length_jacobian,
+            0.5 * spring.stiffness * stretch**2,
+        )
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
+        """Return kinetic energy, and potential energy up to a constant, J."""
         kinetic = pin.computeKineticEnergy(self._model, self._data, q, v)
         potential = float(pin.computePotentialEnergy(self._model, self._data, q))
         potential += float(0.5 * self._stiffness @ (self._coordinates(q) - self._rests) ** 2)
-        potential += sum(self._pulls(name, q, v)[2] for name, *_ in self._springs)
+        for spring in self._springs:
+            _, _, energy = self._point_spring_forces(spring, q, v)
+            potential += energy
         return float(kinetic), potential
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
-        gravity, weights = self._model.gravity.linear.copy(), []
+        """Yield each element with its forces at all samples, while all other elements have none."""
+        # gravity of 1 m/s^2 along each axis
+        gravity, gravity_variants = self._model.gravity.linear.copy(), []
         for axis in np.eye(3):
             self._model.gravity.linear = axis
-            alone = [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
-            weights.append([forces * np.eye(4)[0][:, None] for forces in alone])
+            by_sample = [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
+            gravity_variants.append([forces * GRAVITY_ONLY for forces in by_sample])
         self._model.gravity.linear = gravity
-        yield "gravity", weights
+        yield "gravity", gravity_variants
+        # springs and dampers of each joint
         for name in dict.fromkeys(self.motions):
-            own, found = np.array([motion == name for motion in self.motions]), []
+            of_joint, by_sample = np.array([motion == name for motion in self.motions]), []
             for sample in samples:
                 forces = np.array(self.forces(sample.q, sample.v)[:-1])
-                found.append(np.where(own, forces, 0.0) * (1.0 - np.eye(4)[0][:, None]))
-            if np.any(found):
-                what = "stiffness and damping" if np.any(self._stiffness[own]) else "damping"
-                yield f"{name}: {what}", [found]
-        for name, *_ in self._springs:
-            pulls = [self._pulls(name, sample.q, sample.v) for sample in samples]
-            yield f"spring {name!r}", [[np.array([0.0 * k, k, d, 0.0 * d]) for k, d, _ in pulls]]
+                by_sample.append(np.where(of_joint, forces, 0.0) * (1.0 - GRAVITY_ONLY))
+            if np.any(by_sample):
+                what = "stiffness and damping" if np.any(self._stiffness[of_joint]) else "damping"
+                yield f"{name}: {what}", [by_sample]
+        # point springs; rows of `FORCE_KINDS`: gravity, springs, dampers, actuators
+        for spring in self._springs:
+            by_sample = []
+            for sample in samples:
+                spring_force, damper_force, _ = self._point_spring_forces(spring, sample.q, sample.v)
+                zero = 0.0 * spring_force
+                by_sample.append(np.array([zero, spring_force, damper_force, zero]))
+            yield f"spring {spring.name!r}", [by_sample]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+        """Yield each joint that has an armature, with its mass matrix (nv, nv) at each sample."""
         for name in dict.fromkeys(self.motions):
-            own = np.array([motion == name for motion in self.motions])
-            if np.any(self._model.armature[own]):
-                yield name, [np.diag(np.where(own, self._model.armature, 0.0))] * len(samples)
+            of_joint = np.array([motion == name for motion in self.motions])
+            if np.any(self._model.armature[of_joint]):
+                yield name, [np.diag(np.where(of_joint, self._model.armature, 0.0))] * len(samples)

@@ -1,14 +1,15 @@
-"""URDF with its loop file, or a model in memory, as Pinocchio holds it: the reference model of a scene.
+"""Reference models of a URDF with its loop file, and of a Pinocchio model in memory.
 
-See `newton_euler.reading`. Pinocchio parses the file again. Loop closures, couplings and mimics are
-constraint rows here. The module shares only the names of elements with `urdf.reading`.
+An imported scene is verified against the reference model (`newton_euler.reading`). Pinocchio parses the file
+again for this purpose. The module shares only the names of elements with the reader, `urdf.reading`, so that
+both cannot make the same mistake. For the equations see `urdf.pinocchio_reference`.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -19,9 +20,26 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 from urdf.extensions import ARMATURE, STIFFNESS, Extensions
 from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, closure_names, parse_loops
-from urdf.pinocchio_reference import Closure, PinocchioReference
+from urdf.pinocchio_reference import Closure, PinocchioReference, PointSpring
 
 HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+"""Pinocchio's joint models of hinges, by axis."""
+
+
+class MimicOfVelocities(NamedTuple):
+    """Mimic of a URDF, x_follower = multiplier * x_driver + offset, by indices of velocities.
+
+    Attributes:
+        follower: index of the follower's velocity.
+        driver: index of the driver's velocity.
+        multiplier: derivative of the follower by the driver.
+        offset: coordinate of the follower for the driver at 0, m or rad.
+    """
+
+    follower: int
+    driver: int
+    multiplier: float
+    offset: float
 
 
 class UrdfReference(PinocchioReference):
@@ -36,70 +54,74 @@ class UrdfReference(PinocchioReference):
         report: ImportReport,
         scene: Scene,
     ) -> None:
-        """Parse both files.
+        """Parse the URDF and the loop file, and find the start configuration.
 
         Args:
             extensions: text of the URDF, and elements that act in addition to links and joints.
             loops: text of the loop file; None for no loop file.
-            base: see `urdf.read`.
-            gravity: see `urdf.read`.
+            base: "fixed" if the root link is the ground, "free" if it floats.
+            gravity: (3,) m/s^2.
             report: import report.
             scene: imported scene.
         """
+        # Pinocchio's model with the loops of the loop file and of the URDF's additional elements
         self._root = ET.fromstring(extensions.text)
-        own = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
-        self._loops = extensions.added_to(own)
-        model, owners = _built(extensions.text, self._loops, base)
+        loops_of_file = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
+        self._loops = extensions.added_to(loops_of_file)
+        model, joint_names = _build_model(extensions.text, self._loops, base)
         model.gravity.linear = np.array(gravity)
-        super().__init__(model, owners, _ends(model, self._loops), report, scene)
-        self._damping = self._dampers()
-        self._add(extensions)
+        super().__init__(model, joint_names, _closures(model, self._loops), report, scene)
+        # forces and couplings
+        self._damping = self._dampings()
+        self._add_extensions(extensions)
         self.unaccounted = tuple(self._unaccounted(report))
-        self._couple()
-        guess = np.zeros(model.nv)
-        for _ in self._followers:  # repeated for followers of followers
-            for follower, driver, multiplier, offset in self._followers:
-                guess[follower] = multiplier * guess[driver] + offset
-        q = self.moved(pin.neutral(model), guess)
-        self._begin(q, self._rows @ guess - self._offsets, scene)
+        self._add_couplings()
+        # displacements from neutral at the start: followers of mimics at their offsets
+        x0 = np.zeros(model.nv)
+        for _ in self._mimics:  # repeated for followers of followers
+            for mimic in self._mimics:
+                x0[mimic.follower] = mimic.multiplier * x0[mimic.driver] + mimic.offset
+        q = self.moved(pin.neutral(model), x0)
+        self._begin(q, self._linear @ x0 - self._offsets, scene)
 
-    def _dampers(self) -> Array:
-        """Return the damping (nv,) of hinges and slides in `<dynamics>`."""
-        model, found = self._model, np.zeros(self._model.nv)
+    def _dampings(self) -> Array:
+        """Return the damping (nv,) of hinges and slides in elements `<dynamics>`, SI units."""
+        model, dampings = self._model, np.zeros(self._model.nv)
         numbers = {str(model.names[k]): k for k in range(1, model.njoints) if model.joints[k].nv == 1}
         for joint in self._root.findall("joint"):
             dynamics, name = joint.find("dynamics"), str(joint.get("name"))
             if dynamics is not None and name in numbers and "damping" not in self._topics(f"joint {name!r}"):
-                found[model.joints[numbers[name]].idx_v] = float(dynamics.get("damping", 0.0))
-        return found
+                dampings[model.joints[numbers[name]].idx_v] = float(dynamics.get("damping", 0.0))
+        return dampings
 
-    def _add(self, extensions: Extensions) -> None:
-        """Add springs, dampers and rotors of elements other than joints."""
+    def _add_extensions(self, extensions: Extensions) -> None:
+        """Add the springs, dampers and rotors that tools add to the URDF."""
         model = self._model
         for k in range(1, model.njoints):
             joint, name = model.joints[k], str(model.names[k])
             if joint.nv != 1:
                 continue
-            topics, place = self._topics(f"joint {name!r}"), joint.idx_v
+            topics, index = self._topics(f"joint {name!r}"), joint.idx_v
             if STIFFNESS not in topics:
-                self._stiffness[place], self._rests[place] = extensions.springs.get(name, (0.0, 0.0))
+                self._stiffness[index], self._rests[index] = extensions.springs.get(name, (0.0, 0.0))
             if "damping" not in topics:
-                self._damping[place] += extensions.dampings.get(name, 0.0)
+                self._damping[index] += extensions.dampings.get(name, 0.0)
             if ARMATURE not in topics:
-                model.armature[place] = extensions.armatures.get(name, 0.0)
+                model.armature[index] = extensions.armatures.get(name, 0.0)
         inert = {entry.element for entry in self._report.entries if entry.inert}
         for spring in extensions.point_springs:
             if f"spring {spring.name!r}" not in inert:
-                frames = tuple(int(model.getFrameId(frame)) for frame in spring.frames)
+                first, second = (int(model.getFrameId(frame)) for frame in spring.frames)
                 numbers = spring.stiffness, spring.rest_length, spring.damping
-                self._springs.append((spring.name, (frames[0], frames[1]), *numbers))
+                self._springs.append(PointSpring(spring.name, first, second, *numbers))
 
-    def _couple(self) -> None:
-        """Set the rows of mimics and coupled joints: factors (c, nv), offsets (c,) and elements."""
-        model, rows, offsets, owners = self._model, [], [], []
-        bent: list[tuple[int, int, int, float]] = []
-        self._followers: list[tuple[int, int, float, float]] = []
-        places = {str(model.names[k]): model.joints[k].idx_v for k in range(1, model.njoints)}
+    def _add_couplings(self) -> None:
+        """Set the residuals of mimics and coupled joints, see `PinocchioReference`."""
+        model, rows, offsets, elements = self._model, [], [], []
+        higher_powers: list[tuple[int, int, int, float]] = []  # row, power - 1, velocity, factor
+        self._mimics: list[MimicOfVelocities] = []
+        velocity_index = {str(model.names[k]): model.joints[k].idx_v for k in range(1, model.njoints)}
+        # mimics: x_follower - multiplier x_driver = offset
         for joint in self._root.findall("joint"):
             for mimic in joint.findall("mimic"):
                 name, driver = str(joint.get("name")), str(mimic.get("joint"))
@@ -108,40 +130,43 @@ class UrdfReference(PinocchioReference):
                     continue
                 row, offset = np.zeros(model.nv), float(mimic.get("offset", 0.0))
                 multiplier = float(mimic.get("multiplier", 1.0))
-                row[places[name]] += 1.0
-                row[places[driver]] -= multiplier
-                self._followers.append((places[name], places[driver], multiplier, offset))
+                row[velocity_index[name]] += 1.0
+                row[velocity_index[driver]] -= multiplier
+                self._mimics.append(
+                    MimicOfVelocities(velocity_index[name], velocity_index[driver], multiplier, offset)
+                )
                 rows.append(row)
                 offsets.append(offset)
-                owners.append(element)
+                elements.append(element)
+        # couplings of the loop file: factors of the powers 1, 2, ... of coordinates
         for coupling in self._loops.coupled:
             element = f"coupled {', '.join(coupling)}"
             if not self._topics(element):
                 row = np.zeros(model.nv)
                 for name, factors in coupling.items():
-                    row[places[name]] = factors[0]
+                    row[velocity_index[name]] = factors[0]
                     for k, factor in enumerate(factors[1:], start=1):
-                        bent.append((len(rows), k, places[name], factor))
+                        higher_powers.append((len(rows), k, velocity_index[name], factor))
                 rows.append(row)
                 offsets.append(0.0)
-                owners.append(element)
+                elements.append(element)
         # scale each row to a largest factor of 1
-        self._rows, self._owners = np.reshape(rows, (-1, model.nv)), owners
-        scale = np.max(np.abs(self._rows * self.units), axis=1, initial=0.0)
-        self._rows, self._offsets = self._rows / scale[:, None], np.array(offsets) / scale
-        self._bent = np.zeros((len(rows), MAX_DEGREE, model.nv))
-        for number, k, place, factor in bent:
-            self._bent[number, k, place] = factor / scale[number]
+        linear, self._coupling_elements = np.reshape(rows, (-1, model.nv)), elements
+        scale = np.max(np.abs(linear * self.units), axis=1, initial=0.0)
+        self._linear, self._offsets = linear / scale[:, None], np.array(offsets) / scale
+        self._higher_powers = np.zeros((len(rows), MAX_DEGREE, model.nv))
+        for number, k, index, factor in higher_powers:
+            self._higher_powers[number, k, index] = factor / scale[number]
 
     def _unaccounted(self, report: ImportReport) -> Iterator[str]:
-        """Yield joints, mimics and closures that a report does not mention."""
-        known = {entry.element for entry in report.entries}
-        elements = [f"joint {name!r}" for name in self._of[1:] if name != "root_joint"]
+        """Yield the names of joints, mimics and loop closures that a report does not mention."""
+        mentioned = {entry.element for entry in report.entries}
+        elements = [f"joint {name!r}" for name in self._joint_names[1:] if name != "root_joint"]
         for joint in self._root.findall("joint"):
             if joint.get("type") != "fixed" and joint.find("mimic") is not None:
                 elements.append(f"mimic of joint {joint.get('name')!r}")
         elements += [f"closed_loop {' and '.join(pair)}" for pair in self._loops.closed_loop]
-        yield from (element for element in elements if element not in known)
+        yield from (element for element in elements if element not in mentioned)
 
 
 class ModelReference(PinocchioReference):
@@ -182,52 +207,67 @@ class ModelReference(PinocchioReference):
             ]
             kind = "3d" if constraint.type == pin.ContactType.CONTACT_3D else "6d"
             closures.append(Closure(f"closed_loop {' and '.join(pair)}", kind, *map(int, frames)))
-        owners = ["", *(str(name) for name in list(model.names)[1:])]
-        super().__init__(model, owners, closures, report, scene)
-        for joint, motion in zip(list(model.joints)[1:], owners[1:], strict=True):
-            place, topics = slice(joint.idx_v, joint.idx_v + joint.nv), self._topics(f"joint {motion!r}")
+        joint_names = ["", *(str(name) for name in list(model.names)[1:])]
+        super().__init__(model, joint_names, closures, report, scene)
+        for joint, name in zip(list(model.joints)[1:], joint_names[1:], strict=True):
+            in_v, topics = slice(joint.idx_v, joint.idx_v + joint.nv), self._topics(f"joint {name!r}")
             if "damping" not in topics:
-                self._damping[place] = model.damping[place]
+                self._damping[in_v] = model.damping[in_v]
             if ARMATURE in topics:
-                model.armature[place] = 0.0
-        known = {entry.element for entry in report.entries}
-        elements = [*(f"joint {name!r}" for name in owners[1:]), *(each.element for each in closures)]
-        self.unaccounted = tuple(element for element in elements if element not in known)
+                model.armature[in_v] = 0.0
+        mentioned = {entry.element for entry in report.entries}
+        elements = [*(f"joint {name!r}" for name in joint_names[1:]), *(each.element for each in closures)]
+        self.unaccounted = tuple(element for element in elements if element not in mentioned)
         self._begin(q, np.zeros(0), scene)
 
 
-def _ends(model: Any, loops: Loops) -> list[Closure]:
-    """Return the closures of a loop file; adds their second frames to the model."""
+def _closures(model: Any, loops: Loops) -> list[Closure]:
+    """Return the loop closures of a loop file.
+
+    The second frame of each closure is a copy that is added to the model, because `keep_offsets` moves it.
+    """
+    # number of the first frame of each name
     frames = {frame.name: k for k, frame in reversed(list(enumerate(model.frames)))}
-    found = []
+    closures = []
     for number, ((first, second), kind) in enumerate(zip(loops.closed_loop, loops.type, strict=True)):
         copied = pin.Frame(model.frames[frames[second]])
         copied.name, copied.inertia = f"end of closed_loop {number}", pin.Inertia.Zero()
         added = int(model.addFrame(copied, False))
-        found.append(Closure(f"closed_loop {first} and {second}", kind, frames[first], added))
-    return found
+        closures.append(Closure(f"closed_loop {first} and {second}", kind, frames[first], added))
+    return closures
 
 
-def _built(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
-    """Build Pinocchio's model with the joint types of the loop file, and the URDF joint of each joint."""
+def _build_model(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
+    """Build Pinocchio's model of a URDF, with the types of joints in the loop file.
+
+    Args:
+        text: text of the URDF.
+        loops: content of the loop file.
+        base: "fixed" if the root link is the ground, "free" if it floats.
+
+    Returns:
+        The `pinocchio.Model`, and the name of the URDF joint for each of its joints.
+    """
     plain = pin.buildModelFromXML(text, *([pin.JointModelFreeFlyer()] if base == "free" else []))
     types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
     held = [plain.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
     if held:
         plain = pin.buildReducedModel(plain, held, pin.neutral(plain))
-    model, number, owners = pin.Model(), {0: 0}, [""]
+    # new number of each joint, and URDF joint of each new joint
+    model, number, urdf_joints = pin.Model(), {0: 0}, [""]
     for k in range(1, plain.njoints):
         name = str(plain.names[k])
         kind, pose = types.get(name, ""), plain.jointPlacements[k]
-        turning = [HINGE_MODELS[axis]() for axis in UNIVERSAL.get(kind, "")]
-        chain = turning or [pin.JointModelSpherical() if kind == "SPHERICAL" else plain.joints[k]]
+        # two hinges for a universal joint, one joint for all others
+        hinges = [HINGE_MODELS[axis]() for axis in UNIVERSAL.get(kind, "")]
+        chain = hinges or [pin.JointModelSpherical() if kind == "SPHERICAL" else plain.joints[k]]
         number[k] = number[plain.parents[k]]
         for n, joint in enumerate(chain):
-            own = name if len(chain) == 1 else f"{name}_{UNIVERSAL[kind][n]}"
-            number[k] = model.addJoint(number[k], joint, pose if n == 0 else pin.SE3.Identity(), own)
-            owners.append(name)
+            joint_name = name if len(chain) == 1 else f"{name}_{UNIVERSAL[kind][n]}"
+            number[k] = model.addJoint(number[k], joint, pose if n == 0 else pin.SE3.Identity(), joint_name)
+            urdf_joints.append(name)
         model.appendBodyToJoint(number[k], plain.inertias[k], pin.SE3.Identity())
     for frame in list(plain.frames)[1:]:
         frame.parentJoint = number[frame.parentJoint]
         model.addFrame(frame, False)
-    return model, owners
+    return model, urdf_joints

@@ -1,14 +1,14 @@
-"""Write a mechanism as URDF and loop file.
+"""Write the mechanism of a scene as a URDF file and a loop file.
 
 The frame of a link has its origin at the joint to its parent, and is parallel to the world at the initial
 pose. Therefore every rpy of joints and inertials is zero, no number is converted through an angle, and joint
-coordinates are those of the spanning tree. A joint of several motions is a chain of hinges and slides through
-massless links.
+coordinates are those of newton_euler's spanning tree. A joint of several motions becomes a chain of hinges
+and slides through massless links.
 
-URDF has neither closed loops nor ball joints. The loop file names frames that coincide and joints that are
-balls, with the keys of Gepetto's example-parallel-robots
-(https://github.com/Gepetto/example-parallel-robots, `robot.yaml`), and two additions: closures of type `rod`,
-whose origins keep their distance, and `coupled`, joints whose weighted coordinates add up to zero.
+A URDF can describe neither closed loops nor ball joints. The loop file names frames that coincide and joints
+that are balls. Its keys are those of Gepetto's example-parallel-robots
+(https://github.com/Gepetto/example-parallel-robots, `robot.yaml`), with two additions: closures of type
+`rod`, whose origins keep their distance, and `coupled`, joints whose weighted coordinates add up to zero.
 """
 
 from __future__ import annotations
@@ -54,14 +54,16 @@ MATERIAL_COLORS = {
     "vermilion": (0.8, 0.4, 0.0),
     "reddish_purple": (0.8, 0.6, 0.7),
 }
-"""Colors that color-blind readers can distinguish (Okabe and Ito, Color Universal Design, 2008)."""
+"""Red, green and blue of materials that color-blind readers can distinguish.
+
+Source: Okabe and Ito, Color Universal Design, 2008."""
 
 
 INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-"""Attributes of an inertia: its upper triangle, row by row."""
+"""Attributes of an element `<inertia>`: the upper triangle of the matrix, row by row."""
 
 CLOSURE_TYPES_OF_JOINTS: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
-"""Types in the loop file by kind of joint; all other joints that close loops are balls, type 3d."""
+"""Types of loop closures in the loop file by class of joint; all other closing joints are balls, "3d"."""
 
 WRITTEN_LIMIT = "1000"
 """Limit of coordinate, effort and velocity: URDF requires limits, and joints of scenes have none."""
@@ -78,7 +80,8 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
     Args:
         scene: scene with the mechanism.
-        keep_bodies: see `weld_loops`.
+        keep_bodies: True to cut loops at fixed joints of the mechanism, whose two bodies readers of the file
+            would otherwise merge; see `weld_loops`.
 
     Raises:
         NameClashError: if a part of a joint has the name of another joint or body.
@@ -91,10 +94,12 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     mechanism, tree = welded.mechanism, welded.tree
     robot = Element("robot", name=scene.name)
     add_materials(robot)
+    # origin (3,) of each link at the initial pose, m, world frame
     origins = [np.zeros(3)] * len(mechanism.bodies)
-    for kept in tree.joints:
-        origins[kept.child] = kept.points[-1] if kept.points else tree.joint(kept.joint).reaction_point
-
+    for tree_joint in tree.joints:
+        points = tree_joint.points
+        origins[tree_joint.child] = points[-1] if points else tree.joint(tree_joint.joint).reaction_point
+    # links of bodies
     for index, body in enumerate(mechanism.bodies):
         link = SubElement(robot, "link", name=body.name)
         if index > 0:  # no inertia of the ground: readers warn of a root with mass
@@ -109,10 +114,10 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
         if isinstance(force, JointSpring) and force.damping:
             joint = scene.mechanism.joint(force.joint)
             dampings[coordinate_name(joint, force.coordinate)] += force.damping
-    for kept in tree.joints:
-        _add_chain(robot, welded, kept, origins, dampings)
-    for pair in closures(welded):
-        for frame, number, point in pair:
+    for tree_joint in tree.joints:
+        _add_chain(robot, welded, tree_joint, origins, dampings)
+    for ends in closures(welded):
+        for frame, number, point in ends:
             SubElement(robot, "link", name=frame)
             parent, offset = mechanism.body_names[number], point - origins[number]
             _add_joint(robot, "fixed", f"{frame}_fixed", parent, frame, offset)
@@ -124,7 +129,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
 @checked
 def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
-    """Return the loop file, YAML text, for `to_urdf(scene, keep_bodies)`.
+    """Return the text of the loop file, YAML, that belongs to `to_urdf(scene, keep_bodies)`.
 
     Examples:
         >>> "closed_loop" in urdf.to_loops(load("four_bar"))
@@ -132,30 +137,31 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     """
     welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     joints = welded.mechanism.joints
+    # balls, and joints with motors
     balls, motors = [], []
-    for kept in welded.tree.joints:
-        joint = welded.tree.joint(kept.joint)
-        for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
+    for tree_joint in welded.tree.joints:
+        joint = welded.tree.joint(tree_joint.joint)
+        for name, motion in zip(motion_names(joint, tree_joint.forward), tree_joint.motions, strict=True):
             if motion.kind == "ball":
                 balls.append(name)
             elif joint.actuated:
                 motors.append(name)
-    cuts = [joints[k] for k in welded.tree.cuts]
-    coupled = [
-        {
-            coordinate_name(scene.mechanism.joint(joint), coordinate): (
-                [factor, *coupling.powers[joint, coordinate]]
-                if coupling.powers.get((joint, coordinate))
-                else factor
-            )
-            for (joint, coordinate), factor in coupling.factors.items()
-        }
-        for coupling in couplings(scene)
-        if coupling.function is None
-    ]
+    # couplings, without prescribed motions: a factor, or a list of factors of the powers 1, 2, ...
+    coupled = []
+    for coupling in couplings(scene):
+        if coupling.function is not None:
+            continue
+        factors: dict[str, Any] = {}
+        for key, factor in coupling.factors.items():
+            joint_name, coordinate = key
+            name = coordinate_name(scene.mechanism.joint(joint_name), coordinate)
+            higher_powers = coupling.powers.get(key)
+            factors[name] = [factor, *higher_powers] if higher_powers else factor
+        coupled.append(factors)
+    closing_joints = [joints[k] for k in welded.tree.cuts]
     document: dict[str, Any] = {
-        "closed_loop": [[frame for frame, _, _ in pair] for pair in closures(welded)],
-        "type": [CLOSURE_TYPES_OF_JOINTS.get(type(joint), "3d") for joint in cuts],
+        "closed_loop": [[frame for frame, _, _ in ends] for ends in closures(welded)],
+        "type": [CLOSURE_TYPES_OF_JOINTS.get(type(joint), "3d") for joint in closing_joints],
         "name_mot": motors,
         "joint_name": balls,
         "joint_type": ["SPHERICAL"] * len(balls),
@@ -189,23 +195,33 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 
 def loops_path(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a URDF's loop file."""
+    """Return the path of the loop file next to a URDF at `path`."""
     return Path(path).with_suffix(".loops.yaml")
 
 
 def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
-    """Return frame name, body number and point (3,), world frame, of both ends of each loop closure."""
-    pairs = []
+    """Return both ends of each loop closure: name of the frame, number of the body, and point (3,).
+
+    Points are in m, world frame at the initial pose.
+    """
+    ends_of_closures = []
     for index in welded.tree.cuts:
         joint, equations = welded.mechanism.joints[index], welded.tree.equations(index)
         ends = ((equations.first, joint.point), (equations.second, joint.reaction_point))
         names = welded.mechanism.body_names
-        pairs.append([(f"{joint.name}_on_{names[body]}", body, point) for body, point in ends])
-    return pairs
+        ends_of_closures.append([(f"{joint.name}_on_{names[body]}", body, point) for body, point in ends])
+    return ends_of_closures
 
 
 def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> None:
-    """Add mass, center of mass and inertia in the frame of the link; `rotation` is the body's in it."""
+    """Add mass, center of mass and inertia of a body to its link.
+
+    Args:
+        link: XML element of the link.
+        body: body with the inertia in its own frame.
+        center: (3,) center of mass in the frame of the link, m.
+        rotation: (3, 3) from the frame of the body to the frame of the link.
+    """
     inertial = SubElement(link, "inertial")
     SubElement(inertial, "origin", xyz=numbers(center), rpy="0 0 0")
     SubElement(inertial, "mass", value=repr(body.mass))
@@ -218,21 +234,29 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
 def _add_chain(
     robot: Element,
     welded: WeldedMechanism,
-    kept: TreeJoint,
+    tree_joint: TreeJoint,
     origins: list[Array],
     dampings: Mapping[str, float],
 ) -> None:
-    """Add a joint of the tree, a chain of joints from parent to child; `dampings` by URDF joint."""
-    names, joint = welded.mechanism.body_names, welded.tree.joint(kept.joint)
-    parent, child = names[kept.parent], names[kept.child]
-    origin = origins[kept.parent]
-    if not kept.motions:
-        _add_joint(robot, "fixed", joint.name, parent, child, origins[kept.child] - origin)
-    named = zip(motion_names(joint, kept.forward), kept.motions, kept.points, strict=True)
-    for name, motion, point in named:
-        last = motion is kept.motions[-1]
-        link = child if last else f"{name}_link"
-        if not last:
+    """Add a joint of the tree as a chain of URDF joints from parent to child, one for each motion.
+
+    Args:
+        robot: root element of the URDF.
+        welded: welded mechanism.
+        tree_joint: joint of the spanning tree.
+        origins: (3,) origin of each link at the initial pose, m, world frame.
+        dampings: damping, N m s/rad or N s/m, by name of the URDF joint.
+    """
+    names, joint = welded.mechanism.body_names, welded.tree.joint(tree_joint.joint)
+    parent, child = names[tree_joint.parent], names[tree_joint.child]
+    origin = origins[tree_joint.parent]
+    if not tree_joint.motions:
+        _add_joint(robot, "fixed", joint.name, parent, child, origins[tree_joint.child] - origin)
+    joint_names = motion_names(joint, tree_joint.forward)
+    for name, motion, point in zip(joint_names, tree_joint.motions, tree_joint.points, strict=True):
+        is_last = motion is tree_joint.motions[-1]
+        link = child if is_last else f"{name}_link"
+        if not is_last:
             SubElement(robot, "link", name=link)
         kind = "prismatic" if motion.kind == "slide" else "revolute"
         element = _add_joint(robot, kind, name, parent, link, point - origin)
@@ -251,11 +275,12 @@ def _add_chain(
 
 
 def _axis(motion: Motion) -> Array:
-    """Return the axis (3,) of a motion; an arbitrary one for the placeholder of a ball."""
+    """Return the axis (3,) of a hinge or slide; for a ball, whose hinge is a placeholder, the z axis."""
     return np.array([0.0, 0.0, 1.0]) if motion.kind == "ball" else motion.axis
 
 
 def _add_joint(robot: Element, kind: str, name: str, parent: str, child: str, offset: Array) -> Element:
+    """Add a URDF joint with origin `offset` (3,), m, in the frame of the parent, and return its element."""
     joint = SubElement(robot, "joint", name=name, type=kind)
     SubElement(joint, "origin", xyz=numbers(offset), rpy="0 0 0")
     SubElement(joint, "parent", link=parent)
@@ -264,6 +289,7 @@ def _add_joint(robot: Element, kind: str, name: str, parent: str, child: str, of
 
 
 def _check_names(robot: Element) -> None:
+    """Raise `NameClashError` if two links or two joints have one name."""
     for what in ("link", "joint"):
         names = [str(element.get("name")) for element in robot.findall(what)]
         for name in names:
@@ -272,7 +298,7 @@ def _check_names(robot: Element) -> None:
 
 
 def color(index: int) -> str:
-    """Return the material of body number `index`."""
+    """Return the name of the material of body number `index`."""
     return list(MATERIAL_COLORS)[index % len(MATERIAL_COLORS)]
 
 
@@ -333,4 +359,5 @@ def numbers(values: Iterable[float]) -> str:
 
 
 def _rounded(values: Iterable[float]) -> str:
+    """Return numbers of a shape as a URDF attribute, rounded to nine decimals."""
     return numbers(round(float(value), 9) for value in values)
