@@ -35,7 +35,8 @@ from crosscheck.support.errors import CrosscheckError
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from crosscheck.compare.crosscheck import Crosscheck, Progress
+    from crosscheck.compare.crosscheck import Progress
+    from crosscheck.compare.result import ComparisonResult
     from crosscheck.compare.two_models.unsimulated import Model
 
 OUTPUT = Path("output")
@@ -173,7 +174,7 @@ class _Comparison:
     name: str
     runs: Sequence[str]
     folder: Path
-    compute: Callable[[Progress], Crosscheck]
+    compute: Callable[[Progress], ComparisonResult]
 
 
 def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int:
@@ -252,7 +253,7 @@ def _engine_comparison(
     if allowed and (mapping is None or mapping.simulation is None):
         raise CrosscheckError(f"--max-error: {scene} has no settings to judge; needed: an MJCF file")
 
-    def compute(progress: Progress) -> Crosscheck:
+    def compute(progress: Progress) -> ComparisonResult:
         found = crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
         return found.with_allowed_errors(allowed)
 
@@ -264,7 +265,7 @@ def _model_comparison(models: tuple[Model, Model], output: Path | None) -> _Comp
     from crosscheck.compare.two_models.compare import compare_models, together
     from crosscheck.report.output import check_own
 
-    def compute(progress: Progress) -> Crosscheck:
+    def compute(progress: Progress) -> ComparisonResult:
         return compare_models(*models, progress)
 
     name = together(models)

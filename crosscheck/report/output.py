@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from crosscheck.compare.check import OF_RUNS, Check
-from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.compare.result import ComparisonResult
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
@@ -41,7 +41,7 @@ RECORDS = {
 """Files in a result folder that have the name of the model, by the kind of the results."""
 
 
-def write(result: Crosscheck, report: Report, folder: Path, recording: Path, name: str) -> list[Path]:
+def write(result: ComparisonResult, report: Report, folder: Path, recording: Path, name: str) -> list[Path]:
     """Write the runs, the summary and the Rerun recording of a crosscheck, all of them or none.
 
     An earlier summary is removed first, and the new one is written last. A folder with a summary is therefore
@@ -76,7 +76,7 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     return [*runs, summary, recording]
 
 
-def to_record(result: Crosscheck, report: Report) -> tuple[Any, ...]:
+def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
     """Return the arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it.
 
     In the text, names of bodies and joints are links to the first engine's body or joint in the 3-D view.

@@ -13,8 +13,8 @@ import numpy as np
 from crosscheck.compare.activity import acted
 from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
 from crosscheck.compare.coverage import Coverage
-from crosscheck.compare.crosscheck import Crosscheck
 from crosscheck.compare.reference_values import ReferenceCheck
+from crosscheck.compare.result import ComparisonResult
 from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.compare.two_models.compare import TwoModelComparison
@@ -64,7 +64,7 @@ IMPLICIT = ("Radau", "implicitfast")
 """Implicit integrators, which engines choose for stiff scenes."""
 
 
-def report(result: Crosscheck) -> Report:
+def report(result: ComparisonResult) -> Report:
     """Make the report of a crosscheck."""
     limits, others = list(verdict_limits(result)), list(notes(result))
     parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
@@ -87,7 +87,7 @@ def report(result: Crosscheck) -> Report:
     return Report(title, result.verdict, outcome_cell(result), parts, result.wall_time, brief)
 
 
-def _import_reports(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
+def _import_reports(result: ComparisonResult) -> Iterator[tuple[str, ImportReport]]:
     """Yield a title ("the file") and the import report of each model file."""
     models = result.models if isinstance(result, TwoModelComparison) else []
     if result.mapping and not models:
@@ -95,7 +95,7 @@ def _import_reports(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
     yield from ((f"the file of {model.name}", model.mapping) for model in models if model.mapping)
 
 
-def outcome_cell(result: Crosscheck) -> Cell:
+def outcome_cell(result: ComparisonResult) -> Cell:
     """Make the cell with the verdict in one word, such as AGREE."""
     return Cell(result.outcome.value, result.outcome.judged)
 
@@ -115,7 +115,7 @@ def _untested_table(found: Coverage) -> Table:
     )
 
 
-def tables(result: Crosscheck) -> Iterator[Table]:
+def tables(result: ComparisonResult) -> Iterator[Table]:
     """Yield the tables of checks.
 
     There is a table of engines against the model file, of pairs of engines, of each engine by itself, and of
@@ -200,14 +200,14 @@ def _reference_table(measured: Sequence[ReferenceCheck]) -> Table:
     return Table("reference values", [Column(""), *heads], rows)
 
 
-def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
+def _settings(result: ComparisonResult) -> Iterator[tuple[str, str]]:
     """Yield the name of each engine, and its settings and run time in a line."""
     for name, run in result.trajectories.items():
         settings = ", ".join(f"{key} {_rounded(value)}" for key, value in run.settings.items())
         yield name, f"{settings}; {run.wall_time:.2g} s"
 
 
-def verdict_limits(result: Crosscheck) -> Iterator[str]:
+def verdict_limits(result: ComparisonResult) -> Iterator[str]:
     """Yield sentences that limit the verdict.
 
     They report parts that stopped, likely mistakes in the file, a start that differs from the file's, and
@@ -266,7 +266,7 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
         )
 
 
-def notes(result: Crosscheck) -> Iterator[str]:
+def notes(result: ComparisonResult) -> Iterator[str]:
     """Yield further sentences on a crosscheck that do not limit its verdict, the most important first."""
     mapping, scene = result.mapping, result.scene
     if result.nothing_moves:
@@ -334,7 +334,7 @@ def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
         yield f"inactive in this run, {len(idle)} of {len(entries)} watched: {'; '.join(idle)}"
 
 
-def _start_line(result: Crosscheck) -> str:
+def _start_line(result: ComparisonResult) -> str:
     """Report that all engines start in the same pose, and the constraint violation of each at the start."""
     names = list(result.trajectories)
     runs = list(result.trajectories.values())
@@ -348,7 +348,7 @@ def _start_line(result: Crosscheck) -> str:
     return f"start: {same}largest residual of joints (m, rad): {residuals}"
 
 
-def _rest_line(result: Crosscheck) -> str:
+def _rest_line(result: ComparisonResult) -> str:
     """Report that nothing moves, the reason if the constraints show one, and what remains untested."""
     moved = ", ".join(f"{name} {far:.1e}" for name, far in displacements(result.trajectories).items())
     system = Relative(result.scene)

@@ -15,7 +15,7 @@ from crosscheck.compare.check import (
     START,
     Check,
 )
-from crosscheck.compare.crosscheck import Crosscheck
+from crosscheck.compare.result import ComparisonResult
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, number_columns, seconds
 
@@ -23,7 +23,7 @@ MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
 """Largest number of sentences below the tables; a failing verdict takes more lines itself."""
 
 
-def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
+def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
     """Make the parts of the summary: tables of levels and engines, limits of the verdict, notes, advice.
 
     Args:
@@ -44,7 +44,7 @@ def summary(result: Crosscheck, limits: Sequence[str], notes: Sequence[str]) -> 
     return parts
 
 
-def judged_figures(result: Crosscheck) -> list[Check]:
+def judged_figures(result: ComparisonResult) -> list[Check]:
     """Return all checks that are judged, including those against reference values."""
     found = [row for row in result.checks if row.judged]
     for each in result.measured:
@@ -53,7 +53,7 @@ def judged_figures(result: Crosscheck) -> list[Check]:
     return found
 
 
-def levels_table(result: Crosscheck) -> Table:
+def levels_table(result: ComparisonResult) -> Table:
     """Make a table with a row per level of checks.
 
     The columns are the number of passed or failed checks, a column per engine, and the check closest to
@@ -108,7 +108,7 @@ def nearest(rows: Sequence[Check]) -> Cell:
     return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about)
 
 
-def engines_table(result: Crosscheck) -> Table:
+def engines_table(result: ComparisonResult) -> Table:
     """Make a table with a row per engine: run time, error and settings, or the time at which it stopped."""
     stopped = {stop.what: stop for stop in result.unfinished}
     rows: Rows = []

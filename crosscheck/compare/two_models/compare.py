@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from crosscheck.compare.check import Check, finite, not_judged
-from crosscheck.compare.crosscheck import Crosscheck, Progress
+from crosscheck.compare.crosscheck import Progress
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.outcome import Outcome
+from crosscheck.compare.result import ComparisonResult
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples
 from crosscheck.compare.two_models.align import Aligned, alignments
@@ -51,10 +52,10 @@ NOT_COMPLETED = "not run to the end"
 
 
 @dataclass(frozen=True, eq=False)
-class TwoModelComparison(Crosscheck):
+class TwoModelComparison(ComparisonResult):
     """Result of a comparison of two models.
 
-    It has the attributes of a `Crosscheck`. The models take the place of engines: `engines`, `trajectories`
+    The models take the place of engines: `engines`, `trajectories`
     and `checks` use their names. Results of the second model are expressed with the joints of the first one.
 
     Attributes:

@@ -1,0 +1,255 @@
+"""Result of a comparison: runs, checks, diagnosis, coverage and advice, and the outcome.
+
+`crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has the verdict in words, and
+`crosscheck.report` makes tables and pages of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from typing import Any, Self
+
+from crosscheck.compare.advice import Advice
+from crosscheck.compare.check import READING, Check
+from crosscheck.compare.coverage import Coverage
+from crosscheck.compare.diagnosis import Diagnosis, diagnose
+from crosscheck.compare.outcome import Outcome
+from crosscheck.compare.reference_values import ReferenceCheck
+from crosscheck.compare.runs import nothing_moves_in_rigid_runs
+from crosscheck.compare.singularity import SingularConfigurations
+from crosscheck.engines.engine import Engine
+from crosscheck.engines.engine_runs import Stop
+from crosscheck.library.options import titled
+from crosscheck.loading.load import non_default_options
+from crosscheck.own_run.allowed import AllowedError
+from crosscheck.own_run.judge import Judgement
+from crosscheck.support.versions import versions
+from newton_euler.equations.redundancy import mobility
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.import_report import ImportedElement, ImportReport
+
+JUDGING = "judging the file's own run"
+"""Stage that judges the run with the settings of the file; notes on its failure begin with this text."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonResult(ABC):
+    """Result of a comparison of engines, or of two models (then models take the place of engines).
+
+    Attributes:
+        source: name or file that the scene was loaded from; empty if it was made in Python.
+        options: options of the scene or file that the user set.
+        scene: scene that was simulated.
+        engines: engines that can represent the scene, in the requested order.
+        left_out: engines that cannot represent the scene, with the reason.
+        trajectories: run of each engine; partial if the engine stopped, missing if it has no run at all.
+        checks: all checks, except those against reference values.
+        measured: checks against reference values, for scenes of the library that have some.
+        wall_time: total wall time, s.
+        mapping: import report of the model file: how each element was imported. None for other scenes.
+        advice: advice on engine settings and redundant constraints, if it was requested.
+        unfinished: engines that stopped, and parts of the comparison that did not complete.
+        coverage: elements of the scene that the runs test; None if trajectories were not compared, or if the
+            analysis did not complete (then `notes` has the reason).
+        notes: one line for each additional analysis that did not complete.
+        run_errors: error of each engine's run, m or rad, see `measure_run_errors`.
+        singular: singular configurations of the first engine's run; None if there are none.
+        own_run: judgement of the run that the file's own engine makes with the settings of the file; None for
+            scenes of this package and for files without an engine of their own.
+        allowed_errors: largest errors that the user allows for that run; empty if the run is not to fail.
+    """
+
+    source: str
+    options: Mapping[str, str]
+    scene: Scene
+    engines: tuple[Engine, ...]
+    left_out: dict[str, str]
+    trajectories: dict[str, Trajectory]
+    checks: tuple[Check, ...]
+    measured: tuple[ReferenceCheck, ...]
+    wall_time: float
+    mapping: ImportReport | None = None
+    advice: tuple[Advice, ...] = ()
+    unfinished: tuple[Stop, ...] = ()
+    coverage: Coverage | None = None
+    notes: tuple[str, ...] = ()
+    run_errors: Mapping[str, float] = field(default_factory=dict)
+    singular: SingularConfigurations | None = None
+    own_run: Judgement | None = None
+    allowed_errors: tuple[AllowedError, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Name of the scene, with the options that the user set."""
+        return titled(self.scene.name, non_default_options(self.options))
+
+    @property
+    def nothing_moves(self) -> bool:
+        """True if nothing moves in the runs, so that checks of runs test nothing."""
+        return nothing_moves_in_rigid_runs(self.scene, self.engines, self.trajectories)
+
+    @property
+    def differs(self) -> bool:
+        """True if any check exceeds its tolerance."""
+        return not all(row.agrees for row in self.checks) or not all(known.agrees for known in self.measured)
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the comparison; if several apply, the most severe one."""
+        if self.unfinished:
+            return Outcome.UNFINISHED
+        if self.differs:
+            return Outcome.DISAGREE
+        if self.exceeded:
+            return Outcome.INACCURATE
+        if self.left_out:
+            return Outcome.NOT_COMPARED if self.single_engine else Outcome.AGREE_OF_SOME_ENGINES
+        if self.single_engine:
+            return Outcome.ONE_ENGINE_ALONE
+        if self.is_reduced:
+            return Outcome.AGREE_ON_A_REDUCED_MODEL
+        if self.untested:
+            return Outcome.AGREE_AT_RANDOM_STATES_ONLY
+        return Outcome.AGREE
+
+    @property
+    def agrees(self) -> bool:
+        """True for the outcome AGREE only: all checks passed, and all elements that act were simulated."""
+        return self.outcome is Outcome.AGREE
+
+    @property
+    def exceeded(self) -> list[AllowedError]:
+        """Allowed errors that the run with the settings of the file exceeds."""
+        found = self.own_run
+        return [each for each in self.allowed_errors if each.is_exceeded_by(found)] if found else []
+
+    def with_allowed_errors(self, allowed: Sequence[AllowedError]) -> Self:
+        """Return this result with largest errors that the run with the settings of the file may have.
+
+        The result is unfinished if there is no judgement of that run although the engines agree.
+        """
+        stops = self.unfinished
+        if allowed and self.own_run is None and not self.differs:
+            reason = next((note for note in self.notes if note.startswith(JUDGING)), "not judged")
+            stops = (*stops, Stop("your settings", reason.removeprefix(f"{JUDGING}: ")))
+        return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
+
+    @property
+    def untested(self) -> bool:
+        """True if the coverage analysis found that the motion tests no element of the scene."""
+        covered = self.coverage
+        return covered is not None and len(covered.untested) == len(covered.elements)
+
+    @property
+    def acting(self) -> list[ImportedElement]:
+        """Elements of the file that are not simulated but would have acted, in order of time."""
+        return self.mapping.acting if self.mapping else []
+
+    @property
+    def is_reduced(self) -> bool:
+        """True if elements of the file act that are not simulated, so that results are on a reduced model.
+
+        The elements act in the compared motion, or in the run with the settings of the file if the user
+        allows that run only a certain error.
+        """
+        return bool(self.acting or (self.allowed_errors and self.own_run and self.own_run.events))
+
+    @property
+    def until(self) -> float | None:
+        """Time, s, at which the first such element would have acted; None if there is none."""
+        return self.acting[0].since if self.acting else None
+
+    @property
+    def misread(self) -> bool:
+        """True if the equations of all engines differ from the model file, so the import is wrong."""
+        return misread(self.engines, self.checks)
+
+    @cached_property
+    def diagnosis(self) -> tuple[Diagnosis, ...]:
+        """Outliers, at the first level with a difference and then among the remaining engines."""
+        return diagnosed(self.scene, self.engines, self.checks, self.measured, self.unfinished)
+
+    @property
+    def single_engine(self) -> bool:
+        """True if there is only one engine, and nothing that it was compared with differs."""
+        compared = any(len(row.between) > 1 for row in self.checks if not row.agrees)
+        return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
+
+    @property
+    @abstractmethod
+    def verdict(self) -> str:
+        """Verdict in one line."""
+
+    @property
+    def judged(self) -> tuple[Check, ...]:
+        """Checks that decide the outcome; the verdict states their number."""
+        return tuple(row for row in self.checks if row.judged)
+
+    def summary(self) -> dict[str, Any]:
+        """All checks, versions, settings and wall times, for JSON."""
+        packages = sorted({"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)})
+        return {
+            "scene": self.scene.name,
+            "source": self.source,
+            "options": dict(self.options),
+            "agrees": self.agrees,
+            "outcome": self.outcome.value,
+            "not_simulated": [asdict(entry) for entry in self.acting],
+            "as_in_the_file_until": self.until,
+            "verdict": self.verdict,
+            "wall_time": self.wall_time,
+            "versions": versions(packages),
+            "diagnosis": [diagnosis.summary() for diagnosis in self.diagnosis],
+            "unfinished": [asdict(stop) for stop in self.unfinished],
+            "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
+            "left_out": self.left_out,
+            "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
+            "findings": [asdict(each) for each in self.mapping.findings] if self.mapping else None,
+            "start": self.mapping.start if self.mapping else None,
+            "moved_start": asdict(moved) if self.mapping and (moved := self.mapping.moved) else None,
+            "changed_velocities": asdict(changed)
+            if self.mapping and (changed := self.mapping.changed_velocities)
+            else None,
+            "checks": [asdict(row) | {"agrees": row.agrees} for row in self.checks],
+            "known_values": [measured.summary() for measured in self.measured],
+            "advice": [asdict(advice) for advice in self.advice],
+            "coverage": self.coverage.summary() if self.coverage else None,
+            "notes": list(self.notes),
+            "singular": asdict(self.singular) if self.singular else None,
+            "own_run": self.own_run.summary() if self.own_run else None,
+            "allowed_errors": [
+                {"kind": each.kind.value, "largest": each.largest, "exceeded": each in self.exceeded}
+                for each in self.allowed_errors
+            ],
+        }
+
+    def _run_summary(self, name: str) -> dict[str, Any]:
+        """Return settings, wall time and error of an engine's run, for JSON."""
+        if name not in self.trajectories:
+            return {"settings": {}, "wall_time": None, "error": None}
+        run = self.trajectories[name]
+        return {"settings": run.settings, "wall_time": run.wall_time, "error": self.run_errors.get(name)}
+
+
+def diagnosed(
+    scene: Scene,
+    engines: Sequence[Engine],
+    checks: Sequence[Check],
+    measured: Sequence[ReferenceCheck],
+    stops: Sequence[Stop],
+) -> tuple[Diagnosis, ...]:
+    """Make the diagnosis, see `ComparisonResult.diagnosis`; stopped engines do not count as soft."""
+    stopped = {stop.what for stop in stops}
+    soft = [each.name for each in engines if each.evaluate_soft_constraints and each.name not in stopped]
+    names = [each.name for each in engines]
+    return diagnose(names, checks, measured, soft, mobility(scene).nearly)
+
+
+def misread(engines: Sequence[Engine], rows: Sequence[Check]) -> bool:
+    """Return True if the equations of every engine differ from those of the model file."""
+    differing = {row.between[0] for row in rows if row.level == READING and not row.agrees}
+    return bool(engines) and differing >= {engine.name for engine in engines}
