@@ -423,7 +423,7 @@ def test_an_engine_that_diverges_is_named_beside_what_the_others_say():
     (stop,) = [stop for stop in found.unfinished if stop.what == "mujoco"]
     assert stop.time is not None
     assert found.verdict.startswith("UNFINISHED: mujoco: MuJoCo diverged at t = ")
-    said = "as far as compared mujoco differs; newton_euler and pinocchio agree to "
+    said = "as far as compared mujoco differs; newton_euler and pinocchio agree within "
     assert said in found.verdict
     held = [row for row in found.checks if row.between == ("newton_euler", "pinocchio")]
     assert {row.level for row in held} >= {"model", "trajectories", "energy"}
