@@ -43,7 +43,7 @@ CORE: dict[str, set[str]] = {
     "engines": {"support", "library"},
     "own_run": {"support", "engines"},
     "compare": {"support", "library", "loading", "engines", "own_run"},
-    "recording": {"support", "compare"},
+    "recording": {"support", "own_run", "compare"},
     "report": {"support", "library", "loading", "engines", "own_run", "compare", "recording"},
     "regress": {"support", "library", "loading", "engines", "compare", "report", "recording"},
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import assert_never
+from typing import Literal, assert_never
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Band(StrEnum):
     """The relative error is 1 % or more, or the run diverged."""
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Literal["holds", "doubtful", "fails"]:
         """Judgement of tables and colors, see `crosscheck.report.table`."""
         match self:
             case Band.ACCURATE:
@@ -139,9 +139,8 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
         reference: reference solution.
         scale: extent of the reference's motion.
     """
-    count = min(len(run.time), len(reference.time))
-    position = np.linalg.norm(run.position[:count] - reference.position[:count], axis=2)
-    rotation = angle_between(run.quaternion[:count], reference.quaternion[:count])
+    position, rotation = errors_over_time(run, reference)
+    count = len(position)
     exchanged = []
     for each in (run, reference):
         kinetic, potential = _energies(each.first(count))
@@ -155,6 +154,18 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
         worst_position[0] / scale.length,
         worst_rotation[0] / scale.angle,
     )
+
+
+def errors_over_time(run: Trajectory, reference: Trajectory) -> tuple[Array, Array]:
+    """Return the errors of the centers of mass, m, and of the orientations, rad, of all bodies, (n, b) each.
+
+    Args:
+        run: run with the bodies and output times of the reference; it may end early.
+        reference: reference solution.
+    """
+    count = min(len(run.time), len(reference.time))
+    position = np.linalg.norm(run.position[:count] - reference.position[:count], axis=2)
+    return position, angle_between(run.quaternion[:count], reference.quaternion[:count])
 
 
 def _worst(gaps: Array, run: Trajectory) -> tuple[float, tuple[str, float]]:

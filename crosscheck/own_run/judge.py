@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.engines.engine import native_method
-from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, run_error
+from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, errors_over_time, run_error
 from crosscheck.own_run.horizon import comparable_until
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -105,7 +105,16 @@ class Judgement:
         """All numbers, for JSON."""
         left_out = ("run", "reference")
         fields = {name: value for name, value in vars(self).items() if name not in left_out}
-        found: dict[str, Any] = {"band": self.band.value, "relative": self.error.relative}
+        position, rotation = errors_over_time(self.run, self.reference)
+        found: dict[str, Any] = {
+            "band": self.band.value,
+            "relative": self.error.relative,
+            "error_over_time": {
+                "time": self.run.time[: len(position)].tolist(),
+                "position": np.max(position, axis=1).tolist(),
+                "rotation": np.max(rotation, axis=1).tolist(),
+            },
+        }
         return found | {
             name: [asdict(each) for each in value]
             if isinstance(value, tuple)

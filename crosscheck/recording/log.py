@@ -9,6 +9,8 @@ paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a num
     /mechanism/ENGINE/BODY/mesh_K  the body's meshes
     /joints/ENGINE/JOINT         joint point, on the joint's second body, over time
     /reactions/ENGINE/JOINT      constraint force on the joint's second body over time
+    /mechanism/your_settings/BODY  the same of the run with the settings of the model file, a ghost that is
+                                 displaced by its error; its meshes as those of engines
     /labels/BODY                 name of the body, at its position in the first engine's run
     /tilt/normal, /tilt/vertical  the axis whose tilt is plotted, and the vertical, in the first engine's run
     /wind/NAME                   wind velocity, as an arrow upwind of the plate, in the first engine's run
@@ -35,8 +37,10 @@ import numpy as np
 import rerun as rr
 from rerun import bindings
 
+from crosscheck.own_run.judge import Judgement
 from crosscheck.recording.blueprint import TIME, blueprint, send_layout
 from crosscheck.recording.mesh_budget import engines_with_meshes, without_meshes
+from crosscheck.recording.own_run import YOUR_SETTINGS, displaced, error_plots
 from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
 from crosscheck.recording.shapes import Style, drawn_points, log_shapes, xyzw
 from crosscheck.support.palette import palette, rgb
@@ -102,6 +106,7 @@ def log_run(
     tolerances: Tolerances | None = None,
     moments: Sequence[tuple[float, str]] = (),
     directions: Mapping[str, Array] | None = None,
+    own_run: Judgement | None = None,
 ) -> None:
     """Record the runs of all engines, plots, the verdict and the layout of the viewer.
 
@@ -119,6 +124,8 @@ def log_run(
         moments: pairs of a time, s, and a text on the check that is closest to failing there.
         directions: further unit vectors (n, 3), world frame, by name, to draw with the axis whose tilt is
             plotted.
+        own_run: judgement of the run with the settings of the model file, which is drawn as a further ghost;
+            its error is plotted.
     """
     # what to draw: plots, and which engines deviate visibly from the first
     mechanism = scene.mechanism
@@ -127,7 +134,14 @@ def log_run(
     shown = plots(scene, trajectories, tolerances or {})
     arrow_scale = _arrow_scale(mechanism, trajectories)
     first = next(iter(trajectories.values()), None) or _initial_pose(mechanism)
-    apart = {engine: _largest_distance(mechanism, first, trajectories[engine]) for engine in engines[1:]}
+    outputs = {engine: run.time for engine, run in trajectories.items()}
+    drawn, ghosts = dict(trajectories), engines[1:]
+    if own_run is not None and engines:
+        drawn[YOUR_SETTINGS], ghosts = displaced(first, own_run), [*ghosts, YOUR_SETTINGS]
+        styles[YOUR_SETTINGS] = Style(rgb(palette([YOUR_SETTINGS])[YOUR_SETTINGS]), LINE_WIDTH, ghost=True)
+        shown = [*error_plots(own_run), *shown]
+        outputs[YOUR_SETTINGS] = own_run.run.time
+    apart = {name: _largest_distance(mechanism, first, drawn[name]) for name in ghosts}
     visible = MIN_VISIBLE_DISTANCE * mechanism.size
     near = [engine for engine, distance in apart.items() if distance <= visible]
 
@@ -148,11 +162,12 @@ def log_run(
         send_columns(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
 
     # 3-D view; meshes only for as many engines as the size limit of recordings allows
-    meshed, bare = engines_with_meshes(mechanism, engines), without_meshes(mechanism)
+    meshed, bare = engines_with_meshes(mechanism, list(drawn)), without_meshes(mechanism)
     log_ground(recording, mechanism if meshed or not engines else bare, first)
+    for name, run in drawn.items():
+        shown_mechanism = mechanism if name in meshed else bare
+        log_bodies(recording, ["mechanism", name], shown_mechanism, run, styles[name])
     for engine, run in trajectories.items():
-        shown_mechanism = mechanism if engine in meshed else bare
-        log_bodies(recording, ["mechanism", engine], shown_mechanism, run, styles[engine])
         _log_joints(recording, mechanism, engine, run, arrow_scale)
     _log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown):
@@ -161,7 +176,6 @@ def log_run(
         if isinstance(force, WindLoad):
             _log_wind(recording, mechanism, first, force)
 
-    outputs = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
         _log_plot(recording, plot, outputs, styles)
 

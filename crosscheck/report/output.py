@@ -90,7 +90,7 @@ def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
     text += markdown(replace(report, title="", verdict=found, parts=report.summary), links=links)
     tolerances = {(row.quantity, *row.between): row.tolerance for row in result.checks}
     moments = list(_worst_moments(result.checks))
-    return result.scene, result.trajectories, text, result.title, tolerances, moments
+    return result.scene, result.trajectories, text, result.title, tolerances, moments, None, result.own_run
 
 
 def _worst_moments(rows: Sequence[Check]) -> Iterator[tuple[float, str]]:

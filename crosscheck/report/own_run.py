@@ -22,7 +22,7 @@ SAME_RUN_TIME = 1.25
 
 def own_run_lines(judgement: Judgement) -> Lines:
     """Word a judgement, the result first."""
-    return Lines("", list(_lines(judgement)))
+    return Lines("", list(_lines(judgement)), verdict=judgement.band.verdict)
 
 
 def _lines(judgement: Judgement) -> Iterator[str]:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from pydantic import BaseModel, field_validator
+from pydantic import BaseModel, field_validator, model_validator
 
 from crosscheck.report import plots
 from crosscheck.report.render import printable
@@ -113,16 +113,45 @@ class ResultFile(BaseModel):
         return files
 
 
+class ErrorOverTime(BaseModel):
+    """Errors of a run over time, largest over the bodies.
+
+    Attributes:
+        time: output times, s.
+        position: errors of the centers of mass, m.
+        rotation: errors of the orientations, rad.
+    """
+
+    time: list[float]
+    position: list[float]
+    rotation: list[float]
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> ErrorOverTime:
+        """Raise `ValueError` unless all lists have a number for each time."""
+        if {len(self.position), len(self.rotation)} != {len(self.time)}:
+            raise ValueError("time, position and rotation are not equally long")
+        return self
+
+
+class OwnRun(BaseModel):
+    """The fields of the judgement of a file's own run that a page needs."""
+
+    error_over_time: ErrorOverTime
+
+
 class CrosscheckFile(ResultFile):
     """The fields of a crosscheck's result file that a page needs.
 
     Attributes:
         engines: run time and error by engine.
         checks: checks whose tolerances are drawn in the plots.
+        own_run: error of the run with the settings of the file, if it was judged.
     """
 
     engines: dict[str, EngineCost] = {}
     checks: list[CheckTolerance] = []
+    own_run: OwnRun | None = None
 
 
 @dataclass(frozen=True)
@@ -290,6 +319,9 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
             entry.views.extend(_view_pictures(path, [0.0] if first is None else key_times(first)))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
+    if isinstance(results, CrosscheckFile) and results.own_run is not None:
+        errors = results.own_run.error_over_time
+        entry.pictures.extend(Picture(*each) for each in plots.own_run(**vars(errors)))
     if runs:
         progress("plots")
         costs, bounds = {}, {}

@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 1.8)}
+OWN_RUN = "your settings"
+"""Name of the run with the settings of a model file."""
+
+DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 1.8), OWN_RUN: ("-", 1.6)}
 """Dash pattern and width (points) of each engine's curves: thick solid under thin dashed, so that all of
 several equal curves are visible."""
 
@@ -109,6 +112,24 @@ def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
     yield from _differences(runs, bounds)
     yield from _drift(runs, bounds)
     yield from _energy(runs)
+
+
+def own_run(
+    time: Sequence[float], position: Sequence[float], rotation: Sequence[float]
+) -> Iterator[tuple[bytes, str]]:
+    """Draw the errors of the run with the settings of a model file, largest over the bodies.
+
+    Args:
+        time: output times (n,), s.
+        position: errors of the centers of mass (n,), m.
+        rotation: errors of the orientations (n,), rad.
+
+    Yields:
+        Pictures (PNG) with their captions.
+    """
+    errors = (("error of position, m", position), ("error of orientation, rad", rotation))
+    lines = [(label, OWN_RUN, np.array(time), np.array(values)) for label, values in errors]
+    yield from _draw(lines, palette([OWN_RUN]), "run with your settings, largest over the bodies")
 
 
 @own_style()

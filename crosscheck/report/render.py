@@ -102,8 +102,9 @@ def terminal(parts: Iterable[Part]) -> str:
                     console.print(_rich_table(block, console.width))
                     console.print()
             else:
-                for line in part.lines:
-                    console.print(Text(wrapped(line)), soft_wrap=True)
+                for number, line in enumerate(part.lines):
+                    style = "" if number else STYLES[part.verdict]
+                    console.print(Text(wrapped(line), style=style), soft_wrap=True)
     return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
 
 
@@ -274,7 +275,10 @@ def _markdown(part: Part, links: Mapping[str, str] | None) -> Iterator[str]:
     if part.title:
         yield from (f"## {_escaped(part.title)}", "")
     if isinstance(part, Lines):
-        yield from (f"- {_escaped(line.strip())}" for line in part.lines)
+        for number, line in enumerate(part.lines):
+            text = _escaped(line.strip())
+            is_bold = not number and part.verdict in ("fails", "doubtful")
+            yield f"- **{text}**" if is_bold else f"- {text}"
     else:
         yield from markdown_table(part, links)
 

@@ -88,11 +88,13 @@ class Lines:
         title: title of the sentences; may be empty.
         lines: the sentences.
         folded: whether pages show the sentences on demand, and the terminal does not show them.
+        verdict: judgment of the first sentence.
     """
 
     title: str
     lines: list[str]
     folded: bool = False
+    verdict: Verdict = ""
 
 
 Part = Table | Lines
