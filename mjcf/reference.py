@@ -102,14 +102,14 @@ class MjcfReference(ReferenceModel):
             self._data.ctrl[:], self._data.act[:] = controls
         mujoco.mj_normalizeQuat(self._model, self._data.qpos)
         self._velocity = self._data.qvel.copy()
-        self.stated = self._data.qpos.copy(), self._velocity
+        self.file_state = self._data.qpos.copy(), self._velocity
         # rigid groups, units and constraints
         self._group_bodies(scene)
         self._set_units(scene)
         self._equalities = Equalities(self._model, self._data, self.units, self.size)
         # the closed start, `self.start`, by `begin`; elements without an entry in the report
         self.unaccounted = tuple(unaccounted(self._model, self._roots, report))
-        self.begin(scene)
+        self.find_start(scene)
         self.unaccounted += tuple(self._changing_activations(report, self._data.act == keyframe_activations))
         # leave out the same elements as the scene, after their names were compared
         self._force_limits = tuple(self._watched_force_limits(report))
@@ -209,7 +209,7 @@ class MjcfReference(ReferenceModel):
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
 
-    def moved(self, q: Array, step: Array) -> Array:
+    def integrate(self, q: Array, step: Array) -> Array:
         """Return the configuration (nq,) that velocities `step` (nv,) reach from q (nq,) in 1 s."""
         q = q.copy()
         mujoco.mj_integratePos(self._model, q, step, 1.0)
@@ -428,7 +428,7 @@ class MjcfReference(ReferenceModel):
         """Return forces (4, nv) of all `FORCE_KINDS` for each sample, without the bias, the last field."""
         return [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
 
-    def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+    def armatures(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """Yield each element that has an armature, with its mass matrix (nv, nv) at each sample."""
         model = self._model
         for joint in range(model.njnt):

@@ -112,8 +112,8 @@ class PinocchioReference(ReferenceModel):
             scene: imported scene.
         """
         self._q0, self._residuals_at_q0 = q, residuals
-        self.stated = q, np.zeros(self._model.nv)
-        self.begin(scene)
+        self.file_state = q, np.zeros(self._model.nv)
+        self.find_start(scene)
         self.keep_offsets()
 
     def _set_names_and_units(self, scene: Scene) -> None:
@@ -147,7 +147,7 @@ class PinocchioReference(ReferenceModel):
 
     # Quantities by Pinocchio
 
-    def moved(self, q: Array, step: Array) -> Array:
+    def integrate(self, q: Array, step: Array) -> Array:
         """Return the configuration (nq,) that velocities `step` (nv,) reach from q (nq,) in 1 s."""
         return np.asarray(pin.integrate(self._model, q, step))
 
@@ -329,7 +329,7 @@ class PinocchioReference(ReferenceModel):
                 by_sample.append(np.array([zero, spring_force, damper_force, zero]))
             yield f"spring {spring.name!r}", [by_sample]
 
-    def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+    def armatures(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """Yield each joint that has an armature, with its mass matrix (nv, nv) at each sample."""
         for name in dict.fromkeys(self.motions):
             of_joint = np.array([motion == name for motion in self.motions])

@@ -81,7 +81,7 @@ class UrdfReference(PinocchioReference):
         for _ in self._mimics:  # repeated for followers of followers
             for mimic in self._mimics:
                 x0[mimic.follower] = mimic.multiplier * x0[mimic.driver] + mimic.offset
-        q = self.moved(pin.neutral(model), x0)
+        q = self.integrate(pin.neutral(model), x0)
         self._begin(q, self._linear @ x0 - self._offsets, scene)
 
     def _dampings(self) -> Array:

@@ -55,7 +55,7 @@ def _residual(scene: Scene, found: Evaluation) -> Array:
     mechanism = scene.mechanism
     applied = Wrenches(mechanism, found.state)
     applied.add_forces(scene, found.actuator_force)
-    applied.add_rotors(scene, found.linear_acceleration, found.angular_acceleration)
+    applied.add_armatures(scene, found.linear_acceleration, found.angular_acceleration)
     reactions = _reaction_wrenches(mechanism, found)
     left = []
     for k, (body, frame) in enumerate(zip(mechanism.bodies, applied.frames, strict=True)):

@@ -1,10 +1,10 @@
-"""Find the elements of a file, such as limits and contacts, that would have acted in a run.
+"""Find the elements of a model file, such as limits and contacts, that would have acted in a run.
 
 Joint limits, contacts and dry friction are one-sided, and scenes do not simulate them. If no limit is reached
-and nothing touches, the run is nevertheless the run of the file. Between output times the motion is
-interpolated by cubics through values and rates. The error of the cubics is estimated from cubics across each
-output. If the error hides whether an element acts, the result is not settled; closer outputs settle the
-result.
+and nothing touches, the run of the scene is nevertheless valid for the whole file. Between output times the
+motion is interpolated by cubic polynomials through values and rates. The interpolation error at an output is
+estimated with a cubic through the neighbors of the output. If the error hides whether an element acts, the
+result is *not settled*, and the run has to be repeated with more outputs.
 """
 
 from __future__ import annotations
@@ -33,23 +33,30 @@ MAX_POSE_ERROR = 1e-2
 """Largest error of interpolated poses: rad, and m per m of the longest body."""
 
 LIMIT_TOLERANCE = 1e-9
-"""Overshoot of a limit that carries no force: rad, m, or a fraction of the limit of a force."""
+"""Largest overshoot of a limit that does not count: rad, m, or a fraction of the limit of a force."""
 
 START_LIMIT_TOLERANCE = 1e-6
-"""Overshoot of a limit at the start that carries no force: files that MuJoCo saves have six digits."""
+"""Largest overshoot of a limit at the start that does not count, in the same units. Files that MuJoCo saves
+have six digits."""
 
 SETTLED_SHARE = 1e-3
-"""Largest interpolation error, as a fraction of the overshoot, that settles when a limit is first passed."""
+"""Largest interpolation error, as a fraction of the overshoot, with which the time counts as settled at which
+a limit is first passed."""
 
 UNSETTLED = "may act between output times"
-"""Words of a result that closer outputs have to settle."""
+"""Observation for a result that only a run with more outputs can settle."""
 
 
 def cubic_error(time: Array, x: Array, rate: Array) -> Array:
-    """Estimate the error of cubics through values (n, ...) and rates between outputs.
+    """Estimate the error of cubic interpolation between outputs.
 
     For each output, a cubic through its two neighbors predicts the value and the rate. The error at the
     output is the error of the value plus the error of the rate times the step.
+
+    Args:
+        time: (n,) s.
+        x: (n, ...) values at the outputs.
+        rate: (n, ...) time derivatives of the values.
 
     Returns:
         (n - 1, ...) the larger error of the two outputs that bound each interval; infinite for fewer than
@@ -57,16 +64,17 @@ def cubic_error(time: Array, x: Array, rate: Array) -> Array:
     """
     if len(time) < 3:
         return np.full((len(time) - 1, *x.shape[1:]), np.inf)
-    miss = np.zeros(x.shape)
+    errors = np.zeros(x.shape)
+    # cubics through the outputs of even numbers predict those of odd numbers, and vice versa
     for first in (0, 1):
         ends, within = slice(first, None, 2), slice(first + 1, len(time) - 1, 2)
         if len(time[within]):
-            curve = _curve(time[ends], x[ends], rate[ends])
+            curve = _cubic_curve(time[ends], x[ends], rate[ends])
             steps = np.diff(time)[within].reshape(-1, *(1,) * (x.ndim - 1))
-            slopes = curve(time[within], 1) - rate[within]
-            miss[within] = np.abs(curve(time[within]) - x[within]) + steps * np.abs(slopes)
-    miss[0], miss[-1] = miss[1], miss[-2]
-    return np.maximum(miss[:-1], miss[1:])
+            rate_errors = curve(time[within], 1) - rate[within]
+            errors[within] = np.abs(curve(time[within]) - x[within]) + steps * np.abs(rate_errors)
+    errors[0], errors[-1] = errors[1], errors[-2]
+    return np.maximum(errors[:-1], errors[1:])
 
 
 class SampledMotion:
@@ -74,20 +82,20 @@ class SampledMotion:
 
     Attributes:
         scene: the scene of the run.
-        run: a trajectory with velocities.
+        run: a trajectory with velocities, at n output times.
         time: (m,) s, output times and `POINTS_PER_INTERVAL` - 1 times between each two of them.
     """
 
     def __init__(self, scene: Scene, run: Trajectory) -> None:
         self.scene, self.run = scene, run
-        shares = np.arange(POINTS_PER_INTERVAL) / POINTS_PER_INTERVAL
-        between = run.time[:-1, None] + np.diff(run.time)[:, None] * shares
+        fractions = np.arange(POINTS_PER_INTERVAL) / POINTS_PER_INTERVAL
+        between = run.time[:-1, None] + np.diff(run.time)[:, None] * fractions
         self.time: Array = np.append(between.ravel(), run.time[-1])
-        self._found: dict[Key, tuple[Array, Array, Array]] = {}
+        self._coordinates: dict[Key, tuple[Array, Array, Array]] = {}
 
     @cached_property
-    def _spins(self) -> Array:
-        """(n, b, 4) rates of the quaternions at the output times, 1/s."""
+    def _quaternion_rates(self) -> Array:
+        """(n, b, 4) rates of the quaternions at the output times, 1/s: half of (0, omega) times q."""
         omega = self.run.angular_velocity
         assert omega is not None
         pure = np.concatenate([np.zeros((*omega.shape[:2], 1)), omega], axis=2)
@@ -99,68 +107,83 @@ class SampledMotion:
         """True if the interpolated poses are accurate to `MAX_POSE_ERROR`."""
         run = self.run
         assert run.linear_velocity is not None
-        moved = np.linalg.norm(cubic_error(run.time, run.position, run.linear_velocity), axis=2)
-        turned = 2.0 * np.linalg.norm(cubic_error(run.time, run.quaternion, self._spins), axis=2)
-        longest = self.scene.mechanism.longest
-        return bool(np.all(moved <= MAX_POSE_ERROR * longest) and np.all(turned <= MAX_POSE_ERROR))
+        distances = np.linalg.norm(cubic_error(run.time, run.position, run.linear_velocity), axis=2)
+        # a rotation by a small angle changes a quaternion by half the angle
+        quaternion_errors = cubic_error(run.time, run.quaternion, self._quaternion_rates)
+        angles = 2.0 * np.linalg.norm(quaternion_errors, axis=2)
+        longest = self.scene.mechanism.longest  # m, length of the longest body
+        return bool(np.all(distances <= MAX_POSE_ERROR * longest) and np.all(angles <= MAX_POSE_ERROR))
 
     @cached_property
     def poses(self) -> tuple[Array, Array]:
         """Centers of mass (m, b, 3), m, and quaternions (m, b, 4) at all times, world frame."""
-        turned = _curve(self.run.time, self.run.quaternion, self._spins)(self.time)
+        quaternions = _cubic_curve(self.run.time, self.run.quaternion, self._quaternion_rates)(self.time)
         assert self.run.linear_velocity is not None
-        centers = _curve(self.run.time, self.run.position, self.run.linear_velocity)(self.time)
-        return centers, turned / np.linalg.norm(turned, axis=2, keepdims=True)
+        centers = _cubic_curve(self.run.time, self.run.position, self.run.linear_velocity)(self.time)
+        return centers, quaternions / np.linalg.norm(quaternions, axis=2, keepdims=True)
 
-    @np.errstate(
-        invalid="ignore"
-    )  # angles of several hinges in a row are NaN for orientations out of their reach
+    # angles of several consecutive hinges are NaN for orientations that the hinges cannot reach
+    @np.errstate(invalid="ignore")
     def coordinate(self, key: Key) -> tuple[Array, Array, Array]:
-        """Compute a joint coordinate, m or rad from the initial pose, revolutions counted.
+        """Compute a joint coordinate, m or rad from the initial pose, with full revolutions.
+
+        Args:
+            key: name of the joint, and number of the coordinate within the joint.
 
         Returns:
             The coordinate (m,), its rate (m,), and its interpolation error between outputs (n - 1,). All are
             NaN if the poses do not determine the coordinate at every output time.
         """
-        if key not in self._found:
+        if key not in self._coordinates:
             (joint, number), time = key, self.run.time
             measured = replace(self.run, mechanism=self.scene.mechanism).joint(joint)
             assert measured.rates is not None
             x, rate = measured.coordinates[:, number], measured.rates[:, number]
             if np.all(np.isfinite([x, rate])):
-                curve = _curve(time, x, rate)
-                self._found[key] = curve(self.time), curve(self.time, 1), cubic_error(time, x, rate)
+                curve = _cubic_curve(time, x, rate)
+                self._coordinates[key] = curve(self.time), curve(self.time, 1), cubic_error(time, x, rate)
             else:
                 unknown = np.full(self.time.shape, np.nan)
-                self._found[key] = unknown, unknown, unknown[1 : len(time)]
-        return self._found[key]
+                self._coordinates[key] = unknown, unknown, unknown[1 : len(time)]
+        return self._coordinates[key]
 
 
-def _curve(time: Array, x: Array, rate: Array) -> Any:
-    """Interpolate (n, ...) by cubic Hermite polynomials, as a function of time, s, and derivative order."""
+def _cubic_curve(time: Array, x: Array, rate: Array) -> Any:
+    """Interpolate values by cubic Hermite polynomials.
+
+    Args:
+        time: (n,) s.
+        x: (n, ...) values.
+        rate: (n, ...) their time derivatives.
+
+    Returns:
+        A function of a time or an array of times, s, and of the order of the derivative, 0 or 1.
+    """
 
     def curve(at: Array | float, order: int = 0) -> Array:
         if len(time) == 1:
             return np.asarray((rate if order else x)[np.zeros(np.shape(at), dtype=int)])
-        place = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
-        size, shape = time[place + 1] - time[place], (*np.shape(at), *(1,) * (x.ndim - 1))
-        share, h = np.reshape((at - time[place]) / size, shape), np.reshape(size, shape)
-        change, begin, end = x[place + 1] - x[place], h * rate[place], h * rate[place + 1]
+        # interval k with each time; s from 0 to 1 within the interval
+        k = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+        size, shape = time[k + 1] - time[k], (*np.shape(at), *(1,) * (x.ndim - 1))
+        s, h = np.reshape((at - time[k]) / size, shape), np.reshape(size, shape)
+        # x(s) = x_k + begin s + square s^2 + cube s^3
+        change, begin, end = x[k + 1] - x[k], h * rate[k], h * rate[k + 1]
         square, cube = 3.0 * change - 2.0 * begin - end, begin + end - 2.0 * change
         if order:
-            return np.asarray((begin + share * (2.0 * square + 3.0 * share * cube)) / h)
-        return np.asarray(x[place] + share * (begin + share * (square + share * cube)))
+            return np.asarray((begin + s * (2.0 * square + 3.0 * s * cube)) / h)
+        return np.asarray(x[k] + s * (begin + s * (square + s * cube)))
 
     return curve
 
 
 class Activity(NamedTuple):
-    """Activity of an element in a run.
+    """Whether and when an element would have acted in a run.
 
     Attributes:
-        words: the observation, for the report.
+        words: the observation, for the import report.
         since: s, the first time at which the element acts; None if the element does not act.
-        settled: False if only closer outputs can show whether and when the element acts.
+        settled: False if only a run with more outputs can show whether and when the element acts.
     """
 
     words: str
@@ -174,7 +197,7 @@ class Activity(NamedTuple):
 
 
 class Watch(Protocol):
-    """Test of one condition under which an element acts."""
+    """Test whether one condition under which an element acts occurs in a run."""
 
     def judge(self, motion: SampledMotion) -> Activity:
         """Report whether the element acts at any time of a motion."""
@@ -188,10 +211,11 @@ LENGTHS_AND_ANGLES = ("m", "rad", "m or rad", "m/s", "rad/s")
 class Bounds:
     """Limit of a joint coordinate or force: low <= constant + by_value * x + by_rate * dx/dt <= high.
 
-    x is a weighted sum of joint coordinates.
+    x is a weighted sum of joint coordinates. For a limit of a coordinate, constant = 0, by_value = 1 and
+    by_rate = 0. For a limited servo, by_value and by_rate are the negative gains.
 
     Attributes:
-        terms: joint coordinates with their weights in x.
+        terms: joint coordinates (joint name, number of the coordinate) with their weights in x.
         low, high: limits, may be infinite.
         unit: unit of the limits.
         constant: number, or function of time.
@@ -208,64 +232,66 @@ class Bounds:
     by_rate: float = 0.0
 
     def judge(self, motion: SampledMotion) -> Activity:
+        """Report whether the limit is passed at any time of a motion."""
         x, rate = np.zeros((2, len(motion.time)))
         steps = np.diff(motion.run.time)
-        doubt = np.zeros(steps.shape)
+        errors = np.zeros(steps.shape)
         for key, factor in self.terms:
-            value, slope, miss = motion.coordinate(key)
-            x, rate = x + factor * value, rate + factor * slope
-            doubt += abs(factor) * (abs(self.by_value) + abs(self.by_rate) / steps) * miss
+            value, value_rate, error = motion.coordinate(key)
+            x, rate = x + factor * value, rate + factor * value_rate
+            errors += abs(factor) * (abs(self.by_value) + abs(self.by_rate) / steps) * error
         if not np.all(np.isfinite(x)):
             return Activity("not judged: the poses do not determine its coordinate", 0.0)
         constant: Any = self.constant
         if isinstance(constant, TimeFunction):
             constant = np.array([constant.value(time) for time in motion.time.tolist()])
-        return self.judge_values(motion.time, constant + self.by_value * x + self.by_rate * rate, doubt)
+        return self.judge_values(motion.time, constant + self.by_value * x + self.by_rate * rate, errors)
 
-    def judge_values(self, times: Array, found: Array, doubt: Array) -> Activity:
+    def judge_values(self, times: Array, values: Array, errors: Array) -> Activity:
         """Find the first time at which values pass the limits.
 
         A coordinate that starts at its limit and moves inwards needs no force, even if the rounded digits of
         the file place the start up to `START_LIMIT_TOLERANCE` outside.
 
         Args:
-            times: (m,) s.
-            found: (m,) values of the limited quantity.
-            doubt: (n - 1,) largest error of the values in each output interval.
+            times: (m,) s, output times and `POINTS_PER_INTERVAL` - 1 times between each two of them.
+            values: (m,) values of the limited quantity.
+            errors: (n - 1,) largest interpolation error of the values in each output interval.
         """
-        room = np.minimum(found - self.low, self.high - found)
-        least = int(np.argmin(room))
-        if np.isinf(room[least]):
+        # distance from the nearer limit, negative outside
+        room = np.minimum(values - self.low, self.high - values)
+        worst = int(np.argmin(room))
+        if np.isinf(room[worst]):
             return Activity("no limit")
-        ends = [abs(limit) for limit in (self.low, self.high) if np.isfinite(limit)]
-        scale = 1.0 if self.unit in LENGTHS_AND_ANGLES else max(ends)
+        limits = [abs(limit) for limit in (self.low, self.high) if np.isfinite(limit)]
+        scale = 1.0 if self.unit in LENGTHS_AND_ANGLES else max(limits)
         # times at which the limit is passed, without a start that moves inwards
-        passed = room < -LIMIT_TOLERANCE * scale
-        outside, inwards = _way_inwards(room, START_LIMIT_TOLERANCE * scale)
-        passed[:outside] = False
+        is_passed = room < -LIMIT_TOLERANCE * scale
+        inside_from, inwards_until = _way_inwards(room, START_LIMIT_TOLERANCE * scale)
+        is_passed[:inside_from] = False
         # output intervals in which the interpolation error may hide that the limit is passed
         nearest = np.min(np.minimum(room[1:], room[:-1]).reshape(-1, POINTS_PER_INTERVAL), axis=1)
-        nearest[: inwards // POINTS_PER_INTERVAL] = np.inf
-        unseen = (nearest < doubt) & (doubt > LIMIT_TOLERANCE * scale)
-        starts = times[:-1:POINTS_PER_INTERVAL]
-        if np.any(passed):
-            first = int(np.argmax(passed))
-            within = max(0, first - 1) // POINTS_PER_INTERVAL  # the number of the interval between outputs
-            is_exact = first == 0 or doubt[within] <= SETTLED_SHARE * -room[least]
-            settled = is_exact and not np.any(unseen[:within])
-            words = f"passed from {times[first]:.4g} s on, by up to {-room[least]:.3g} {self.unit}"
+        nearest[: inwards_until // POINTS_PER_INTERVAL] = np.inf
+        may_hide = (nearest < errors) & (errors > LIMIT_TOLERANCE * scale)
+        interval_starts = times[:-1:POINTS_PER_INTERVAL]
+        if np.any(is_passed):
+            first = int(np.argmax(is_passed))
+            interval = max(0, first - 1) // POINTS_PER_INTERVAL
+            is_exact = first == 0 or errors[interval] <= SETTLED_SHARE * -room[worst]
+            settled = is_exact and not np.any(may_hide[:interval])
+            words = f"passed from {times[first]:.4g} s on, by up to {-room[worst]:.3g} {self.unit}"
             return Activity(words, float(times[first]), bool(settled))
-        if np.any(unseen):
-            return Activity(UNSETTLED, float(starts[int(np.argmax(unseen))]), settled=False)
-        return Activity(f"closest {max(0.0, room[least]):.3g} {self.unit} at {times[least]:.4g} s")
+        if np.any(may_hide):
+            return Activity(UNSETTLED, float(interval_starts[int(np.argmax(may_hide))]), settled=False)
+        return Activity(f"closest {max(0.0, room[worst]):.3g} {self.unit} at {times[worst]:.4g} s")
 
 
-def _way_inwards(room: Array, rounded: float) -> tuple[int, int]:
-    """Follow a value that starts at its limit and moves inwards from there.
+def _way_inwards(room: Array, at_limit: float) -> tuple[int, int]:
+    """Find how long a value that starts at its limit moves inwards from there.
 
     Args:
         room: (m,) distances from the limit, negative outside.
-        rounded: largest distance from the limit at which a value starts "at" the limit.
+        at_limit: largest distance from the limit at which a value starts "at" the limit.
 
     Returns:
         The number of time points until the value is inside, and until the value turns back. Both are 0 for a
@@ -274,20 +300,27 @@ def _way_inwards(room: Array, rounded: float) -> tuple[int, int]:
     rises = np.diff(room) > 0.0
     inwards = len(rises) if np.all(rises) else int(np.argmin(rises))
     inside = room[: inwards + 1] > 0.0
-    if abs(room[0]) > rounded or not np.any(inside):
+    if abs(room[0]) > at_limit or not np.any(inside):
         return 0, 0
     return int(np.argmax(inside)), inwards
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Test of dry friction, which cannot act while its joint coordinates stay at rest without friction."""
+    """Test of dry friction: it acts from the time on at which one of its joint coordinates moves.
+
+    If the coordinates stay at rest in the run without friction, they also stay at rest with friction.
+
+    Attributes:
+        keys: the joint coordinates (joint name, number of the coordinate).
+    """
 
     keys: tuple[Key, ...]
 
     def judge(self, motion: SampledMotion) -> Activity:
-        seen = (motion.coordinate(key) for key in self.keys)
-        moves = np.max([np.maximum(np.abs(x - x[0]), np.abs(rate)) for x, rate, _ in seen], axis=0)
+        """Report whether a coordinate leaves its initial value or has a rate, by more than round-off."""
+        coordinates = (motion.coordinate(key) for key in self.keys)
+        moves = np.max([np.maximum(np.abs(x - x[0]), np.abs(rate)) for x, rate, _ in coordinates], axis=0)
         if np.max(moves) <= REST_SPEED:
             return Activity("at rest")
         first = float(motion.time[int(np.argmax(moves > REST_SPEED))])
@@ -295,7 +328,7 @@ class Rest:
 
 
 def judge_all(watches: Sequence[Watch], motion: SampledMotion) -> Activity:
-    """Combine the watches of an element, which acts from the first time at which any of them acts."""
+    """Combine all tests of one element: the element acts from the first time on at which any test finds."""
     found = [watch.judge(motion) for watch in watches]
     times = [each.since for each in found if each.since is not None]
     words = "; ".join(each.words for each in found if each.active == bool(times))

@@ -1,4 +1,8 @@
-"""Checks of a verification: the largest difference of a quantity, its tolerance, and the element at fault."""
+"""Checks of an imported scene: the largest difference of a quantity, its tolerance, and where it occurs.
+
+A scene is checked against the model file from which it was imported, see `newton_euler.reading.verify`. Each
+check compares one quantity, such as masses, of all bodies or joints.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +14,19 @@ import numpy as np
 from newton_euler.scalars import Array
 
 MIN_SCALE_SHARE = 1e-3
-"""Smallest scale of any row, as a fraction of the largest scale.
+"""Smallest scale by which a difference is divided, as a fraction of the largest scale of the quantity.
 
-Scales are compared as forces at the size of the mechanism. Sums over all bodies are accurate to about 1e-16
-of the largest scale, which is `READING_ROUND_OFF` times this fraction."""
+Torques are divided by the size of the mechanism before scales are compared. Sums over all bodies are accurate
+to about 1e-16 of the largest scale, which is less than `READING_ROUND_OFF` (1e-12) times this fraction."""
 
 
 class ReadingCheck(NamedTuple):
     """Check of one quantity of a scene against the file.
 
     Attributes:
-        quantity: name and unit.
-        value: largest difference.
-        tolerance: largest allowed difference.
+        quantity: name and unit, such as "mass, rel"; "rel" stands for a relative difference.
+        value: largest difference, in this unit.
+        tolerance: largest allowed difference, in this unit.
         where: element of the file, or body or joint of the scene, with the largest difference.
     """
 
@@ -42,21 +46,21 @@ def worst_entry(quantity: str, gaps: Array, tolerances: Array | float, names: Se
 
     Args:
         quantity: name and unit.
-        gaps: (..., n) differences.
-        tolerances: of a shape that broadcasts to `gaps`.
-        names: (n,) elements.
+        gaps: (..., n) absolute differences; the leading axes are samples.
+        tolerances: largest allowed differences, of a shape that broadcasts to `gaps`.
+        names: (n,) elements, bodies or joints.
     """
     limits = np.broadcast_to(tolerances, gaps.shape)
     if not gaps.size:
         return ReadingCheck(quantity, 0.0, float(np.max(tolerances)), "")
-    shares = np.nan_to_num(gaps / limits, nan=np.inf)
-    place = np.unravel_index(int(np.argmax(shares)), gaps.shape)
-    return ReadingCheck(quantity, float(gaps[place]), float(limits[place]), names[int(place[-1])])
+    ratios = np.nan_to_num(gaps / limits, nan=np.inf)
+    worst = np.unravel_index(int(np.argmax(ratios)), gaps.shape)
+    return ReadingCheck(quantity, float(gaps[worst]), float(limits[worst]), names[int(worst[-1])])
 
 
-def closest_to_failing(figures: Iterable[ReadingCheck]) -> ReadingCheck:
-    """Return the check with the largest difference relative to its tolerance."""
-    return max(figures, key=lambda each: np.nan_to_num(each.value / each.tolerance, nan=np.inf))
+def closest_to_failing(checks: Iterable[ReadingCheck]) -> ReadingCheck:
+    """Return the check with the largest difference relative to its tolerance; NaN counts as the largest."""
+    return max(checks, key=lambda each: np.nan_to_num(each.value / each.tolerance, nan=np.inf))
 
 
 def positive(scale: Array) -> Array:

@@ -1,7 +1,8 @@
 """Excitation of a scene: small start velocities, sines for actuators, and random consistent states.
 
-Most models stand still or fall freely at their initial state, and a run without motion tests little. All
-results are functions of the scene alone and the same in every process.
+Most models stand still or fall freely at their initial state, and a run without motion tests little. This
+module adds motion to a scene; it does not simulate. All random numbers have fixed seeds, so that the results
+are the same in every process. "Sizes" below are lengths divided by the size of the mechanism.
 """
 
 from __future__ import annotations
@@ -32,20 +33,30 @@ from newton_euler.reading.activity import Bounds
 from newton_euler.runs.assemble import assemble, initial_state, measured_coordinate
 from newton_euler.scalars import Array
 
-MAX_START_SPIN, MAX_START_SPEED = 0.5, 0.1
-"""Largest start velocities of joints, rad/s and sizes/s."""
+MAX_START_SPIN = 0.5
+"""Largest start velocity of a joint's rotation, rad/s."""
 
-SWING_ANGLE, SWING_LENGTH = 0.2, 0.05
-"""Approximate amplitudes of driven joints, rad and sizes."""
+MAX_START_SPEED = 0.1
+"""Largest start velocity of a joint's translation, sizes/s."""
+
+SWING_ANGLE = 0.2
+"""Approximate amplitude of a driven rotation, rad."""
+
+SWING_LENGTH = 0.05
+"""Approximate amplitude of a driven translation, sizes."""
 
 MIN_KEPT_SHARE = 0.05
-"""Smallest fraction of these speeds and amplitudes that limits leave, so that closed loops can move."""
+"""Smallest fraction to which joint limits reduce these speeds and amplitudes, so that closed loops can
+move."""
 
 START_ROOM_SHARE = 0.5
 """Largest fraction of the distance to a limit that start velocities use; sines use the rest."""
 
-MIN_FREQUENCY, MAX_FREQUENCY = 0.7, 1.9
-"""Range of the frequencies of sines, Hz."""
+MIN_FREQUENCY = 0.7
+"""Lowest frequency of a sine, Hz."""
+
+MAX_FREQUENCY = 1.9
+"""Highest frequency of a sine, Hz."""
 
 RANDOM_AMPLITUDE = 0.2
 """Amplitude of random joint displacements before loops are closed, rad and sizes."""
@@ -66,10 +77,11 @@ MIN_START_SPEED = 1e-9
 def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
     """Give a scene consistent start velocities of all its joints.
 
-    The velocities use at most `START_ROOM_SHARE` of the distance to each limit; for a joint coordinate during
-    the whole run. A joint moves towards the side with more room. If a closed loop decides the direction, all
-    joints that constraints connect with the loop move in the direction that allows the higher speed. Joints
-    that share no constraint do not slow each other down.
+    The velocities use at most `START_ROOM_SHARE` of the distance to each limit. For a limit of a joint
+    coordinate this holds at the end of the run, if the joint keeps its velocity. A joint moves towards the
+    side with more room. If a closed loop decides the direction, all joints that constraints connect with the
+    loop move in the direction that allows the higher speed. Joints that share no constraint do not slow each
+    other down.
 
     Args:
         scene: scene at rest, at its initial state.
@@ -77,8 +89,8 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
             servo with damping.
 
     Returns:
-        The scene with start velocities, and the largest speeds in words. A singular initial configuration
-        stays at rest: most velocities that are free in such a configuration begin no motion.
+        The scene with start velocities, and a text with the largest speeds. A scene that starts in a singular
+        configuration stays at rest: most velocities that the constraints allow there begin no motion.
 
     Raises:
         AssemblyError: if no velocities satisfy the constraints.
@@ -94,14 +106,14 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
     bounds = list(bounds)
     rows = _rate_rows(system, q, bounds)
     for row in rows:
-        acting = row != 0.0
-        limits[acting] = np.minimum(limits[acting], 1.0 / (np.sum(acting) * np.abs(row[acting])))
+        nonzero = row != 0.0
+        limits[nonzero] = np.minimum(limits[nonzero], 1.0 / (np.sum(nonzero) * np.abs(row[nonzero])))
     # 2. direction of each joint, and its largest speed, from limits of its coordinate
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], system.nv)
     rooms, fastest = list(_rooms(system, bounds)), limits.copy()
     for room in rooms:
-        k, (down, up) = room.place, (room.down, room.up)
+        k, down, up = room.velocity_index, room.down, room.up
         if k is not None:
             signs[k] = signs[k] if down == up else np.sign(up - down)
             limits[k] *= np.clip(
@@ -111,38 +123,45 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
     wanted = limits * signs * rng.uniform(0.5, 1.0, system.nv)
     free = orthonormal_null(jacobian, constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
-    # 4. groups of joints that constraints and limits connect
-    turning = _turning(scene, system, q)
-    turned = turning.reshape(-1, system.nv) * system.velocity_units
-    parts = list(_parts([*jacobian, *turned, *(row / np.max(np.abs(row)) for row in rows if np.any(row))]))
-    reaches = [_reach_of(v * part, limits, turning, rows) for part in parts]
-    if max(reaches, default=0.0) * MAX_START_SPIN < MIN_START_SPEED:
+    # 4. groups of velocities that constraints and limits connect
+    spin_jacobian = _spin_jacobian(scene, system, q)
+    spin_rows = spin_jacobian.reshape(-1, system.nv) * system.velocity_units
+    scaled_rows = (row / np.max(np.abs(row)) for row in rows if np.any(row))
+    groups = list(_connected_groups([*jacobian, *spin_rows, *scaled_rows]))
+    limit_ratios = [_limit_ratio(v * group, limits, spin_jacobian, rows) for group in groups]
+    if max(limit_ratios, default=0.0) * MAX_START_SPIN < MIN_START_SPEED:
         return scene, "no start velocities, as constraints leave none"
     # 5. scale each group to its limits; the proportions between groups stay as drawn
     drawn = np.abs(wanted) / limits
-    moving_parts = [
-        pair for pair in zip(parts, reaches, strict=True) if pair[1] * MAX_START_SPIN >= MIN_START_SPEED
+    moving_groups = [
+        (group, ratio)
+        for group, ratio in zip(groups, limit_ratios, strict=True)
+        if ratio * MAX_START_SPIN >= MIN_START_SPEED
     ]
-    most = max(np.max(drawn[part]) for part, _ in moving_parts)
-    found = np.zeros(system.nv)
-    for part, reached in moving_parts:
-        of_part = np.where(part, v, 0.0) * np.max(drawn[part]) / (most * reached)
-        found += _within_rooms(system, rooms, fastest, q, of_part)
-    v = found
-    state = assemble(scene, system.state(q, v))
+    largest_drawn = max(np.max(drawn[group]) for group, _ in moving_groups)
+    scaled = np.zeros(system.nv)
+    for group, ratio in moving_groups:
+        of_group = np.where(group, v, 0.0) * np.max(drawn[group]) / (largest_drawn * ratio)
+        scaled += _within_rooms(system, rooms, fastest, q, of_group)
+    state = assemble(scene, system.state(q, scaled))
     speeds = {
-        "rad/s": float(np.max(np.linalg.norm(turning @ v, axis=1), initial=0.0)),
-        "m/s": float(np.max(np.abs(v[lengths]), initial=0.0)),
+        "rad/s": float(np.max(np.linalg.norm(spin_jacobian @ scaled, axis=1), initial=0.0)),
+        "m/s": float(np.max(np.abs(scaled[lengths]), initial=0.0)),
     }
-    said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > MIN_START_SPEED)
-    return replace(scene, initial_state=state), f"start velocities up to {said}"
+    text = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > MIN_START_SPEED)
+    return replace(scene, initial_state=state), f"start velocities up to {text}"
 
 
 def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Array]:
-    """Return rows (nv,) for limits that depend on velocities.
+    """Return a row (nv,) for each limit that depends on velocities, such as a limit of a damper's force.
 
     If row @ v is 1, velocities v use `START_ROOM_SHARE` of the distance to the limit. A limit that the start
     has already reached has no row.
+
+    Args:
+        system: equations of motion of the scene.
+        q: (nq,) initial coordinates.
+        bounds: limits of joint coordinates and forces.
     """
     measured, rows = system.measured(q, np.zeros(system.nv)), list[Array]()
     for bound in bounds:
@@ -165,19 +184,19 @@ class LimitRoom(NamedTuple):
 
     Attributes:
         key: joint and number of the coordinate.
-        place: number of the coordinate's velocity; None for a joint that closes a loop.
+        velocity_index: index of the coordinate's velocity; None for a joint that closes a loop.
         down: distance to the lower limit, m or rad.
         up: distance to the upper limit, m or rad.
     """
 
     key: Key
-    place: int | None
+    velocity_index: int | None
     down: float
     up: float
 
 
 def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[LimitRoom]:
-    """Yield the distances of joint coordinates from their limits.
+    """Yield the distances ("room") of joint coordinates from their limits at the start.
 
     A coordinate that starts outside a limit has no room on that side and may move inwards. A range of zero
     width does not limit: exporters write such ranges for unknown limits.
@@ -198,53 +217,62 @@ def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[LimitRoom]:
 
 
 def _within_rooms(system: Relative, rooms: Iterable[LimitRoom], fastest: Array, q: Array, v: Array) -> Array:
-    """Reverse or slow down the velocities of joints that move together, so that limits leave them room.
+    """Reverse or slow down the velocities of joints that move together, so that they stay within limits.
 
     Args:
-        system: equations of the scene.
+        system: equations of motion of the scene.
         rooms: distances from limits at the start.
         fastest: (nv,) largest rates without limits, m/s or rad/s.
         q: (nq,) coordinates of the tree.
         v: (nv,) velocities of the tree.
     """
-    scene, forth, back = system.scene, 0.0, 0.0
+    scene = system.scene
+    # largest ratio of a rate to its allowed rate, for velocities v and for the opposite velocities -v
+    ratio, reverse_ratio = 0.0, 0.0
     frames = system.state(q, v).frames()
     for room in rooms:
         rate = float(scene.mechanism.measure(room.key, frames)[1])
-        if room.place is not None:
-            most = fastest[room.place]
+        if room.velocity_index is not None:
+            max_rate = fastest[room.velocity_index]
         else:
-            most = (
+            max_rate = (
                 MAX_START_SPEED * scene.mechanism.size
                 if scene.mechanism.is_slide(*room.key)
                 else MAX_START_SPIN
             )
         up, down = (
-            np.clip(START_ROOM_SHARE * side / scene.duration, MIN_KEPT_SHARE * most, most)
+            np.clip(START_ROOM_SHARE * side / scene.duration, MIN_KEPT_SHARE * max_rate, max_rate)
             for side in (room.up, room.down)
         )
-        forth = max(forth, abs(rate) / (up if rate > 0.0 else down))
-        back = max(back, abs(rate) / (down if rate > 0.0 else up))
-    if min(forth, back) > 1.0 + ROUND_OFF_SPEED:
-        v = v / min(forth, back)
-    return -v if forth > max(1.0, back) * (1.0 + ROUND_OFF_SPEED) else v
+        ratio = max(ratio, abs(rate) / (up if rate > 0.0 else down))
+        reverse_ratio = max(reverse_ratio, abs(rate) / (down if rate > 0.0 else up))
+    if min(ratio, reverse_ratio) > 1.0 + ROUND_OFF_SPEED:
+        v = v / min(ratio, reverse_ratio)
+    return -v if ratio > max(1.0, reverse_ratio) * (1.0 + ROUND_OFF_SPEED) else v
 
 
-def _turning(scene: Scene, system: Relative, q: Array) -> Array:
-    """Return the Jacobian (joints, 3, nv) of the angular velocities between the bodies of each joint."""
+def _spin_jacobian(scene: Scene, system: Relative, q: Array) -> Array:
+    """Return the Jacobian (joints, 3, nv) of the angular velocities between the two bodies of each joint."""
     angular = system.velocity_transformation(q).reshape(-1, 6, system.nv)[:, 3:]
     equations = scene.mechanism.equations
     return angular[[each.second for each in equations]] - angular[[each.first for each in equations]]
 
 
-def _reach_of(v: Array, limits: Array, turning: Array, rows: Iterable[Array]) -> float:
-    """Compute the largest ratio of velocities, spins of joints and values of rows (nv,) to their limits."""
-    spins = np.linalg.norm(turning @ v, axis=1)
-    reached = np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / MAX_START_SPIN
-    return float(max(*reached, *(abs(row @ v) for row in rows)))
+def _limit_ratio(v: Array, limits: Array, spin_jacobian: Array, rows: Iterable[Array]) -> float:
+    """Compute the largest ratio of any limited quantity to its limit at velocities v.
+
+    Args:
+        v: (nv,) velocities.
+        limits: (nv,) largest velocities.
+        spin_jacobian: (joints, 3, nv) of the angular velocities of joints, limited by `MAX_START_SPIN`.
+        rows: (nv,) each, see `_rate_rows`; the limit of row @ v is 1.
+    """
+    spins = np.linalg.norm(spin_jacobian @ v, axis=1)
+    ratios = np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / MAX_START_SPIN
+    return float(max(*ratios, *(abs(row @ v) for row in rows)))
 
 
-def _parts(rows: Iterable[Array]) -> Iterator[Array]:
+def _connected_groups(rows: Iterable[Array]) -> Iterator[Array]:
     """Yield masks (nv,) of the groups of velocities that dimensionless rows (nv,) connect.
 
     Each row connects all velocities of its nonzero entries.
@@ -260,8 +288,8 @@ class Swing(NamedTuple):
     """Sine that drives an actuator.
 
     Attributes:
-        amplitude: amplitude of the control without limits of joints.
-        within: amplitude that keeps joints within their limits.
+        amplitude: amplitude of the control input that disregards limits of joints.
+        within: amplitude of the control input that keeps joints within their limits.
         angular_frequency: rad/s.
     """
 
@@ -276,11 +304,12 @@ def swings(
     """Yield sines that move each driven joint by about `SWING_ANGLE` or `SWING_LENGTH`.
 
     A force of amplitude F and angular frequency w moves a mass m by up to F (w T + 1) / (m w^2) in a time T.
-    It moves a spring by F / k and a damper by F / (d w). Constraints hold; all other joints may move.
+    It moves a spring of stiffness k by F / k and a damper of damping d by F / (d w). The mass is that of the
+    whole mechanism as the driven joint feels it: constraints hold, and all other joints may move.
 
     Args:
         scene: scene at its initial state.
-        forces: for each sine, forces on joint coordinates per unit of the control, N or N m.
+        forces: for each sine, forces on joint coordinates for a control input of 1, N or N m.
         bounds: limits of joint coordinates. A joint swings by at most the room that start velocities leave,
             and by at least `MIN_KEPT_SHARE` of its amplitude without limits.
     """
@@ -292,44 +321,50 @@ def swings(
     free = orthonormal_null(dimensionless_jacobian(system, q), constraint_rank(system))
     free = system.velocity_units[:, None] * free
     inertia = free.T @ mass @ free
-    for number, pushes in enumerate(forces):
+    for number, unit_forces in enumerate(forces):
         # fractional parts of multiples of the golden ratio are spread evenly
         golden = 0.5 * (np.sqrt(5.0) - 1.0)
         w = 2.0 * np.pi * (MIN_FREQUENCY + (MAX_FREQUENCY - MIN_FREQUENCY) * ((0.5 + number * golden) % 1.0))
-        # accelerations of the free motions for one unit of the control
-        push = np.zeros(system.nv)
-        for key, force in pushes.items():
+        # accelerations (nv,) of the free motions for a control input of 1
+        generalized = np.zeros(system.nv)
+        for key, force in unit_forces.items():
             for k, x in measured[key].jacobian.items():
-                push[k] += x * force
-        answer = free @ np.linalg.solve(inertia, free.T @ push) if free.size else np.zeros(system.nv)
-        # smallest amplitude of the control over the driven joint coordinates
+                generalized[k] += x * force
+        accelerations = (
+            free @ np.linalg.solve(inertia, free.T @ generalized) if free.size else np.zeros(system.nv)
+        )
+        # smallest amplitude of the control input over the driven joint coordinates
         amplitude = within = np.inf
-        for key, force in pushes.items():
-            acceleration = abs(float(sum(x * answer[k] for k, x in measured[key].jacobian.items())))
+        for key, force in unit_forces.items():
+            acceleration = abs(float(sum(x * accelerations[k] for k, x in measured[key].jacobian.items())))
             if not force or not acceleration:
                 continue
-            stiffness, damping, servo = _at(scene, key)
+            # impedance: force per displacement; a servo alone decides it if there is one
+            stiffness, damping, servo = _joint_impedance(scene, key)
             impedance = abs(force) * w**2 / (acceleration * (1.0 + w * scene.duration))
             impedance = servo or impedance + stiffness + damping * w
-            reach = _reach(scene, key)
+            swing = _intended_amplitude(scene, key)
             room = (1.0 - START_ROOM_SHARE) * rooms.get(key, np.inf)
-            amplitude = min(amplitude, reach * impedance / abs(force))
-            within = min(within, np.clip(room, MIN_KEPT_SHARE * reach, reach) * impedance / abs(force))
+            amplitude = min(amplitude, swing * impedance / abs(force))
+            within = min(within, np.clip(room, MIN_KEPT_SHARE * swing, swing) * impedance / abs(force))
         if not np.isfinite(amplitude):
             amplitude = within = 0.0
         yield Swing(float(amplitude), float(within), float(w))
 
 
-def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
-    """Return stiffness and damping at a joint coordinate, SI, and the stiffness of the control law alone."""
-    found = [law for law in scene.joint_forces if law.key == key]
-    gains = [law for law in found if isinstance(law, PD | JointSpring)]
+def _joint_impedance(scene: Scene, key: Key) -> tuple[float, float, float]:
+    """Return the sums of stiffness and damping at a joint coordinate, SI, and the stiffness of servos alone.
+
+    Servos are proportional-derivative control laws (`PD`); the sums also include joint springs.
+    """
+    laws = [law for law in scene.joint_forces if law.key == key]
+    gains = [law for law in laws if isinstance(law, PD | JointSpring)]
     servo = sum(law.stiffness for law in gains if isinstance(law, PD))
     return sum(law.stiffness for law in gains), sum(law.damping for law in gains), max(servo, 0.0)
 
 
-def _reach(scene: Scene, key: Key) -> float:
-    """Return the intended amplitude of a joint coordinate, m or rad."""
+def _intended_amplitude(scene: Scene, key: Key) -> float:
+    """Return the amplitude that a sine shall give a joint coordinate, m or rad."""
     return SWING_LENGTH * scene.mechanism.size if scene.mechanism.is_slide(*key) else SWING_ANGLE
 
 
@@ -350,8 +385,9 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
     assert isinstance(code.system, Relative)
     system, project = code.system, Projection(code)
     tree, unit = system.tree, system.velocity_units
+    # indices in q and v of all coordinates but those of balls, whose quaternions have no single velocity
     single = [(on_q.start, on_v.start) for motion, on_q, on_v in tree.motions if motion.kind != "ball"]
-    single_q, single_v = [place[0] for place in single], [place[1] for place in single]
+    single_q, single_v = [index for index, _ in single], [index for _, index in single]
     start, _ = system.coordinates(initial_state(scene))
     rng = np.random.default_rng(seed)
     states: list[State] = []

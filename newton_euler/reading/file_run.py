@@ -1,7 +1,8 @@
-"""A model file as its own engine simulates it, with the time step, integrator and solver of the file.
+"""Interface for simulating a model file with the file's own engine, time step, integrator and solver.
 
-The file's run is compared with a reference solution of the imported scene, see `crosscheck.own_run`. A
-package for a file format derives from `FileSimulation`; start and inputs are those of the imported scene.
+The run of the file is compared with a reference solution of the imported scene, to measure its error and the
+causes of the error, see `crosscheck.own_run`. A package for a file format derives from `FileSimulation`. The
+run begins at the start of the imported scene and has the scene's inputs.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 
 SettingsT = TypeVar("SettingsT")
+"""Type of an engine's settings (time step, integrator, solver); one class for each engine."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,8 @@ class FileRun:
     """Run of a model file by its own engine.
 
     Attributes:
-        trajectory: motion of the scene's bodies, as far as the run came.
-        opening: (n,) largest error of the file's loop constraints at the output times, m or rad.
+        trajectory: motion of the scene's bodies up to the time at which the run ended.
+        opening: (n,) largest violation of the file's loop constraints at each output time, m or rad.
         events: first action of each element that the reference does not simulate, in the order of time.
         stopped: reason why the run ended early, such as MuJoCo's warning; "" for a complete run.
     """
@@ -49,12 +51,14 @@ class FileRun:
 
 @dataclass(frozen=True)
 class Cause(Generic[SettingsT]):
-    """One property of a file's settings whose share of the error can be measured.
+    """One property of a file's settings whose contribution to the run's error can be measured.
+
+    The contribution is the difference of two runs: with settings `against`, and with settings `without`.
 
     Attributes:
         name: the property, such as "time step".
         without: settings that remove the error of the property and keep all else.
-        against: settings to compare with; None means the settings of the file.
+        against: settings with the error of the property; None means the settings of the file.
     """
 
     name: str
@@ -85,15 +89,15 @@ class FileSimulation(ABC, Generic[SettingsT]):
 
     @abstractmethod
     def words(self) -> str:
-        """Describe the settings of the file in a few words, such as "implicitfast, 2 ms, solref 0.02"."""
+        """Describe the settings of the file in one short text, such as "implicitfast, 2 ms, solref 0.02"."""
 
     @abstractmethod
     def changes(self, settings: SettingsT) -> Mapping[str, str]:
-        """Map the names of settings that differ from those of the file to their values in words."""
+        """Return the settings that differ from those of the file: their values as text, by name."""
 
     @abstractmethod
     def fragment(self, settings: SettingsT) -> str:
-        """Return the text that gives the file these settings."""
+        """Return the lines of the file format, such as an XML element, that give the file these settings."""
 
     @abstractmethod
     def run(self, settings: SettingsT, steps: int, every: int, reduced: bool = False) -> FileRun:
@@ -112,11 +116,15 @@ class FileSimulation(ABC, Generic[SettingsT]):
 
     @abstractmethod
     def alternatives(self, divisor: int) -> Iterator[SettingsT]:
-        """Yield all other kinds of settings with the file's time step divided by `divisor`."""
+        """Yield other settings that may reduce the error, such as another integrator.
+
+        Args:
+            divisor: number by which the file's time step is divided.
+        """
 
     @abstractmethod
     def at_divisor(self, settings: SettingsT, divisor: int) -> SettingsT:
-        """Return settings of the same kind with the file's time step divided by `divisor`."""
+        """Return the same settings with the file's time step divided by `divisor`."""
 
     @property
     def options(self) -> Mapping[str, Any]:

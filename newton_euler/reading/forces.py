@@ -1,7 +1,9 @@
-"""Compare forces and armatures of a scene with the file's reference model.
+"""Compare forces and armatures of an imported scene with the file's reference model.
 
-Bodies of the scene are placed at the poses of the file. Forces are compared in independent velocities of the
-file. A difference is attributed to the element of the file whose own force explains most of the difference.
+The reference model is the model file as an independent parser compiles it. The bodies of the scene are placed
+at its sample states. Forces of both models are projected on independent velocities of the file and compared.
+A difference is attributed to the element of the file whose force alone explains most of the difference.
+Armatures are inertias of motors' rotors; they are compared as parts of the mass matrix.
 """
 
 from __future__ import annotations
@@ -32,52 +34,55 @@ from newton_euler.reading.wrenches import Wrenches
 from newton_euler.scalars import Array
 
 MAX_UNEXPLAINED_SHARE = 1e-3
-"""Largest unexplained fraction (of squares) of a difference that is attributed to an element."""
+"""Largest sum of squares that an element may leave unexplained, as a fraction of the difference's sum of
+squares, if the difference is attributed to the element."""
 
 ElementForces = Iterator[tuple[str, list[list[Array]]]]
-"""Name of each element, and its forces at the samples: one list for each way in which the element can act."""
+"""Pairs of an element's name and its forces. The forces are a list for each way in which the element can act;
+each list has one array for each sample."""
 
 
 def force_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     """Check forces of each of the `FORCE_KINDS`, armatures, and limited forces."""
-    scenes = _apart(placed.scene)
-    acting = [_acting(placed, place, scenes) for place in placed.places]
-    wanted = [place.sample.forces for place in placed.places]
-    for n in range(len(FORCE_KINDS)):
-        yield _force_check(placed, n, [each[n] for each in acting], [each[n] for each in wanted])
+    scenes = _split_by_kind(placed.scene)
+    found = [_wrenches_by_kind(placed, place, scenes) for place in placed.placements]
+    wanted = [place.sample.forces for place in placed.placements]
+    for kind in range(len(FORCE_KINDS)):
+        yield _force_check(placed, kind, [each[kind] for each in found], [each[kind] for each in wanted])
     yield _armature_check(placed)
-    if placed.reference.force_limits(placed.reference.start, placed.reference.stated[1]):
+    _, velocities = placed.reference.file_state
+    if placed.reference.force_limits(placed.reference.start, velocities):
         yield _limit_check(placed)
 
 
 def _limit_check(placed: ScenePlacement) -> ReadingCheck:
-    """Check the limits that runs are watched for, and the limited forces at the samples.
+    """Check the imported limits of forces, which runs are tested for, and the limited forces at the samples.
 
-    Differences are relative to the largest terms of a force at any sample. Coordinates count in the terms
-    with at least `MIN_SCALE_SHARE` times 1 rad or the size.
+    A difference is divided by the largest sum of the magnitudes of a force's terms at any sample. In this
+    scale a joint coordinate counts with at least `MIN_SCALE_SHARE` times 1 rad or the size of the mechanism.
     """
     reference = placed.reference
     gaps, scales, names = [], [], list[str]()
-    for place in placed.places:
+    for place in placed.placements:
         limits = reference.force_limits(place.sample.q, place.sample.v)
         names = [limit.element for limit in limits]
-        worked_out = [_watched(placed, place, limit.watched) for limit in limits]
-        scales.append([scale for _, scale in worked_out])
+        forces = [_limited_force(placed, place, limit.watched) for limit in limits]
+        scales.append([scale for _, scale in forces])
         gaps.append(
             [
                 abs(force - limit.force)
                 if (limit.watched.low, limit.watched.high) == (limit.low, limit.high)
                 else np.inf
-                for limit, (force, _) in zip(limits, worked_out, strict=True)
+                for limit, (force, _) in zip(limits, forces, strict=True)
             ]
         )
     relative = np.array(gaps) / positive(np.max(scales, axis=0))
-    return worst_entry("limits of forces, rel", relative, np.array(placed.limits)[:, None], names)
+    return worst_entry("limits of forces, rel", relative, np.array(placed.force_tolerances)[:, None], names)
 
 
-def _watched(placed: ScenePlacement, place: SamplePlacement, bounds: Bounds) -> tuple[float, float]:
-    """Return the force that a run is watched for, and the sum of the magnitudes of its terms."""
-    assert not isinstance(bounds.constant, TimeFunction)  # controls are held
+def _limited_force(placed: ScenePlacement, place: SamplePlacement, bounds: Bounds) -> tuple[float, float]:
+    """Compute a limited force from joint coordinates, N or N m, and the sum of its terms' magnitudes."""
+    assert not isinstance(bounds.constant, TimeFunction)  # control inputs of the samples are constant
     force, frames = bounds.constant, place.state.frames()
     scale = abs(force)
     for (joint, number), factor in bounds.terms:
@@ -90,30 +95,41 @@ def _watched(placed: ScenePlacement, place: SamplePlacement, bounds: Bounds) -> 
 
 
 def _force_check(
-    placed: ScenePlacement, kind: int, acting: Sequence[tuple[Array, Array]], wanted: Sequence[Array]
+    placed: ScenePlacement, kind: int, found: Sequence[tuple[Array, Array]], wanted: Sequence[Array]
 ) -> ReadingCheck:
-    reference, left, scales = placed.reference, [], []
-    for place, (wrench, magnitude), force in zip(placed.places, acting, wanted, strict=True):
-        basis = place.sample.freedom.basis
-        onto = place.transformation @ basis
-        left.append(onto.T @ wrench.ravel() - basis.T @ force)
-        scales.append(np.abs(onto).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
+    """Check forces of one kind in independent velocities of the file.
 
-    def alone() -> ElementForces:
+    Args:
+        placed: bodies of the scene at the poses of the file.
+        kind: number of the kind in `FORCE_KINDS`.
+        found: for each sample, the scene's wrenches (b, 6) on bodies and the sums of magnitudes.
+        wanted: for each sample, the generalized forces (nv,) of the reference model.
+    """
+    reference, differences, scales = placed.reference, [], []
+    for place, (wrench, magnitude), force in zip(placed.placements, found, wanted, strict=True):
+        basis = place.sample.freedom.basis
+        body_velocities = place.transformation @ basis  # (6 b, d) per independent velocity
+        differences.append(body_velocities.T @ wrench.ravel() - basis.T @ force)
+        scales.append(np.abs(body_velocities).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
+
+    def of_elements() -> ElementForces:
+        """Yield the force of each element of the file alone."""
         for name, ways in reference.elements(reference.samples):
             yield name, [_reduced(reference, [forces[kind] for forces in each]) for each in ways]
 
     def at_joints() -> ElementForces:
         """Yield constant forces, springs and dampers at each joint, for forces that no element explains."""
-        moved = [reference.difference(reference.start, sample.q) for sample in reference.samples]
+        displacements = [reference.difference(reference.start, sample.q) for sample in reference.samples]
         for k, name in enumerate(reference.motions):
             unit = np.eye(len(reference.motions))[k]
-            springs, dampers = [x[k] * unit for x in moved], [s.v[k] * unit for s in reference.samples]
-            ways = ([unit] * len(moved), springs, dampers)
+            springs = [x[k] * unit for x in displacements]
+            dampers = [sample.v[k] * unit for sample in reference.samples]
+            ways = ([unit] * len(displacements), springs, dampers)
             yield name, [_reduced(reference, forces) for forces in ways]
 
-    scale = row_scales(reference, scales)
-    return row_check(reference, f"{FORCE_KINDS[kind]}, rel", left, scale, placed.limits, alone, at_joints)
+    quantity, scale = f"{FORCE_KINDS[kind]}, rel", row_scales(reference, scales)
+    tolerances = placed.force_tolerances
+    return row_check(reference, quantity, differences, scale, tolerances, of_elements, at_joints)
 
 
 def _armature_check(placed: ScenePlacement) -> ReadingCheck:
@@ -121,116 +137,141 @@ def _armature_check(placed: ScenePlacement) -> ReadingCheck:
     reference = placed.reference
     wanted = _reduced(reference, [sample.mass_matrices[1] for sample in reference.samples])
     found = []
-    for place in placed.places:
-        onto = _spins(placed, place) @ place.transformation @ place.sample.freedom.basis
-        found.append(onto.T @ onto)
+    for place in placed.placements:
+        spins = _armature_speeds(placed, place) @ place.transformation @ place.sample.freedom.basis
+        found.append(spins.T @ spins)
     sums = [np.diag(one) + np.abs(np.diag(two)) for one, two in zip(found, wanted, strict=True)]
-    scale = np.sqrt(row_scales(reference, sums, 2))
+    scale = np.sqrt(row_scales(reference, sums, 2))  # square roots of inertias, one for each velocity
 
     def relative(masses: Sequence[Array]) -> list[Array]:
-        units = (positive(scale[sample.freedom.rows]) for sample in reference.samples)
+        """Divide the columns of mass matrices (d, d) by scales; `row_check` divides the rows."""
+        units = (positive(scale[sample.freedom.independent]) for sample in reference.samples)
         return [mass / unit for mass, unit in zip(masses, units, strict=True)]
 
-    def alone() -> ElementForces:
-        for name, each in reference.rotors(reference.samples):
+    def of_elements() -> ElementForces:
+        """Yield the mass matrix of each armature of the file alone."""
+        for name, each in reference.armatures(reference.samples):
             yield name, [relative(_reduced(reference, each))]
 
     def at_other_joints() -> ElementForces:
-        """Yield armatures that were placed at another joint."""
+        """Yield each armature of the file together with an armature at another joint, as if misplaced."""
         units = [np.diag(unit) for unit in np.eye(len(reference.motions))]
         others = [relative(_reduced(reference, [unit] * len(reference.samples))) for unit in units]
-        for name, (own,) in alone():
-            yield from ((name, [own, other]) for other in others)
+        for name, (at_joint,) in of_elements():
+            yield from ((name, [at_joint, other]) for other in others)
 
-    left = relative([one - two for one, two in zip(found, wanted, strict=True)])
-    return row_check(reference, "armatures, rel", left, scale, placed.limits, alone, at_other_joints)
+    differences = relative([one - two for one, two in zip(found, wanted, strict=True)])
+    tolerances = placed.force_tolerances
+    return row_check(
+        reference, "armatures, rel", differences, scale, tolerances, of_elements, at_other_joints
+    )
 
 
-def _reduced(reference: ReferenceModel, of_velocities: Sequence[Array]) -> list[Array]:
-    """Project forces (nv,) or mass matrices (nv, nv) at the samples on their independent velocities."""
+def _reduced(reference: ReferenceModel, values: Sequence[Array]) -> list[Array]:
+    """Project forces (nv,) or mass matrices (nv, nv), one for each sample, on independent velocities."""
     found = []
-    for sample, whole in zip(reference.samples, of_velocities, strict=True):
+    for sample, value in zip(reference.samples, values, strict=True):
         basis = sample.freedom.basis
-        found.append(basis.T @ (whole @ basis if whole.ndim == 2 else whole))
+        found.append(basis.T @ (value @ basis if value.ndim == 2 else value))
     return found
 
 
 def row_scales(reference: ReferenceModel, scales: Sequence[Array], power: int = 1) -> Array:
-    """Return (nv,) the largest scale of each velocity over all samples, and at least `MIN_SCALE_SHARE`.
+    """Return the largest scale (nv,) of each velocity over all samples.
+
+    The result is at least `MIN_SCALE_SHARE` times the largest entry, compared in units of the velocities.
 
     Args:
         reference: the model of the file.
-        scales: one array for each sample, in the independent velocities of the sample.
-        power: 1 for forces, 2 for masses.
+        scales: one array (d,) for each sample, in the independent velocities of the sample.
+        power: 1 for forces, 2 for masses: power of the unit of a velocity that makes a scale comparable.
     """
     units = reference.units**power
     total = np.zeros(len(units))
     for sample, scale in zip(reference.samples, scales, strict=True):
-        np.maximum.at(total, sample.freedom.rows, scale)
+        np.maximum.at(total, sample.freedom.independent, scale)
     return np.maximum(total, MIN_SCALE_SHARE * np.max(total * units, initial=0.0) / units)
 
 
 def row_check(
     reference: ReferenceModel,
     quantity: str,
-    left: Sequence[Array],
+    differences: Sequence[Array],
     scale: Array,
-    limits: Sequence[float],
-    *alone: Callable[[], ElementForces],
+    tolerances: Sequence[float],
+    *candidates: Callable[[], ElementForces],
 ) -> ReadingCheck:
-    """Check differences at all samples, and attribute a difference to an element.
+    """Check differences at all samples, and attribute a difference that is too large to an element.
 
     Args:
         reference: the model of the file.
         quantity: name and unit.
-        left: (d,) or (d, d) differences at each sample, in independent velocities.
-        scale: (nv,) largest value of each velocity.
-        limits: relative tolerance at each sample.
-        alone: kinds of elements. The first kind that explains the difference names the element at fault.
+        differences: (d,) or (d, d) differences at each sample, in independent velocities.
+        scale: (nv,) largest value for each velocity, by which differences are divided.
+        tolerances: relative tolerance at each sample.
+        candidates: functions that yield elements with their forces. The first function with an element that
+            explains the difference names the element at fault.
     """
     found, weights = [], []
-    for gap, sample, limit in zip(left, reference.samples, limits, strict=True):
-        weights.append(1.0 / positive(scale[sample.freedom.rows]))
-        shares = (np.abs(gap).T * weights[-1]).T
-        shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
-        names = [reference.motions[k] for k in sample.freedom.rows]
-        found.append(worst_entry(quantity, shares, limit, names))
-    most = closest_to_failing(found)
-    named = (_most_alike(left, weights, elements()) for elements in alone)
-    return most if most.agrees else most._replace(where=next(filter(None, named), most.where))
+    for difference, sample, tolerance in zip(differences, reference.samples, tolerances, strict=True):
+        weights.append(1.0 / positive(scale[sample.freedom.independent]))
+        relative = (np.abs(difference).T * weights[-1]).T
+        relative = relative.max(axis=1, initial=0.0) if relative.ndim == 2 else relative
+        names = [reference.motions[k] for k in sample.freedom.independent]
+        found.append(worst_entry(quantity, relative, tolerance, names))
+    worst = closest_to_failing(found)
+    if worst.agrees:
+        return worst
+    at_fault = (_best_explanation(differences, weights, elements()) for elements in candidates)
+    return worst._replace(where=next(filter(None, at_fault), worst.where))
 
 
-def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: ElementForces) -> str:
-    """Name the element whose forces, times constants, explain differences at all states best; "" if none."""
+def _best_explanation(differences: Sequence[Array], weights: Sequence[Array], elements: ElementForces) -> str:
+    """Name the element whose forces, times constants, explain differences at all samples best; "" if none.
 
-    def weighed(values: Sequence[Array]) -> Array:
+    Args:
+        differences: (d,) or (d, d) at each sample.
+        weights: (d,) factors of the differences' rows at each sample.
+        elements: names and forces of elements.
+    """
+
+    def weighted(values: Sequence[Array]) -> Array:
+        """Multiply arrays of the samples by their weights and join them."""
         pairs = zip(values, weights, strict=True)
         return np.concatenate([(each.T * weight).T.ravel() for each, weight in pairs])
 
-    gap, best, name = weighed(left), MAX_UNEXPLAINED_SHARE, ""
-    for element, ways in alone:
-        columns = np.array([weighed(values) for values in ways]).T
+    gap, smallest, name = weighted(differences), MAX_UNEXPLAINED_SHARE, ""
+    for element, ways in elements:
+        columns = np.array([weighted(values) for values in ways]).T
         rest = gap - columns @ least_squares(columns, gap)
-        share = float(rest @ rest) / float(gap @ gap)
-        if share < best:
-            best, name = share, element
+        unexplained = float(rest @ rest) / float(gap @ gap)
+        if unexplained < smallest:
+            smallest, name = unexplained, element
     return name
 
 
-def _apart(scene: Scene) -> tuple[Scene, Scene, Scene]:
-    """Split a scene into springs, dampers, and all other forces except gravity."""
-    both = [force for force in scene.forces if isinstance(force, Spring)]
+def _split_by_kind(scene: Scene) -> tuple[Scene, Scene, Scene]:
+    """Return the scene with its springs alone, with its dampers alone, and with all other forces.
+
+    A spring of a scene may have damping; it is then in the first and in the second result.
+    """
+    with_damping = [force for force in scene.forces if isinstance(force, Spring)]
     others = tuple(force for force in scene.forces if not isinstance(force, Spring))
-    springs = tuple(replace(force, damping=0.0) for force in both if force.stiffness)
-    dampers = tuple(replace(force, stiffness=0.0) for force in both if force.damping)
-    sprung = replace(scene, control=(), forces=springs)
-    return sprung, replace(sprung, forces=dampers), replace(scene, forces=others)
+    springs = tuple(replace(force, damping=0.0) for force in with_damping if force.stiffness)
+    dampers = tuple(replace(force, stiffness=0.0) for force in with_damping if force.damping)
+    springs_alone = replace(scene, control=(), forces=springs)
+    return springs_alone, replace(springs_alone, forces=dampers), replace(scene, forces=others)
 
 
-def _acting(
+def _wrenches_by_kind(
     placed: ScenePlacement, place: SamplePlacement, scenes: tuple[Scene, Scene, Scene]
 ) -> list[tuple[Array, Array]]:
-    """Compute the wrenches (b, 6) of each of the `FORCE_KINDS` on the bodies, and the sums of magnitudes."""
+    """Compute the scene's wrenches (b, 6) of each of the `FORCE_KINDS`, and the sums of their magnitudes.
+
+    Args:
+        placed, place: bodies of the scene at the poses of the file, and at one sample.
+        scenes: the scene with springs, with dampers, and with all other forces.
+    """
     weight = np.zeros((len(placed.mechanism.bodies), 6))
     for wrench, body in zip(weight, placed.mechanism.bodies, strict=True):
         wrench[:3] = body.mass * placed.scene.gravity
@@ -250,8 +291,11 @@ def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
     return found.total, found.magnitude
 
 
-def _spins(placed: ScenePlacement, place: SamplePlacement) -> Array:
-    """Return the Jacobian (r, 6 b) of rotor speeds for velocities of the bodies, times sqrt(inertia)."""
+def _armature_speeds(placed: ScenePlacement, place: SamplePlacement) -> Array:
+    """Return the Jacobian (r, 6 b) of armature speeds with respect to body velocities, times sqrt(inertia).
+
+    The square of the result's product with velocities is twice the kinetic energy of the armatures.
+    """
     mechanism, frames = placed.mechanism, place.rest.frames()
     found = [np.zeros((0, len(frames), 6))]
     for armature in placed.scene.armatures:
@@ -263,8 +307,8 @@ def _spins(placed: ScenePlacement, place: SamplePlacement) -> Array:
             equations = mechanism.joint_equations(joint)
             first, second = equations.first, equations.second
             rows = equations.coordinates[coordinate].jacobian(frames[first], frames[second])
-        row = np.zeros((len(rows.r_first), len(frames), 6))
-        row[:, first] = np.hstack([rows.r_first, rows.theta_first])
-        row[:, second] = np.hstack([rows.r_second, rows.theta_second])
-        found.append(np.sqrt(armature.inertia) * row)
+        jacobian = np.zeros((len(rows.r_first), len(frames), 6))
+        jacobian[:, first] = np.hstack([rows.r_first, rows.theta_first])
+        jacobian[:, second] = np.hstack([rows.r_second, rows.theta_second])
+        found.append(np.sqrt(armature.inertia) * jacobian)
     return np.concatenate(found).reshape(-1, 6 * len(frames))

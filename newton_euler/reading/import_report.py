@@ -1,4 +1,9 @@
-"""Import report: the fate of every element of a model file, and likely mistakes in the file."""
+"""Import report: how each element of a model file was imported, and likely mistakes in the file.
+
+A reader adds an entry for each element while it turns the file into a `Scene`. The *fate* of an element is
+"exactly" (imported without change), "left out" (not simulated) or "inactive" (not simulated, but a run has
+shown that the element would not have acted).
+"""
 
 from __future__ import annotations
 
@@ -17,6 +22,8 @@ from newton_euler.reading.reference import ReferenceModel
 Fate = Literal["exactly", "inactive", "left out"]
 
 FATES: tuple[Fate, ...] = ("exactly", "inactive", "left out")
+"""All fates, from the best to the worst."""
+
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
 """Topics of elements that scenes do not simulate."""
 
@@ -24,10 +31,10 @@ CONTROL_RANGE = "control range"
 """Topic of the range that clips the control of an actuator."""
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
-"""Kinds of imported elements that some file formats cannot represent; see `ImportedElement.became`."""
+"""Values of `ImportedElement.became`: kinds of scene elements that some file formats cannot represent."""
 
 ACTING = (("equality", "equalities"), ("actuator", "actuators"), ("tendon", "tendons"))
-"""Kinds of elements, singular and plural, that act in every configuration of a model."""
+"""Kinds of elements in files, singular and plural, that act in every configuration of a model."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,7 @@ class ImportedElement:
 
 @dataclass(frozen=True)
 class Finding:
-    """Likely mistake in a model file. Every engine simulates the mistake unchanged.
+    """Likely mistake in a model file. Readers do not correct it: every engine simulates the file as it is.
 
     Attributes:
         name: kind of the mistake, such as "mass-too-large".
@@ -108,7 +115,7 @@ class ChangedVelocities:
     """Change of a file's start velocities that was needed to satisfy the constraints.
 
     Attributes:
-        start: keyframe, or other name of the start in the file.
+        start: name of the start in the file, such as a keyframe of MJCF.
         linear: largest change of a body's linear velocity, m/s.
         angular: largest change of a body's angular velocity, rad/s.
         share: largest change, divided by the largest velocity of the same kind in the file.
@@ -121,18 +128,18 @@ class ChangedVelocities:
 
 
 class ImportReport:
-    """Fate of every element of a file. Readers fill the report.
+    """Report on the import of a file: one entry for each element, or for each unsimulated property of one.
 
     Attributes:
-        entries: fates in the order of reading.
+        entries: entries in the order of reading.
         findings: likely mistakes in the file.
         start: lines about the initial pose and velocities of the scene.
         references: pairs of a reference model and the scene to verify against the model, see
             `newton_euler.reading.verify`. The first pair has the scene that the reader returns; other scenes
             are read only for verification.
-        watches: by the number of an entry, tests that find out whether the element acts in a run.
-        unsettled: numbers of entries that only closer outputs can judge.
-        simulation: the file as its own engine simulates it; None for files without an engine of their own.
+        watches: for an entry, given by its number, tests that find out whether the element acts in a run.
+        unsettled: numbers of entries that only a run with more outputs can judge.
+        simulation: the file as its own engine simulates it; None for formats without an engine, such as URDF.
         moved: change of the start by loop closure; None if the file has no loops.
         changed_velocities: change of the start velocities; None if the file has no velocities.
     """
@@ -182,10 +189,10 @@ class ImportReport:
 
         Args:
             element, topic, examined: see `ImportedElement`.
+            why: reason why the element is not simulated.
             moves_nothing: True if the element moves nothing as the file has it, such as a camera.
-            why: reason.
-            watches: tests for activity in a run. Together they cover the whole element. An element without
-                watches acts from the start on.
+            watches: tests whether the element acts in a run. Together they cover the whole element. An
+                element without watches counts as acting from the start on.
             switched_off: True if the file itself switches the element off.
             numbers: values of the topic in the file; SI units.
         """
@@ -205,7 +212,7 @@ class ImportReport:
 
     @property
     def bounds(self) -> list[Bounds]:
-        """All watched limits of joint coordinates and forces."""
+        """All limits of joint coordinates and forces for which a run is tested."""
         return [each for watches in self.watches.values() for each in watches if isinstance(each, Bounds)]
 
     def unsimulated(self) -> list[ImportedElement]:
@@ -213,9 +220,10 @@ class ImportReport:
         return [entry for entry in self.entries if entry.is_unsimulated]
 
     def after(self, motion: SampledMotion) -> ImportReport:
-        """Return the report with what a run shows of elements that are left out.
+        """Return the report with the fates that a run shows for elements that are not simulated.
 
-        After a report that is partly unsettled only the unsettled entries are judge_all again.
+        If some entries of this report are unsettled (an earlier run could not judge them), only these entries
+        are judged; other entries stay unchanged.
         """
         found = copy(self)
         found.entries, unsettled = list(self.entries), set[int]()
@@ -262,7 +270,7 @@ class ImportReport:
         return [entry for entry in self.entries if entry.fate == fate]
 
     def counts(self) -> str:
-        """Count inactive elements, elements left out, and elements switched off, in words.
+        """Describe how many elements are inactive, left out, or switched off.
 
         Elements that move nothing are not counted. Each element counts once, with its worst fate. The kinds
         of `ACTING` are counted separately, because a model without them moves differently from the start. The
@@ -274,8 +282,8 @@ class ImportReport:
             worst.update((entry.element, fate) for entry in self.of(fate) if not entry.inert)
         found: list[str] = []
         for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
-            what = "element is" if count == 1 else "elements are"
-            found.append(f"{count} {'' if found else what + ' '}{fate}")
+            subject = "element is" if count == 1 else "elements are"  # only in the first part of the text
+            found.append(f"{count} {'' if found else subject + ' '}{fate}")
         # equalities, actuators and tendons left out, and elements that no rule knows
         whole = {entry.element for entry in self.of("left out") if not entry.inert and not entry.topic}
         acting = Counter(element.split()[0] for element in whole)
@@ -298,7 +306,13 @@ def left_out(report: ImportReport) -> dict[str, set[str]]:
 
 
 def unique_name(wanted: str, fallback: str, taken: Iterable[str]) -> str:
-    """Make a free name of letters, digits, `_`, `.` and `-` from the wanted name."""
+    """Make a name that is not taken, of letters, digits, `_`, `.` and `-`.
+
+    Args:
+        wanted: name in the file; other characters are replaced by `_`.
+        fallback: name to use if the wanted name is empty.
+        taken: names that are in use; a number is appended to a name among them.
+    """
     name = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in wanted) or fallback
     known, candidate, number = set(taken), name, 2
     while candidate in known:

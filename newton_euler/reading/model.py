@@ -1,4 +1,8 @@
-"""Compare bodies, initial state and joints of a scene with the file's reference model."""
+"""Compare bodies, initial state and joints of an imported scene with the file's reference model.
+
+The reference model is the model file as an independent parser compiles it. Its rigid groups (links that fixed
+joints hold together) are the bodies of the scene. *Samples* are states at which scene and file are compared.
+"""
 
 from __future__ import annotations
 
@@ -10,84 +14,99 @@ from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
 from newton_euler.reading.checks import MIN_SCALE_SHARE, ReadingCheck, closest_to_failing, worst_entry
-from newton_euler.reading.placement import SamplePlacement, ScenePlacement, shifted
+from newton_euler.reading.placement import SamplePlacement, ScenePlacement, shifted_to
 from newton_euler.reading.quantities import FREE_SINGULAR_VALUE, Freedom
 from newton_euler.reading.reference import READING_ROUND_OFF, ReferenceModel
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 OFFSET_FACTOR = 10.0
-"""Allowed difference of two initial poses, as a multiple of loop offsets times the condition number."""
+"""Allowed difference of two initial poses, as a multiple of the loop-closure error times the condition number
+of the constraints."""
 
 STALLED_RATIO = 10.0
-"""Loop-closure error of `ReferenceModel.closest`, divided by the error of the scene's start, for loops that
-share joints. Loops above this ratio are not compared with `closest`."""
+"""Ratio of loop-closure errors above which closing the loops of the file has stalled: error of
+`ReferenceModel.closest`, divided by the error at the start of the scene. Stalled loops are not compared with
+`closest`."""
 
 MIN_STALLED_ERROR = 1e-9
-"""Loop-closure error, sizes or rad, below which closing never counts as stalled."""
+"""Loop-closure error, rad or fraction of the mechanism's size, below which closing has not stalled."""
 
 CENTER_CHECK = "center of mass at the start, m"
-"""Quantity of the check of initial places; later checks make no sense if this check fails."""
+"""Quantity of the check of initial centers of mass; later checks make no sense if this check fails."""
 
 MAX_INERTIA_LOSS = 1e3
-"""Largest error of an inertia that is a difference of places in the world, as a multiple of round-off."""
+"""Largest relative error of an inertia, as a multiple of round-off. Inertias lose digits if they are small
+differences of terms with the distance from the origin."""
 
 
 def body_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     """Check mass properties, including the initial centers of mass, and the mass matrix with open loops."""
     reference, names = placed.reference, placed.mechanism.body_names[1:]
-    stated = placed.system.mass_properties()
-    found = _moving(stated)
-    wanted = _moving(_put_together(reference.mass_properties(), placed.bodies))
-    reach = reference.size + float(np.max(np.abs(wanted.center_of_mass)))
+    of_scene = placed.system.mass_properties()
+    found = _without_ground(of_scene)
+    wanted = _without_ground(_combined(reference.mass_properties(), placed.body_of_group))
+    reach = reference.size + float(np.max(np.abs(wanted.center_of_mass)))  # m, scale of positions
     yield worst_entry("mass, rel", np.abs(found.mass / wanted.mass - 1.0), READING_ROUND_OFF, names)
     gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
-    kept = reference.offset if placed.halved else 0.0
-    yield worst_entry(CENTER_CHECK, gaps, reach * (READING_ROUND_OFF + 10.0 * kept), names)
+    offset = reference.offset if placed.has_cut_bodies else 0.0
+    yield worst_entry(CENTER_CHECK, gaps, reach * (READING_ROUND_OFF + 10.0 * offset), names)
     largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
     gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
-    arms = np.clip(wanted.mass * reference.size * reach / largest, 1.0, MAX_INERTIA_LOSS)
-    yield worst_entry("inertia, rel", gaps, READING_ROUND_OFF * arms, names)
-    yield _mass_matrix_check(placed, stated)
+    losses = np.clip(wanted.mass * reference.size * reach / largest, 1.0, MAX_INERTIA_LOSS)
+    yield worst_entry("inertia, rel", gaps, READING_ROUND_OFF * losses, names)
+    yield _mass_matrix_check(placed, of_scene)
 
 
-def _moving(properties: MassProperties) -> MassProperties:
-    """Return the mass properties without the ground."""
+def _without_ground(properties: MassProperties) -> MassProperties:
+    """Return the mass properties of all bodies but the first, the ground."""
     return MassProperties(properties.mass[1:], properties.center_of_mass[1:], properties.inertia[1:])
 
 
-def _put_together(parts: MassProperties, bodies: Sequence[int]) -> MassProperties:
-    """Combine mass properties of rigid groups to mass properties of bodies, ground first."""
+def _combined(groups: MassProperties, bodies: Sequence[int]) -> MassProperties:
+    """Combine mass properties of rigid groups to mass properties of bodies, ground first.
+
+    Args:
+        groups: mass properties of g groups, world frame.
+        bodies: (g,) number of the body that a group is a part of.
+    """
     count = max(bodies) + 1
     mass, center, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
-    np.add.at(mass, bodies, parts.mass)
-    np.add.at(center, bodies, parts.mass[:, None] * parts.center_of_mass)
+    np.add.at(mass, bodies, groups.mass)
+    np.add.at(center, bodies, groups.mass[:, None] * groups.center_of_mass)
     center[1:] /= mass[1:, None]
-    for body, m, r, about in zip(bodies, parts.mass, parts.center_of_mass, parts.inertia, strict=True):
-        arm = r - center[body]
+    for body, m, r, about in zip(bodies, groups.mass, groups.center_of_mass, groups.inertia, strict=True):
+        arm = r - center[body]  # parallel-axis theorem
         inertia[body] += about + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return MassProperties(mass, center, inertia)
 
 
-def _mass_matrix_check(placed: ScenePlacement, stated: MassProperties) -> ReadingCheck:
-    """Check the mass matrix of the scene's bodies, without rotors, in the velocities of the file.
+def _mass_matrix_check(placed: ScenePlacement, of_scene: MassProperties) -> ReadingCheck:
+    """Check the mass matrix of the scene's bodies, without armatures, in the velocities of the file.
 
-    The configurations have open loops. Only if the file cuts bodies into halves, loops are closed.
+    The configurations have open loops. Only if the file cuts bodies into halves, the configurations are the
+    samples, in which loops are closed.
+
+    Args:
+        placed: bodies of the scene at the poses of the file.
+        of_scene: mass properties of the scene's bodies at the start, world frame.
     """
-    reference, (centers, turns) = placed.reference, placed.first
+    reference, (start_centers, start_rotations) = placed.reference, placed.start_frames
     found, quantity = [], "mass matrix, loops open, rel"
-    for sample in reference.samples if placed.halved else reference.far:
-        basis, chosen = sample.freedom.basis, sample.freedom.rows
+    for sample in reference.samples if placed.has_cut_bodies else reference.open_loop_samples:
+        basis, chosen = sample.freedom.basis, sample.freedom.independent
         if not len(chosen):
             continue
-        (wanted, rotors), there = sample.mass_matrices, sample.kinematics
+        (wanted, of_armatures), motion = sample.mass_matrices, sample.kinematics
+        # kinetic energy of the scene's bodies at the velocities of the file: M = sum of J^T (m, I) J
         mass = np.zeros_like(wanted)
-        for body, k in placed.parts.items():
-            turn = there.rotation[k] @ turns[k].T
-            rows = shifted(there.transformation[k], turn @ (stated.center_of_mass[body] - centers[k]))
-            inertia = turn @ stated.inertia[body] @ turn.T
-            mass += stated.mass[body] * rows[:3].T @ rows[:3] + rows[3:].T @ inertia @ rows[3:]
-        scale = np.sqrt(np.diag(basis.T @ (wanted + rotors) @ basis))
+        for body, k in placed.first_groups.items():
+            turn = motion.rotation[k] @ start_rotations[k].T
+            arm = turn @ (of_scene.center_of_mass[body] - start_centers[k])
+            rows = shifted_to(motion.transformation[k], arm)
+            inertia = turn @ of_scene.inertia[body] @ turn.T
+            mass += of_scene.mass[body] * rows[:3].T @ rows[:3] + rows[3:].T @ inertia @ rows[3:]
+        scale = np.sqrt(np.diag(basis.T @ (wanted + of_armatures) @ basis))
         units = reference.units[chosen]  # links without mass take their scale from the others
         scale = np.maximum(scale, MIN_SCALE_SHARE * np.max(scale * units) / units)
         gaps = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
@@ -97,28 +116,34 @@ def _mass_matrix_check(placed: ScenePlacement, stated: MassProperties) -> Readin
 
 
 def joint_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
-    """Check joints at the file's motions, and the file's constraints at the scene's free motions."""
-    found = [_joint_gaps(placed, place) for place in placed.places]
-    limits = np.array([place.sample.tolerance_of_motion for place in placed.places])[:, None]
-    names = [e.joint.name for e in placed.mechanism.equations if e.count]
+    """Check the scene's joints at motions of the file, and the file's constraints at the scene's motions."""
+    found = [_joint_errors(placed, place) for place in placed.placements]
+    tolerances = np.array([place.sample.tolerance_of_motion for place in placed.placements])[:, None]
+    # joints with constraints (a free joint has none), then couplings of joint coordinates, such as gears
+    names = [equations.joint.name for equations in placed.mechanism.equations if equations.count]
     names += [coupling.name for coupling in couplings(placed.scene)]
-    yield worst_entry("joints open, sizes or rad", np.array([gaps for gaps, _ in found]), limits, names)
-    yield worst_entry("joints opening, 1/s", np.array([rates for _, rates in found]), limits, names)
-    yield closest_to_failing(_free_motion_check(placed, place) for place in placed.places)
+    yield worst_entry("joints open, sizes or rad", np.array([gaps for gaps, _ in found]), tolerances, names)
+    yield worst_entry("joints opening, 1/s", np.array([rates for _, rates in found]), tolerances, names)
+    yield closest_to_failing(_free_motion_check(placed, place) for place in placed.placements)
 
 
-def _joint_gaps(placed: ScenePlacement, place: SamplePlacement) -> tuple[list[float], list[float]]:
-    """Return constraint errors of joints and couplings of the scene, sizes or rad, and their rates, 1/s."""
+def _joint_errors(placed: ScenePlacement, place: SamplePlacement) -> tuple[list[float], list[float]]:
+    """Return the constraint errors of the scene's joints and couplings at a sample, and their rates.
+
+    Errors are in rad or divided by the size of the mechanism; rates are in 1/s.
+    """
     frames, size = place.state.frames(), placed.reference.size
     gaps, rates = list[float](), list[float]()
-    for e in placed.mechanism.equations:
-        if e.count:
-            first, second, units = frames[e.first], frames[e.second], e.units(size)
-            gaps.append(float(np.max(np.abs(e.phi(first, second)) / units)))
-            rates.append(float(np.max(np.abs(e.jacobian(first, second).rate(first, second)) / units)))
+    for equations in placed.mechanism.equations:
+        if equations.count:
+            first, second, units = frames[equations.first], frames[equations.second], equations.units(size)
+            gaps.append(float(np.max(np.abs(equations.phi(first, second)) / units)))
+            jacobian = equations.jacobian(first, second)
+            rates.append(float(np.max(np.abs(jacobian.rate(first, second)) / units)))
+    # a coupling's error is divided by its sensitivity, the sum of its derivatives' magnitudes
     coupled = couplings(placed.scene)
-    seen = residuals(placed.mechanism, coupled, frames, 0.0, place.state.angles)
-    of_couplings = zip(coupled, seen.phi, seen.rate, seen.sensitivity, strict=True)
+    errors = residuals(placed.mechanism, coupled, frames, 0.0, place.state.angles)
+    of_couplings = zip(coupled, errors.phi, errors.rate, errors.sensitivity, strict=True)
     for coupling, phi, rate, sensitivity in of_couplings:
         unit = (size if coupling.is_length else 1.0) * sensitivity
         gaps.append(abs(phi) / unit)
@@ -129,25 +154,29 @@ def _joint_gaps(placed: ScenePlacement, place: SamplePlacement) -> tuple[list[fl
 def _free_motion_check(placed: ScenePlacement, place: SamplePlacement) -> ReadingCheck:
     """Check that joints and constraints of the file allow each free motion of the scene."""
     reference, system, sample = placed.reference, placed.system, place.sample
+    # unit velocities of the rigid groups, one column for each free motion of the scene
     q, _ = system.coordinates(place.rest)
-    free = _null(dimensionless_jacobian(system, q))
-    moved = placed.of_parts(system.velocity_transformation(q) * system.velocity_units @ free)
-    norms = np.linalg.norm(moved, axis=0)
-    moved = moved[:, norms > FREE_SINGULAR_VALUE] / norms[norms > FREE_SINGULAR_VALUE]
-    rows = place.of_parts / placed.part_units[:, None] * reference.units
-    velocities = least_squares(rows, moved)
-    strange = np.abs(rows @ velocities - moved).reshape(len(placed.bodies), -1).max(axis=1, initial=0.0)
+    free = _free_motions(dimensionless_jacobian(system, q))
+    motions = placed.group_rows(system.velocity_transformation(q) * system.velocity_units @ free)
+    norms = np.linalg.norm(motions, axis=0)
+    motions = motions[:, norms > FREE_SINGULAR_VALUE] / norms[norms > FREE_SINGULAR_VALUE]
+    # the part that no joint of the file allows, and the rates of the file's constraints
+    rows = place.group_transformation / placed.group_units[:, None] * reference.units
+    velocities = least_squares(rows, motions)
+    across_joints = np.abs(rows @ velocities - motions)
+    across_joints = across_joints.reshape(len(placed.body_of_group), -1).max(axis=1, initial=0.0)
     _, jacobian, owners = sample.constraints
-    opened = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
-    limit = sample.tolerance_of_motion
-    names = [*reference.names, *owners]
+    constraint_rates = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
     return worst_entry(
-        "motions free in the scene alone, rel", np.concatenate([strange, opened]), limit, names
+        "motions free in the scene alone, rel",
+        np.concatenate([across_joints, constraint_rates]),
+        sample.tolerance_of_motion,
+        [*reference.names, *owners],
     )
 
 
-def _null(jacobian: Array) -> Array:
-    """Return orthonormal columns of motions that a dimensionless Jacobian certainly leaves free."""
+def _free_motions(jacobian: Array) -> Array:
+    """Return orthonormal columns (nv, d) of motions that a dimensionless Jacobian certainly leaves free."""
     if not jacobian.size:
         return np.eye(jacobian.shape[1])
     _, s, vt = singular_values(jacobian, full=True)
@@ -156,73 +185,89 @@ def _null(jacobian: Array) -> Array:
 
 def start_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     """Check loop closure, pose and velocities at the start of the scene."""
-    reference, place = placed.reference, placed.places[0]
-    free, limit = place.sample.freedom, place.sample.tolerance
-    closest, opened = reference.open
-    of_rows, of_motions = _components(reference)
-    offsets = np.zeros(len(of_rows) + len(of_motions))
-    np.maximum.at(offsets, of_rows, np.abs(closest.residual))
-    limits = limit + OFFSET_FACTOR * offsets * free.condition
-    if len(of_rows):
-        gaps, names = np.abs(opened.residual), opened.owners
-        yield worst_entry("loops open at the start, sizes or rad", gaps, limits[of_rows], names)
-    # distance from the pose at which the loops of the file close next to its stated pose
-    away = np.abs(reference.difference(reference.closest, reference.start)) / reference.units
+    reference, place = placed.reference, placed.placements[0]
+    free = place.sample.freedom
+    # tolerance of each group of loops that share joints: includes the error at which the file closes them
+    at_closest, at_start = reference.near_start
+    row_labels, motion_labels = _components(reference)
+    offsets = np.zeros(len(row_labels) + len(motion_labels))
+    np.maximum.at(offsets, row_labels, np.abs(at_closest.residual))
+    tolerances = place.sample.tolerance + OFFSET_FACTOR * offsets * free.condition
+    if len(row_labels):
+        gaps, names = np.abs(at_start.residual), at_start.owners
+        yield worst_entry("loops open at the start, sizes or rad", gaps, tolerances[row_labels], names)
+    # distance from the configuration in which the loops of the file close, nearest to the file's own
+    distance = np.abs(reference.difference(reference.closest, reference.start)) / reference.units
     judged = np.flatnonzero(~_stalled(reference))
     if len(judged):
         motions = [reference.motions[k] for k in judged]
-        yield worst_entry("start, sizes or rad", away[judged], limits[of_motions[judged]], motions)
+        yield worst_entry("start, sizes or rad", distance[judged], tolerances[motion_labels[judged]], motions)
     # velocities of the scene, and the consistent velocities nearest to the file's
     state = initial_state(placed.scene)
-    reached = placed.of_parts(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
-    rows = place.of_parts / placed.part_units[:, None] * reference.units
-    own = least_squares(rows, reached)
-    stated = reference.stated[1] / reference.units
-    wanted = _nearest(stated, rows, free, reference.units)
-    scale = max(1.0, float(np.max(np.abs(stated), initial=0.0)))
+    of_groups = placed.group_rows(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
+    rows = place.group_transformation / placed.group_units[:, None] * reference.units
+    found = least_squares(rows, of_groups)
+    in_file = reference.file_state[1] / reference.units
+    wanted = _nearest_consistent(in_file, rows, free, reference.units)
+    scale = max(1.0, float(np.max(np.abs(in_file), initial=0.0)))
     yield worst_entry(
         "velocities at the start, rel",
-        np.abs(own - wanted) / scale,
+        np.abs(found - wanted) / scale,
         place.sample.tolerance_of_motion,
         reference.motions,
     )
 
 
 def starts_not_compared(reference: ReferenceModel) -> list[str]:
-    """Return the names of joints whose loops do not close in the file."""
+    """Return the names of joints in loops for which the file has no closed configuration to compare with."""
     return list(dict.fromkeys(reference.motions[k] for k in np.flatnonzero(_stalled(reference))))
 
 
 def _stalled(reference: ReferenceModel) -> Array:
-    """Mark (nv,) velocities in loops that `ReferenceModel.closest` closes less well than the scene.
+    """Mark the velocities (nv,) in loops that `ReferenceModel.closest` closes less well than the scene.
 
     Next to a singular configuration, closing the loops of the file may stall, and the file has no start to
     compare with. Loops that share no joint are judged separately.
     """
-    of_rows, of_motions = _components(reference)
-    closest, opened = openings = np.zeros((2, len(of_rows) + len(of_motions)))
-    for opening, constraints in zip(openings, reference.open, strict=True):
-        np.maximum.at(opening, of_rows, np.abs(constraints.residual))
-    return np.asarray(~(closest <= np.maximum(MIN_STALLED_ERROR, STALLED_RATIO * opened))[of_motions])
+    row_labels, motion_labels = _components(reference)
+    errors = np.zeros((2, len(row_labels) + len(motion_labels)))  # largest constraint error of each component
+    for error, constraints in zip(errors, reference.near_start, strict=True):
+        np.maximum.at(error, row_labels, np.abs(constraints.residual))
+    at_closest, at_start = errors
+    has_closed = at_closest <= np.maximum(MIN_STALLED_ERROR, STALLED_RATIO * at_start)
+    return np.asarray(~has_closed[motion_labels])
 
 
 def _components(reference: ReferenceModel) -> tuple[Array, Array]:
-    """Label the connected component of each row (k,) and each velocity (nv,) of a file's constraints."""
+    """Label the connected components of the graph of a file's constraint rows and velocities.
+
+    A row and a velocity are connected if the row's Jacobian has an entry for the velocity.
+
+    Returns:
+        Labels of the rows (k,) and of the velocities (nv,), from 0 to k + nv - 1.
+    """
     # the maximum over two configurations, because a lever arm may vanish in one of them
-    jacobian = np.maximum(*(np.abs(constraints.jacobian) for constraints in reference.open))
-    joined = jacobian > READING_ROUND_OFF
-    of_rows, of_velocities = np.arange(len(jacobian)), np.arange(jacobian.shape[1]) + len(jacobian)
-    for row, velocities in zip(of_rows.copy(), joined, strict=True):
+    jacobian = np.maximum(*(np.abs(constraints.jacobian) for constraints in reference.near_start))
+    is_connected = jacobian > READING_ROUND_OFF
+    row_labels, velocity_labels = np.arange(len(jacobian)), np.arange(jacobian.shape[1]) + len(jacobian)
+    for row, velocities in zip(row_labels.copy(), is_connected, strict=True):
         # everything that the row connects takes the label of the row
-        others = of_velocities[velocities]
-        of_rows[np.isin(of_rows, others)] = row
-        of_velocities[np.isin(of_velocities, others)] = row
-    return of_rows, of_velocities
+        others = velocity_labels[velocities]
+        row_labels[np.isin(row_labels, others)] = row
+        velocity_labels[np.isin(velocity_labels, others)] = row
+    return row_labels, velocity_labels
 
 
-def _nearest(stated: Array, rows: Array, free: Freedom, units: Array) -> Array:
-    """Return consistent velocities (nv,) at which bodies move most like at the stated velocities."""
-    basis = free.basis * units[free.rows] / units[:, None]
-    # Euler parameters have half the rate of angles
+def _nearest_consistent(stated: Array, rows: Array, free: Freedom, units: Array) -> Array:
+    """Find the velocities (nv,) that satisfy the constraints and move the bodies most like the given ones.
+
+    Args:
+        stated: (nv,) dimensionless velocities in the file.
+        rows: (6 g, nv) dimensionless Jacobian of the velocities of the rigid groups.
+        free: motions that the constraints of the file leave free.
+        units: (nv,) units of velocities: the size of the model, m, or 1 for angles.
+    """
+    basis = free.basis * units[free.independent] / units[:, None]
+    # readers project with quaternions as coordinates, whose rates are half of angular velocities
     metric = np.tile(np.repeat([1.0, 0.5], 3), len(rows) // 6)[:, None] * rows
     return np.asarray(basis @ least_squares(metric @ basis, metric @ stated))

@@ -1,4 +1,10 @@
-"""Place the bodies of a scene at the poses of the file's reference model."""
+"""Place the bodies of an imported scene at the poses of the file's reference model.
+
+A reference model is the model file as an independent parser compiles it. Its samples are states
+(configuration and velocities) at which scene and file are compared. The file has *rigid groups*: links that
+fixed joints hold together. A group is one body of the scene, or a part of a body if the file cuts bodies at
+loops.
+"""
 
 from __future__ import annotations
 
@@ -15,94 +21,121 @@ from newton_euler.scalars import Array, cross, tilde
 
 
 class SamplePlacement(NamedTuple):
-    """Bodies of the scene, ground first, at the poses and velocities of a sample of the file."""
+    """The b bodies of a scene, ground first, at the poses and velocities of a sample of the file.
+
+    Attributes:
+        sample: state of the file's reference model, with nv velocities.
+        state: poses and velocities of the scene's bodies.
+        rest: the same poses without velocities.
+        transformation: (6 b, nv) Jacobian of the bodies' linear (at the center of mass) and angular
+            velocities with respect to the velocities of the file.
+        group_transformation: (6 g, nv) the same for each of the file's g rigid groups. The linear velocity of
+            a group is taken at the center of mass of its body.
+        group_drift: (6 g,) accelerations of the groups at zero accelerations of the file's coordinates.
+    """
 
     sample: Sample
     state: State
     rest: State
-    """The state without velocities."""
     transformation: Array
-    """(6 b, nv) velocities of the bodies' centers of mass for velocities of the file."""
-    of_parts: Array
-    """(6 g, nv) velocities at the same points for each rigid group of the file that is part of a body."""
-    drift: Array
-    """(6 g,) accelerations of the groups for zero accelerations of the file's coordinates."""
+    group_transformation: Array
+    group_drift: Array
 
 
 class ScenePlacement:
     """Bodies of a scene at the poses of a reference model, for all samples of the model.
 
-    A body moves from its initial pose as the group of its name in the file moves from the start. The choice
-    of body frames therefore does not matter.
+    A body moves from its initial pose as the group of the same name in the file moves from the start. The
+    choice of body frames therefore does not matter.
 
     Attributes:
         reference: model of the file.
         system: equations of motion of the scene.
-        bodies: (g,) number of the scene's body of each rigid group.
-        parts: for each of these bodies, the number of its first group.
-        first: centers (g, 3), m, and rotations (g, 3, 3) of the groups at the start.
+        scene, mechanism: the scene and its mechanism.
+        body_of_group: (g,) number of the scene's body of each rigid group.
+        first_groups: for each of these bodies, the number of its first group.
+        group_units: (6 g,) size of the model for linear velocities, 1 for angular velocities.
+        start_frames: centers of mass (g, 3), m, and rotations (g, 3, 3) of the groups at the start.
     """
 
     def __init__(self, reference: ReferenceModel, system: System) -> None:
         self.reference, self.system = reference, system
         self.scene, self.mechanism = system.scene, system.mechanism
-        self.bodies = [self.mechanism.body_index(name) for name in reference.names]
-        self.parts = {body: self.bodies.index(body) for body in self.bodies}
-        self.part_units = np.tile(np.repeat([reference.size, 1.0], 3), len(self.bodies))
+        self.body_of_group = [self.mechanism.body_index(name) for name in reference.names]
+        self.first_groups = {body: self.body_of_group.index(body) for body in self.body_of_group}
+        self.group_units = np.tile(np.repeat([reference.size, 1.0], 3), len(self.body_of_group))
         found = reference.samples[0].kinematics
-        self.first = found.position, found.rotation
+        self.start_frames = found.position, found.rotation
 
     @property
-    def halved(self) -> bool:
-        """True if the file cuts bodies into halves; the first half gives the pose of the body."""
-        return len(self.parts) < len(self.bodies)
+    def has_cut_bodies(self) -> bool:
+        """True if the file cuts bodies into two halves at a loop; the first half gives the body's pose."""
+        return len(self.first_groups) < len(self.body_of_group)
 
     @property
-    def limits(self) -> list[float]:
-        """Tolerances of forces at the samples.
+    def force_tolerances(self) -> list[float]:
+        """Relative tolerance of forces at each sample.
 
-        The loop-closure error counts for halves of bodies, and for springs and rotors that the scene has on
-        the other side of a gear.
+        The tolerance includes the loop-closure error if the file cuts bodies into halves, or if the scene has
+        couplings: a spring or an armature may then be on the other side of a gear.
         """
-        sees = self.halved or self.mechanism.couplings
+        errors_count = bool(self.has_cut_bodies or self.mechanism.couplings)
         return [
-            sample.tolerance + (10.0 * sample.opening if sees else 0.0) for sample in self.reference.samples
+            sample.tolerance + (10.0 * sample.closure_error if errors_count else 0.0)
+            for sample in self.reference.samples
         ]
 
-    def of_parts(self, values: Array) -> Array:
-        """Return dimensionless velocities or accelerations (6 g, ...) of groups, from bodies (6 b, ...)."""
-        rows = np.arange(len(values)).reshape(-1, 6)[self.bodies].ravel()
-        return np.asarray((values[rows].T / self.part_units).T)
+    def group_rows(self, values: Array) -> Array:
+        """Return dimensionless velocities or accelerations (6 g, ...) of groups.
+
+        Args:
+            values: (6 b, ...) velocities or accelerations of the scene's bodies, SI.
+        """
+        rows = np.arange(len(values)).reshape(-1, 6)[self.body_of_group].ravel()
+        return np.asarray((values[rows].T / self.group_units).T)
 
     @cached_property
-    def places(self) -> list[SamplePlacement]:
-        """Placements at the samples."""
+    def placements(self) -> list[SamplePlacement]:
+        """Placements at all samples of the reference model."""
         return [self._place(sample) for sample in self.reference.samples]
 
     def _place(self, sample: Sample) -> SamplePlacement:
-        bodies = self.mechanism.bodies
+        """Place the bodies at one sample."""
+        bodies, nv = self.mechanism.bodies, len(sample.v)
         found = sample.kinematics
-        parts, drift = found.transformation.copy(), found.drift.copy()
+        groups, drift = found.transformation.copy(), found.drift.copy()
         rest = State.initial(self.mechanism)
-        centers, turns = self.first
-        for k in reversed(range(len(parts))):  # in reverse, so that the first half sets the pose
-            body, turn = self.bodies[k], found.rotation[k] @ turns[k].T
-            arm = turn @ (bodies[body].center_of_mass - centers[k])
+        start_centers, start_rotations = self.start_frames
+        for k in reversed(range(len(groups))):  # in reverse, so that the first half sets the pose
+            # the group, and with it the body, has turned from the start by `turn`
+            body, turn = self.body_of_group[k], found.rotation[k] @ start_rotations[k].T
+            arm = turn @ (bodies[body].center_of_mass - start_centers[k])
             rest.position[body] = found.position[k] + arm
             rest.quaternion[body] = product(from_rotation(turn), bodies[body].quaternion)
-            parts[k] = shifted(parts[k], arm)
-            omega = parts[k, 3:] @ sample.v
+            # velocities and accelerations at the body's center of mass
+            groups[k] = shifted_to(groups[k], arm)
+            omega = groups[k, 3:] @ sample.v
             drift[k, :3] += cross(drift[k, 3:], arm) + cross(omega, cross(omega, arm))
-        rows = np.zeros((len(bodies), 6, len(sample.v)))
-        rows[list(self.parts)] = parts[list(self.parts.values())]
+        rows = np.zeros((len(bodies), 6, nv))
+        rows[list(self.first_groups)] = groups[list(self.first_groups.values())]
         linear, angular = np.split(rows @ sample.v, 2, axis=1)
-        state = State(rest.position, rest.quaternion, linear, angular)
-        whole, of_parts = (each.reshape(-1, len(sample.v)) for each in (rows, parts))
-        return SamplePlacement(sample, state, rest, whole, of_parts, drift.ravel())
+        return SamplePlacement(
+            sample,
+            state=State(rest.position, rest.quaternion, linear, angular),
+            rest=rest,
+            transformation=rows.reshape(-1, nv),
+            group_transformation=groups.reshape(-1, nv),
+            group_drift=drift.ravel(),
+        )
 
 
-def shifted(rows: Array, arm: Array) -> Array:
-    """Move velocities (6, nv) of a body to a point at a distance `arm` (3,), m, from their own point."""
-    moved = rows.copy()
-    moved[:3] -= tilde(arm) @ rows[3:]
-    return moved
+def shifted_to(rows: Array, arm: Array) -> Array:
+    """Return the velocity Jacobian (6, nv) of a body at another point of the body.
+
+    Args:
+        rows: (6, nv) Jacobian of linear and angular velocity, world frame.
+        arm: (3,) m, vector from the present point to the other point.
+    """
+    shifted = rows.copy()
+    shifted[:3] -= tilde(arm) @ rows[3:]
+    return shifted

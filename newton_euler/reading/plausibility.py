@@ -1,7 +1,8 @@
-"""Find likely mistakes in a model file, such as an inertia in wrong units.
+"""Find likely mistakes in an imported model file, such as an inertia in wrong units.
 
-Each rule compares numbers of a body with the geometry of the body, with the mechanism, or with the twin of
-the body on the other side. The limits of the rules accept the intended values of public robot models.
+Each rule compares mass properties of a body with the geometry of the body, with the mechanism, or with the
+*twin* of the body: the body on the other side, such as `right_arm` for `left_arm`. The limits of the rules
+accept all intended values in public robot models.
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ from newton_euler.reading.import_report import Finding
 from newton_euler.scalars import Array
 
 MAX_GYRATION = 2.0
-"""Largest radius of gyration in extents of the body: 1 for a mass inside; geometry may be partial."""
+"""Largest radius of gyration, divided by the extent of the body. A mass inside the extent has at most 1; the
+file may have geometry for a part of the body only."""
 
 MIN_GYRATION = 0.005
-"""Smallest radius of gyration in extents of the geometry; a bar has 0.3."""
+"""Smallest radius of gyration, divided by half the longest side of the geometry; a thin bar has 0.6."""
 
 MAX_GYRATION_OF_MECHANISM = 2.0
-"""Largest radius of gyration in sizes of the mechanism, for bodies without geometry."""
+"""Largest radius of gyration, divided by the size of the mechanism, for bodies without geometry."""
 
 MAX_CENTER_DISTANCE = 3.0
 """Largest distance of a center of mass from the box around geometry and joints, in diagonals of the box."""
@@ -39,7 +41,7 @@ MIN_MASS_SHARE = 1e-6
 """Smallest mass, as a fraction of the heaviest body."""
 
 MAX_TWIN_DIFFERENCE = 0.02
-"""Largest relative difference of masses, moments of inertia and places of twins."""
+"""Largest relative difference of masses, moments of inertia and centers of mass of twins."""
 
 UNIT_FACTORS = {1e-3: "g m^2 or kg m mm", 1e-6: "kg mm^2", 1e-9: "g mm^2", 1e3: "t m^2", 1e6: "kg km^2"}
 """Units of inertia, by their factor to kg m^2."""
@@ -48,10 +50,10 @@ SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("
 """Words for the two sides in names. Single letters count only between underscores or at an end."""
 
 MAX_LISTED_FINDINGS = 3
-"""Largest number of findings of one name that are listed separately."""
+"""Largest number of findings of one kind that are listed separately."""
 
 MIN_LENGTH = 0.02
-"""Smallest geometry that stands for a volume, m; smaller geometry is a marker."""
+"""Length of geometry, m, below which the geometry is a marker and not the shape of the body."""
 
 
 def findings(mechanism: Mechanism) -> Iterator[Finding]:
@@ -64,18 +66,18 @@ def findings(mechanism: Mechanism) -> Iterator[Finding]:
 
 
 def grouped(found: Sequence[Finding]) -> Iterator[Finding]:
-    """Merge findings of one name after the first `MAX_LISTED_FINDINGS` into one."""
+    """Yield the first `MAX_LISTED_FINDINGS` findings of each kind, and one that sums up the others."""
     for name in dict.fromkeys(finding.name for finding in found):
-        alike = [finding for finding in found if finding.name == name]
-        yield from alike[:MAX_LISTED_FINDINGS]
-        if more := alike[MAX_LISTED_FINDINGS:]:
-            element = f"{len(more)} more like {alike[MAX_LISTED_FINDINGS - 1].element}"
-            yield replace(more[0], element=element, what=listed(finding.element for finding in more))
+        of_kind = [finding for finding in found if finding.name == name]
+        yield from of_kind[:MAX_LISTED_FINDINGS]
+        if others := of_kind[MAX_LISTED_FINDINGS:]:
+            element = f"{len(others)} more like {of_kind[MAX_LISTED_FINDINGS - 1].element}"
+            yield replace(others[0], element=element, what=listed(finding.element for finding in others))
 
 
 @dataclass(frozen=True)
 class MeasuredBody:
-    """Body with the numbers that rules compare.
+    """Body with the quantities that the rules compare.
 
     Attributes:
         body: body of the scene.
@@ -93,7 +95,9 @@ class MeasuredBody:
 
     @classmethod
     def of(cls, mechanism: Mechanism, number: int) -> MeasuredBody:
+        """Measure a body of a mechanism, given by its number."""
         body = mechanism.bodies[number]
+        # with principal moments A + B + C = 2 (sum of m r^2)
         gyration = (
             float(np.sqrt(max(0.0, 0.5 * np.trace(body.inertia)) / body.mass)) if body.mass > 0.0 else 0.0
         )
@@ -112,6 +116,7 @@ class MeasuredBody:
 
     @property
     def element(self) -> str:
+        """Kind and name, as findings have it."""
         return f"body {self.body.name!r}"
 
     @property
@@ -163,7 +168,7 @@ def large_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]
             each.element,
             what,
             f"it turns {(each.gyration / extent) ** 2:.3g} times as slowly as a body of that size, or slower",
-            _units(each, extent),
+            _unit_advice(each, extent),
         )
 
 
@@ -178,13 +183,13 @@ def small_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]
             each.element,
             f"a radius of gyration of {each.gyration:.3g} m, where its geometry is {2.0 * extent:.3g} m long",
             "it turns much too fast, and simulations need tiny steps",
-            _units(each, extent),
+            _unit_advice(each, extent),
         )
 
 
-def _units(each: MeasuredBody, extent: float) -> str:
-    """Propose units in which the inertia would be that of a bar or a ball of the body's extent."""
-    wanted = (0.4 * extent / each.gyration) ** 2
+def _unit_advice(each: MeasuredBody, extent: float) -> str:
+    """Propose the unit in which the inertia would be plausible: a radius of gyration of 0.4 extents."""
+    wanted = (0.4 * extent / each.gyration) ** 2  # factor from the file's inertia to the plausible one
     factor = min(UNIT_FACTORS, key=lambda one: abs(np.log(one / wanted)))
     if abs(np.log10(factor / wanted)) > 1.0:
         return "check the units of its inertia and of its mass: kg m^2 and kg"
@@ -198,12 +203,12 @@ def distant_center(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding
     low, high = (f([*each.box, *each.joints], axis=0) for f in (np.min, np.max))
     diagonal = float(np.linalg.norm(high - low))
     center = each.body.center_of_mass
-    away = float(np.linalg.norm(np.maximum(0.0, np.maximum(low - center, center - high))))
-    if away > MAX_CENTER_DISTANCE * diagonal > 0.0:
+    distance = float(np.linalg.norm(np.maximum(0.0, np.maximum(low - center, center - high))))
+    if distance > MAX_CENTER_DISTANCE * diagonal > 0.0:
         yield Finding(
             "center-outside",
             each.element,
-            f"its center of mass is {away:.3g} m from its geometry and joints, {diagonal:.3g} m large",
+            f"its center of mass is {distance:.3g} m from its geometry and joints, {diagonal:.3g} m large",
             "gravity and inertia act far from the body",
             "check the origin of its inertial and its units: m",
         )
@@ -215,12 +220,12 @@ def dense_body(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
         return
     sides = each.box[1] - each.box[0]
     volume = float(np.prod(sides))
-    reach = each.joints - 0.5 * (each.box[0] + each.box[1])
-    partial = np.any(np.abs(reach) > 2.0 * sides)  # the geometry covers a part of the body only
+    joints_from_middle = each.joints - 0.5 * (each.box[0] + each.box[1])
+    is_partial = np.any(np.abs(joints_from_middle) > 2.0 * sides)  # geometry covers a part of the body only
     if (
         volume > 0.0
         and float(np.max(sides)) > MIN_LENGTH
-        and not partial
+        and not is_partial
         and each.body.mass > MAX_DENSITY * volume
     ):
         yield Finding(
@@ -247,8 +252,7 @@ def light_body(each: MeasuredBody, heaviest: MeasuredBody) -> Iterator[Finding]:
 
 
 RULES = (impossible_inertia, large_inertia, small_inertia, distant_center, dense_body)
-
-# Twins
+"""Rules that compare one body with its geometry and with the mechanism."""
 
 
 def twin_name(name: str) -> str:
@@ -256,21 +260,22 @@ def twin_name(name: str) -> str:
     if len(re.findall("left|right", name, re.IGNORECASE)) > 1:
         return ""
     for one, other in SIDES:
-        for own, swapped in ((one, other), (other, one)):
-            if len(own) > 1:
-                if own in name:
-                    return name.replace(own, swapped)
-            elif found := re.fullmatch(rf"(.*_|){own}(_.*|)", name):
-                return f"{found[1]}{swapped}{found[2]}"
+        for side, opposite in ((one, other), (other, one)):
+            if len(side) > 1:
+                if side in name:
+                    return name.replace(side, opposite)
+            elif found := re.fullmatch(rf"(.*_|){side}(_.*|)", name):
+                return f"{found[1]}{opposite}{found[2]}"
+    # legs of quadrupeds: FL, FR (front), RL, RR (rear), HL, HR (hind)
     if found := re.fullmatch(r"([FRH])([LR])(_.*|)", name):
         return found[1] + {"L": "R", "R": "L"}[found[2]] + found[3]
     return ""
 
 
 def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
-    """Bodies on two sides, by their names, that differ in mass, moments or the place of the mass.
+    """Find twins, by their names, that differ in mass, principal moments or center of mass.
 
-    Places and products of inertia are compared where the joints of both are mirrored in one plane.
+    Centers of mass are compared if the joints of both twins are mirror images in the plane of symmetry.
     """
     named = {each.body.name: each for each in bodies}
     pairs = [
@@ -278,9 +283,9 @@ def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
         for each in bodies
         if (other := twin_name(each.body.name)) in named and each.body.name < other
     ]
-    mirror, middle = _mirror(pairs)
+    reflection, plane = _symmetry_plane(pairs)
     for one, two in pairs:
-        problem = _difference(one, two, mirror, middle)
+        problem = _twin_difference(one, two, reflection, plane)
         if problem:
             yield Finding(
                 "twins-differ",
@@ -291,73 +296,101 @@ def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
             )
 
 
-def _mirror(pairs: list[tuple[MeasuredBody, MeasuredBody]]) -> tuple[Array, float]:
-    """Find the reflection (3, 3) of most pairs of joints, and the place of its plane along the normal, m."""
-    best: tuple[int, Array, float] = (0, np.eye(3), 0.0)
+def _symmetry_plane(pairs: list[tuple[MeasuredBody, MeasuredBody]]) -> tuple[Array, float]:
+    """Find the plane of symmetry of most pairs of twins, perpendicular to x, y or z.
+
+    Returns:
+        The reflection matrix (3, 3), the identity if no pair is symmetric; and the coordinate of the plane
+        along its normal, m.
+    """
+    joints = [(one.joints[0], two.joints[0]) for one, two in pairs if len(one.joints) and len(two.joints)]
+    most, best_reflection, best_plane = 0, np.eye(3), 0.0
     for axis in range(3):
-        flip = np.eye(3)
-        flip[axis, axis] = -1.0
-        known = [(one.joints[0], two.joints[0]) for one, two in pairs if len(one.joints) and len(two.joints)]
-        if not known:
+        if not joints:
             continue
-        middle = float(np.median([0.5 * (p + q)[axis] for p, q in known]))
-        count = sum(_is_mirrored(p, q, flip, middle, axis) for p, q in known)
-        if count > best[0]:
-            best = count, flip, middle
-    return best[1], best[2]
+        reflection = np.eye(3)
+        reflection[axis, axis] = -1.0
+        plane = float(np.median([0.5 * (p + q)[axis] for p, q in joints]))
+        count = sum(_is_mirrored(p, q, reflection, plane, axis) for p, q in joints)
+        if count > most:
+            most, best_reflection, best_plane = count, reflection, plane
+    return best_reflection, best_plane
 
 
-def _is_mirrored(p: Array, q: Array, flip: Array, middle: float, axis: int) -> bool:
-    shift = 2.0 * middle * np.eye(3)[axis]
-    apart = abs(p[axis] - q[axis])
-    return apart > 0.0 and float(np.linalg.norm(flip @ p + shift - q)) < MAX_TWIN_DIFFERENCE * apart
+def _is_mirrored(p: Array, q: Array, reflection: Array, plane: float, axis: int) -> bool:
+    """True if point q (3,) is the mirror image of point p (3,); False for points in the plane of symmetry.
+
+    Args:
+        p, q: points, m, world frame.
+        reflection: (3, 3) reflection matrix.
+        plane: coordinate of the plane of symmetry, m.
+        axis: number of the axis that is the normal of the plane.
+    """
+    shift = 2.0 * plane * np.eye(3)[axis]
+    distance = abs(p[axis] - q[axis])
+    gap = float(np.linalg.norm(reflection @ p + shift - q))
+    return distance > 0.0 and gap < MAX_TWIN_DIFFERENCE * distance
 
 
-def _difference(one: MeasuredBody, two: MeasuredBody, flip: Array, middle: float) -> str:
-    """Describe the first difference of two twins; "" if they are equal."""
+def _twin_difference(one: MeasuredBody, two: MeasuredBody, reflection: Array, plane: float) -> str:
+    """Describe the first difference of two twins; "" if they are equal or cannot be compared.
+
+    Args:
+        one, two: the twins.
+        reflection, plane: plane of symmetry, see `_symmetry_plane`.
+    """
+    # masses and principal moments
     masses = one.body.mass, two.body.mass
-    if _unlike(*masses, max(masses)):
+    if abs(masses[0] - masses[1]) > MAX_TWIN_DIFFERENCE * max(masses):
         return f"masses of {masses[0]:.4g} and {masses[1]:.4g} kg"
     largest = float(max(one.moments[2], two.moments[2]))
     if np.max(np.abs(one.moments - two.moments)) > MAX_TWIN_DIFFERENCE * largest:
         texts = (", ".join(f"{x:.4g}" for x in each.moments) for each in (one, two))
         return f"principal moments of {' and '.join(texts)} kg m^2"
-    axes = np.flatnonzero(np.diag(flip) < 0.0)
+    # centers of mass from the first joint, if all joints are mirror images
+    axes = np.flatnonzero(np.diag(reflection) < 0.0)
     if not (len(axes) and len(one.joints) and len(two.joints)):
         return ""
-    p, q = one.joints[0], two.joints[0]
-    if not _is_mirrored(p, q, flip, middle, int(axes[0])):
+    axis = int(axes[0])
+    joints = [*zip(one.joints, two.joints, strict=False)]
+    if len(one.joints) != len(two.joints) or not all(
+        _is_mirrored(p, q, reflection, plane, axis) for p, q in joints
+    ):
         return ""
-    ends = [*zip(one.joints, two.joints, strict=False)]
-    mirrored = all(_is_mirrored(a, b, flip, middle, int(axes[0])) for a, b in ends)
-    if len(one.joints) != len(two.joints) or not mirrored:
-        return ""  # the poses of the twins are not mirrored
-    arms = flip @ (one.body.center_of_mass - p), two.body.center_of_mass - q
+    p, q = joints[0]
+    arms = reflection @ (one.body.center_of_mass - p), two.body.center_of_mass - q
     size = max(one.gyration, two.gyration, float(np.linalg.norm(arms[0])))
     gap = arms[1] - arms[0]
     worst = int(np.argmax(np.abs(gap)))
-    if abs(gap[worst]) > 5.0 * MAX_TWIN_DIFFERENCE * size and not _is_turned(one, two, size):
+    if abs(gap[worst]) > 5.0 * MAX_TWIN_DIFFERENCE * size and not _is_same_part(one, two, size):
         name = "xyz"[worst]
         return f"centers of mass whose {name}, mirrored, are {arms[0][worst]:.4g} and {arms[1][worst]:.4g} m"
     return ""
 
 
-def _is_turned(one: MeasuredBody, two: MeasuredBody, size: float) -> bool:
-    """True if one body equals the other, moved or turned by half a turn: the same part on both sides."""
+def _is_same_part(one: MeasuredBody, two: MeasuredBody, size: float) -> bool:
+    """True if the same part is used on both sides: moved, or rotated by half a turn about x, y or z.
+
+    Args:
+        one, two: the twins.
+        size: length, m, that scales differences of centers of mass.
+    """
+    # centers of mass from the first joint, and inertias along the axes of the world
     first, second = (each.body.center_of_mass - each.joints[0] for each in (one, two))
-    turns = [rotation(np.asarray(each.body.quaternion)) for each in (one, two)]
-    inertias = [turn @ each.body.inertia @ turn.T for turn, each in zip(turns, (one, two), strict=True)]
+    rotations = [rotation(np.asarray(each.body.quaternion)) for each in (one, two)]
+    inertias = [
+        matrix @ each.body.inertia @ matrix.T for matrix, each in zip(rotations, (one, two), strict=True)
+    ]
+    # only products of inertia distinguish a rotated part from a mirrored one
     largest = float(np.max(one.moments))
     products = inertias[0] - np.diag(np.diag(inertias[0]))
-    telling = np.max(np.abs(products)) > 5.0 * MAX_TWIN_DIFFERENCE * largest
-    for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
-        turn = np.diag(np.array(signs, dtype=float))
-        same_place = float(np.max(np.abs(turn @ first - second))) < 5.0 * MAX_TWIN_DIFFERENCE * size
-        gap = float(np.max(np.abs(turn @ inertias[0] @ turn - inertias[1])))
-        if same_place and gap < 5.0 * MAX_TWIN_DIFFERENCE * largest and (telling or signs == (1, 1, 1)):
+    has_products = np.max(np.abs(products)) > 5.0 * MAX_TWIN_DIFFERENCE * largest
+    not_turned = (1, 1, 1)
+    for signs in (not_turned, (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        half_turn = np.diag(np.array(signs, dtype=float))
+        has_same_center = float(np.max(np.abs(half_turn @ first - second))) < 5.0 * MAX_TWIN_DIFFERENCE * size
+        gap = float(np.max(np.abs(half_turn @ inertias[0] @ half_turn - inertias[1])))
+        has_same_inertia = gap < 5.0 * MAX_TWIN_DIFFERENCE * largest
+        if has_same_center and has_same_inertia and (has_products or signs == not_turned):
             return True
     return False
-
-
-def _unlike(a: float, b: float, scale: float) -> bool:
-    return abs(a - b) > MAX_TWIN_DIFFERENCE * scale

@@ -1,11 +1,14 @@
 """Quantities of a reference model at one state: motion of bodies, forces, and free motions.
 
-The only decision at a state is which motions the constraints leave free. Rows and velocities are made
-dimensionless with the size of the model. A motion is *free* if its singular value of the constraint Jacobian
-is round-off (`FREE_SINGULAR_VALUE`). A motion is *held* if its singular value exceeds the rounding of the
-digits of a file (`HELD_SINGULAR_VALUE`). In between, the motion may be either, and a scene passes both ways:
+A reference model is a model file as an independent parser compiles it; an imported scene is compared with
+these quantities. The only decision at a state is which motions the constraints leave free. Constraint rows
+and velocities are made dimensionless with the size of the model. A motion is *free* if its singular value of
+the constraint Jacobian is round-off (`FREE_SINGULAR_VALUE`). A motion is *held* if its singular value exceeds
+the effect of rounded digits in a file (`HELD_SINGULAR_VALUE`). Singular values in between are *in doubt*: the
+motion may be free or held, and a scene passes the checks in both cases:
 
-- bodies and forces are compared along all motions that are not held, to the singular value in doubt;
+- bodies and forces are compared along all motions that are not held; the tolerance includes the largest
+  singular value in doubt;
 - accelerations are compared along motions that are certainly free;
 - motions that the scene leaves free may violate the constraints of the file by the singular value in doubt.
 """
@@ -31,31 +34,31 @@ The value is ten times the limit below which scenes treat rows as redundant."""
 
 
 class Constraints(NamedTuple):
-    """Constraint rows, dimensionless with the size of the model."""
+    """The k constraint rows of a model with nv velocities, dimensionless with the size of the model."""
 
     residual: Array
     """(k,) constraint errors."""
     jacobian: Array
-    """(k, nv) derivatives by dimensionless velocities."""
+    """(k, nv) derivatives of the residuals with respect to dimensionless velocities."""
     owners: Sequence[str]
     """(k,) the element of each row, as reports name it."""
 
 
 class Kinematics(NamedTuple):
-    """Motion of rigid groups of bodies at a state; world frame, SI."""
+    """Motion of b rigid groups of links, each a body or a part of one, at a state; world frame, SI."""
 
     position: Array
     """(b, 3) centers of mass."""
     rotation: Array
-    """(b, 3, 3) rotations to the world frame."""
+    """(b, 3, 3) rotation matrices from group frames to the world frame."""
     transformation: Array
-    """(b, 6, nv) linear and angular velocities per velocity of the model."""
+    """(b, 6, nv) Jacobian of linear and angular velocities with respect to the velocities of the model."""
     drift: Array
-    """(b, 6) accelerations for zero accelerations of the coordinates."""
+    """(b, 6) linear and angular accelerations at zero accelerations of the coordinates."""
 
 
 class Forces(NamedTuple):
-    """Generalized forces (nv,) without constraint forces."""
+    """Generalized forces (nv,) by kind, without constraint forces; N and N m."""
 
     gravity: Array
     springs: Array
@@ -72,63 +75,73 @@ FORCE_KINDS = Forces._fields[:4]
 
 
 class ForceLimit(NamedTuple):
-    """Limit of a force that scenes do not simulate and runs are watched for."""
+    """Limit of a force, such as an actuator's range, that scenes do not simulate.
+
+    After a run of the scene, the force is computed again to find out whether the limit would have acted.
+    """
 
     element: str
+    """Element of the file with the limit."""
     watched: Bounds
     """Force and limit as the reader imported them."""
     force: float
     """Force without the limit by the reference model, N or N m."""
     low: float
+    """Lower limit in the file, N or N m."""
     high: float
-    """Upper limit in the file; `low` is the lower limit."""
+    """Upper limit in the file, N or N m."""
 
 
 class Freedom(NamedTuple):
-    """Free motions at a configuration."""
+    """Motions that the constraints of a file leave free at a configuration, see the text of the module."""
 
     basis: Array
-    """(nv, d) basis of the velocities that are not held, SI; the identity in `rows`."""
-    rows: Array
-    """(d,) numbers of independent velocities."""
-    certain: Array
+    """(nv, d) basis of the velocities that are not held, SI. Its rows `independent` are the identity, so that
+    d independent velocities determine all."""
+    independent: Array
+    """(d,) indices of the independent velocities among the nv velocities."""
+    certain_basis: Array
     """(d, c) basis of the motions that are certainly free, in the independent velocities."""
     condition: float
-    """Condition number of the rows that certainly hold."""
-    doubt: float
-    """Largest singular value of the other rows, which may belong to a constraint."""
+    """Condition number of the constraint rows that certainly hold."""
+    doubtful_value: float
+    """Largest singular value that is not of a held motion; 0 or round-off if no motion is in doubt."""
 
 
 def freedom(jacobian: Array, units: Array) -> Freedom:
     """Find the motions that constraints do not hold.
 
     Args:
-        jacobian: (k, nv) derivatives of constraint rows by dimensionless velocities.
-        units: (nv,) units of the velocities: the size of the model, or 1 for angles.
+        jacobian: (k, nv) derivatives of constraint rows with respect to dimensionless velocities.
+        units: (nv,) units of the velocities: the size of the model, m, or 1 for angles.
     """
     count = len(units)
     if not jacobian.size:
         return Freedom(np.eye(count), np.arange(count), np.eye(count), 1.0, 0.0)
     _, s, vt = singular_values(jacobian, full=True)
     s = s / max(1.0, float(s[0]))
-    held, unsure = int(np.sum(s > HELD_SINGULAR_VALUE)), int(np.sum(s > FREE_SINGULAR_VALUE))
+    # singular values descend: held motions first, then motions in doubt, then free motions
+    held, not_free = int(np.sum(s > HELD_SINGULAR_VALUE)), int(np.sum(s > FREE_SINGULAR_VALUE))
     condition = float(s[0] / s[held - 1]) if held else 1.0
     basis, chosen = _localized(vt[held:].T)
-    certain = vt[unsure:].T[chosen] / units[chosen, None]
+    certain_basis = vt[not_free:].T[chosen] / units[chosen, None]
     basis = basis * units[:, None] / units[chosen]
-    return Freedom(basis, chosen, certain, condition, float(np.max(s[held:], initial=0.0)))
+    return Freedom(basis, chosen, certain_basis, condition, float(np.max(s[held:], initial=0.0)))
 
 
 def _localized(null: Array) -> tuple[Array, Array]:
-    """Return a basis of the same space with the identity in some rows, and these rows.
+    """Return a basis of a column space with the identity in some rows, and the numbers of these rows.
 
-    The rows are chosen by pivoting, so that independent loops have separate columns.
+    The rows are chosen by pivoting (largest remaining norm), so that independent loops have separate columns.
+
+    Args:
+        null: (nv, d) orthonormal columns.
     """
-    left, rows = null.copy(), []
+    remaining, rows = null.copy(), []
     for _ in range(null.shape[1]):
-        row = int(np.argmax(np.einsum("ij,ij->i", left, left)))
-        along = left[row] / np.linalg.norm(left[row])
-        left -= np.outer(left @ along, along)
+        row = int(np.argmax(np.einsum("ij,ij->i", remaining, remaining)))
+        along = remaining[row] / np.linalg.norm(remaining[row])
+        remaining -= np.outer(remaining @ along, along)
         rows.append(row)
     chosen = np.array(sorted(rows), dtype=int)
     return null @ np.linalg.inv(null[chosen]) if rows else null, chosen

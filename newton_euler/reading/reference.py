@@ -1,8 +1,9 @@
-"""A model file as an independent reader holds it, to verify a scene that was read from the file.
+"""A model file as an independent parser compiles it: the reference for a scene imported from the file.
 
-A package for a file format derives from `ReferenceModel`: the subclass evaluates the model of the format's
-own parser, in that model's velocities. Closed states and the free motions of these states are computed here,
-without the scene under test.
+A package for a file format derives from `ReferenceModel`. The subclass evaluates the model of the format's
+own parser (MuJoCo or Pinocchio) with that model's coordinates q and velocities v. This module finds
+configurations with closed loops (`samples`), and the motions that the constraints leave free in these
+configurations. It uses the imported scene only for the initial poses of its bodies.
 """
 
 from __future__ import annotations
@@ -33,9 +34,11 @@ READING_ROUND_OFF = 1e-12
 """Relative error of some hundred operations, each with an error of 1e-16, on compiled numbers."""
 
 MAX_USEFUL_TOLERANCE = 1e-4
-"""Relative tolerance above which a state tests next to nothing."""
+"""Relative tolerance above which a comparison at a state tests next to nothing."""
+
 DERIVATIVE_WEIGHTS = ((1, 4.0 / 5.0), (2, -1.0 / 5.0), (3, 4.0 / 105.0), (4, -1.0 / 280.0))
-"""Offsets and weights of central differences of order eight."""
+"""Central difference of order eight: pairs of an offset in steps, and its weight. The weight at the negative
+offset is the negative weight."""
 
 DERIVATIVE_STEPS = (2.5e-4, 1e-3)
 """Steps, s, of the derivative of J v along a motion: relative error 1e-13 for rotations at 1 rad/s.
@@ -43,57 +46,62 @@ DERIVATIVE_STEPS = (2.5e-4, 1e-3)
 Short rods turn faster; tolerances include the difference of the two steps."""
 
 CLOSED_RESIDUAL = 1e-12
-"""Constraint error, sizes or rad, that is round-off."""
+"""Constraint error that is round-off, rad, or m divided by the size of the model ("sizes")."""
 
 MAX_CLOSING_STEPS = 40
 """Largest number of Newton steps that close loops."""
 
-MAX_ALIGNING_STEPS = 100
-"""Largest number of steps of `ReferenceModel.aligned`, for several joints that are half a revolution away."""
+MAX_FITTING_STEPS = 100
+"""Largest number of steps of `ReferenceModel.fit_to_scene`, enough for several joints that are half a
+revolution away."""
 
-MAX_CLOSING_STEP = 0.2
-"""Largest change of a coordinate in one step, rad or sizes."""
+MAX_STEP_LENGTH = 0.2
+"""Largest change of a coordinate in one step that closes loops or fits poses, rad or sizes."""
 
 SAMPLE_AMPLITUDES = (0.2, 0.6, 2.5)
 """Amplitudes of random displacements from the start before loops are closed, rad or sizes."""
 
 MAX_SAMPLE_DISTANCE = 2.9
-"""Largest displacement of a sample, rad or sizes: poses determine angles up to half a revolution."""
+"""Largest displacement of a sample, rad or sizes: poses determine angles up to half a revolution only."""
 
 MAX_HINGE_ROW_ANGLE = 1.2
-"""Largest random angle of hinges in a row without a mass between them, rad.
+"""Largest random angle, rad, of consecutive hinges without a mass between them.
 
-Beyond a quarter turn of the second of three hinges, poses determine other angles."""
+Beyond a quarter turn of the second of three such hinges, the poses of the bodies have a second solution for
+the three angles."""
 
 MAX_SAMPLE_CONDITION = 1e4
 """Condition number of constraints above which a random state is next to a singular configuration."""
 
 MAX_SAMPLE_TRIES = 12
-"""Number of random displacements per amplitude before the amplitude is given up."""
+"""Number of random displacements that are tried for each amplitude."""
 
 NEARBY_AMPLITUDES = (1e-2, 1e-3, 1e-4, 1e-5)
-"""Displacements along free motions at the start, rad or sizes, if loops close nowhere else."""
+"""Displacements along free motions at the start, rad or sizes, that are tried if loops close nowhere else."""
 
 MIN_SAMPLE_DISTANCE = 1e-9
-"""Smallest displacement of a sample from the start, rad or sizes."""
+"""Smallest displacement of a sample from the start, rad or sizes; a smaller one is the start itself."""
 
 
 class ReferenceModel(ABC):
     """Model file as its format's own parser compiles it: the reference for the imported scene.
 
+    A rigid group is a set of links that fixed joints hold together: a body of the scene, or one half of a
+    body that the file cuts at a loop.
+
     Attributes:
-        names: names in the scene of the rigid groups of moving bodies. Two halves of a body that a loop was
-            cut through have the same name.
+        names: (g,) name of the scene's body for each rigid group that can move. Two halves of a body have
+            the same name.
         motions: (nv,) name of the joint of each velocity, as reports print it.
         lengths: (nv,) True for velocities of slides and free translations.
         units: (nv,) units of velocities: `size` for lengths, 1 for angles.
         ranges: (nv,) largest random displacements of coordinates from the start, rad or sizes.
         size: size of the mechanism, m.
-        stated: configuration q and velocities (nv,) in the file; loops may be open.
-        closest: configuration next to the stated one with loops closed as well as possible.
+        file_state: configuration q and velocities v (nv,) in the file; loops may be open.
+        closest: configuration nearest to the one in the file, with loops closed as well as possible.
         start: configuration in which bodies are at their initial poses in the scene.
-        open: constraints of the file at `closest` and at `start`.
-        unaccounted: elements that neither the scene nor its report mentions.
+        near_start: constraints of the file at `closest` and at `start`.
+        unaccounted: elements that neither the scene nor its import report mentions.
     """
 
     names: tuple[str, ...]
@@ -102,19 +110,19 @@ class ReferenceModel(ABC):
     units: Array
     ranges: Array
     size: float
-    stated: tuple[Array, Array]
+    file_state: tuple[Array, Array]
     closest: Array
     start: Array
-    open: tuple[Constraints, Constraints]
+    near_start: tuple[Constraints, Constraints]
     unaccounted: tuple[str, ...] = ()
 
     @abstractmethod
-    def moved(self, q: Array, step: Array) -> Array:
-        """Return the configuration after velocities `step` (nv,) for 1 s."""
+    def integrate(self, q: Array, step: Array) -> Array:
+        """Return the configuration that constant velocities `step` (nv,) reach from `q` in 1 s."""
 
     @abstractmethod
     def difference(self, q: Array, other: Array) -> Array:
-        """Return the step (nv,) from configuration `q` to configuration `other`."""
+        """Return the constant velocities (nv,) that lead from `q` to `other` in 1 s."""
 
     @abstractmethod
     def mass_properties(self) -> MassProperties:
@@ -122,7 +130,7 @@ class ReferenceModel(ABC):
 
     @abstractmethod
     def kinematics(self, q: Array, v: Array) -> Kinematics:
-        """Compute the motion of the rigid groups."""
+        """Compute the motion of the rigid groups at configuration `q` and velocities `v` (nv,)."""
 
     @abstractmethod
     def constraints(self, q: Array) -> Constraints:
@@ -130,14 +138,14 @@ class ReferenceModel(ABC):
 
     @abstractmethod
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
-        """Compute the mass matrices (nv, nv) of the bodies and of the rotors."""
+        """Compute two mass matrices (nv, nv): of the bodies alone, and of the armatures (rotor inertias)."""
 
     @abstractmethod
     def forces(self, q: Array, v: Array) -> Forces:
         """Compute the generalized forces without constraint forces."""
 
     def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
-        """Return the watched limits of forces, the same elements at all states."""
+        """Return limits of forces, and the forces at this state; the elements are the same at all states."""
         return []
 
     @abstractmethod
@@ -146,158 +154,183 @@ class ReferenceModel(ABC):
 
     @abstractmethod
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
-        """Yield the name of each element and its forces alone (4, nv), of all `FORCE_KINDS`, at each sample.
+        """Yield the name of each element and the forces of this element alone.
 
-        An element has a list of forces for each way in which it can act, such as a spring with its own and
-        with another rest length.
+        An element has a list of forces for each way in which it can act, such as a spring with the rest
+        length of the file and with another rest length. A list has an array (4, nv) for each sample, with a
+        row for each of the `FORCE_KINDS`.
         """
 
     @abstractmethod
-    def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        """Yield the name of each element with an armature and its mass matrix (nv, nv) at each sample."""
+    def armatures(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+        """Yield the name of each element with an armature, and its mass matrix (nv, nv) at each sample."""
 
     @abstractmethod
     def keep_offsets(self) -> None:
         """Define each constraint as closed at the start: move its second end to the first.
 
-        The rounded digits of a file may not close its loops. Scenes keep the remaining offsets.
+        With the rounded digits of a file, loops may stay open by a small offset. An imported scene treats the
+        offset as a part of its geometry, and so does the reference model after this call.
         """
 
-    def begin(self, scene: Scene) -> None:
-        """Find the closed configuration next to the stated one, and the start of the scene.
+    def find_start(self, scene: Scene) -> None:
+        """Set `closest`, `start` and `near_start` from `file_state` and the initial poses of a scene.
 
-        The metric is the one of readers: lengths are divided by the spread of centers of mass and joints.
+        Distances between configurations are measured as readers do: lengths are divided by the largest
+        distance of a center of mass or a joint from their mean.
         """
-        q, _ = self.stated
+        q, _ = self.file_state
         points = self.points(q)
         length = float(np.max(np.linalg.norm(points - np.mean(points, axis=0), axis=1))) or 1.0
-        self.closest = self.closed(q, np.where(self.lengths, length, 1.0))[0]
-        self.start = self.aligned(self.closest, scene)
-        self.open = self.constraints(self.closest), self.constraints(self.start)
+        self.closest = self.close_loops(q, np.where(self.lengths, length, 1.0))[0]
+        self.start = self.fit_to_scene(self.closest, scene)
+        self.near_start = self.constraints(self.closest), self.constraints(self.start)
 
     @property
     def offset(self) -> float:
         """Largest offset of loops at the start, sizes or rad."""
-        return float(np.max(np.abs(self.open[1].residual), initial=0.0))
+        return float(np.max(np.abs(self.near_start[1].residual), initial=0.0))
 
     @abstractmethod
     def points(self, q: Array) -> Array:
         """Return (k, 3) centers of mass and joints of all moving bodies, m."""
 
-    def closed(self, q: Array, metric: Array | None = None) -> tuple[Array, float]:
+    def close_loops(self, q: Array, metric: Array | None = None) -> tuple[Array, float]:
         """Close loops by Newton steps of least norm.
 
         Args:
             q: configuration to begin with.
-            metric: (nv,) units of distances, `units` if None.
+            metric: (nv,) units in which the norm of a step is measured; `units` if None.
 
         Returns:
             The configuration with the smallest constraint error, and this error, sizes or rad.
         """
         metric = self.units if metric is None else metric
-        best, least = q, np.inf
+        best, smallest = q, np.inf
         for _ in range(MAX_CLOSING_STEPS):
             residual, rows, _ = self.constraints(q)
-            now = float(np.max(np.abs(residual), initial=0.0))
-            if now < least:
-                best, least = q, now
-            elif least < 1e3 * CLOSED_RESIDUAL:
-                break
-            if least <= 0.1 * CLOSED_RESIDUAL:
+            error = float(np.max(np.abs(residual), initial=0.0))
+            if error < smallest:
+                best, smallest = q, error
+            elif smallest < 1e3 * CLOSED_RESIDUAL:
+                break  # only round-off is left
+            if smallest <= 0.1 * CLOSED_RESIDUAL:
                 break
             step = least_squares(rows * (metric / self.units), residual, HELD_SINGULAR_VALUE)
-            step *= min(1.0, MAX_CLOSING_STEP / max(float(np.max(np.abs(step))), CLOSED_RESIDUAL))
-            q = self.moved(q, -step * metric)
-        return best, least
+            step *= min(1.0, MAX_STEP_LENGTH / max(float(np.max(np.abs(step))), CLOSED_RESIDUAL))
+            q = self.integrate(q, -step * metric)
+        return best, smallest
 
-    def aligned(self, q: Array, scene: Scene) -> Array:
-        """Fit the configuration to the initial poses of a scene's bodies, beginning at q."""
+    def fit_to_scene(self, q: Array, scene: Scene) -> Array:
+        """Fit the configuration to the initial poses of a scene's bodies by Gauss-Newton steps from `q`.
+
+        Returns:
+            The configuration with the smallest difference of poses; `q` if the scene lacks a body.
+        """
         poses = {body.name: body.pose for body in scene.mechanism.bodies}
         if not set(self.names) <= set(poses):
             return q
-        first = [self.names.index(name) == k for k, name in enumerate(self.names)]
+        # of two halves of a body, the first one counts
+        is_first = [self.names.index(name) == k for k, name in enumerate(self.names)]
         wanted = [poses[name] for name in dict.fromkeys(self.names)]
-        best, least = q, np.inf
-        for _ in range(MAX_ALIGNING_STEPS):
+        best, smallest = q, np.inf
+        for _ in range(MAX_FITTING_STEPS):
             found = self.kinematics(q, np.zeros(len(self.units)))
+            # differences of poses: position in sizes, and rotation vector, rad
             gap = np.zeros((len(wanted), 6))
-            pairs = zip(wanted, found.position[first], found.rotation[first], strict=True)
+            pairs = zip(wanted, found.position[is_first], found.rotation[is_first], strict=True)
             for k, (pose, position, rotation) in enumerate(pairs):
                 gap[k, :3] = (pose.position - position) / self.size
                 gap[k, 3:] = rotation_vector(pose.rotation @ rotation.T)
-            now = float(np.max(np.abs(gap)))
-            if now < least:
-                best, worse = q, now > 0.5 * least
-                least = now
-                if worse and now < 1e3 * CLOSED_RESIDUAL:
+            error = float(np.max(np.abs(gap)))
+            # stop at round-off: no improvement, or less than a factor of 2
+            if error < smallest:
+                best, is_slow = q, error > 0.5 * smallest
+                smallest = error
+                if is_slow and error < 1e3 * CLOSED_RESIDUAL:
                     break
-            elif least < 1e6 * CLOSED_RESIDUAL:
+            elif smallest < 1e6 * CLOSED_RESIDUAL:
                 break
-            rows = found.transformation[first] / np.repeat([self.size, 1.0], 3)[:, None] * self.units
+            rows = found.transformation[is_first] / np.repeat([self.size, 1.0], 3)[:, None] * self.units
             step = least_squares(rows.reshape(-1, len(self.units)), gap.ravel())
-            step *= min(1.0, MAX_CLOSING_STEP / max(float(np.max(np.abs(step))), CLOSED_RESIDUAL))
-            q = self.moved(q, self.units * step)
+            step *= min(1.0, MAX_STEP_LENGTH / max(float(np.max(np.abs(step))), CLOSED_RESIDUAL))
+            q = self.integrate(q, self.units * step)
         return best
 
     @cached_property
     def samples(self) -> list[Sample]:
-        """Start and random closed states near and far, all with random velocities.
+        """The start and random states near and far with closed loops, all with random velocities.
 
         If loops close nowhere else, the start is the only sample.
         """
         rng = np.random.default_rng(0)
         start = self._sample(self.start, rng)
         found = [start]
+        # at most one sample for each amplitude; each attempt has a smaller displacement
         for amplitude in SAMPLE_AMPLITUDES:
-            tried = (self._far(amplitude * 0.7**attempt, rng) for attempt in range(MAX_SAMPLE_TRIES))
+            tried = (self._displaced(amplitude * 0.7**attempt, rng) for attempt in range(MAX_SAMPLE_TRIES))
             found += self._first_closed(tried, start, rng)
-        if len(found) == 1 and len(start.freedom.rows):
-            basis, scale = start.freedom.basis, self.units[start.freedom.rows]
+        # none found: a small displacement along the free motions of the start
+        if len(found) == 1 and len(start.freedom.independent):
+            basis, scale = start.freedom.basis, self.units[start.freedom.independent]
             steps = (basis @ (scale * rng.uniform(-1.0, 1.0, len(scale))) for _ in NEARBY_AMPLITUDES)
             tried = (
-                self.moved(self.start, reach * step)
-                for reach, step in zip(NEARBY_AMPLITUDES, steps, strict=True)
+                self.integrate(self.start, amplitude * step)
+                for amplitude, step in zip(NEARBY_AMPLITUDES, steps, strict=True)
             )
             found += self._first_closed(tried, start, rng)
         return found
 
     @property
-    def tells(self) -> bool:
+    def is_informative(self) -> bool:
         """True if any sample shows motions that differ by more than `MAX_USEFUL_TOLERANCE`."""
-        return any(sample.tells for sample in self.samples)
+        return any(sample.is_informative for sample in self.samples)
 
     def _first_closed(
         self, tried: Iterable[Array], start: Sample, rng: np.random.Generator
     ) -> Iterator[Sample]:
-        """Yield the first configuration, if any, next to which loops close as well as at the start."""
-        allowed = max(CLOSED_RESIDUAL, 3.0 * start.opening, 10.0 * start.freedom.doubt)
-        worst = max(MAX_SAMPLE_CONDITION, 10.0 * start.freedom.condition)
-        for q in tried:
-            q, opening = self.closed(q)
-            away = np.max(np.abs(self.difference(self.start, q)) / self.units, initial=0.0)
-            if opening > allowed or not MIN_SAMPLE_DISTANCE < away <= MAX_SAMPLE_DISTANCE:
+        """Yield a sample next to the first of the tried configurations from which loops close.
+
+        Loops must close about as well as at the start, away from the start and from singular configurations.
+        No sample is yielded if all configurations fail.
+
+        Args:
+            tried: configurations with open loops.
+            start: sample at the start of the scene.
+            rng: source of the random velocities.
+        """
+        max_error = max(CLOSED_RESIDUAL, 3.0 * start.closure_error, 10.0 * start.freedom.doubtful_value)
+        max_condition = max(MAX_SAMPLE_CONDITION, 10.0 * start.freedom.condition)
+        for open_q in tried:
+            q, error = self.close_loops(open_q)
+            distance = np.max(np.abs(self.difference(self.start, q)) / self.units, initial=0.0)
+            if error > max_error or not MIN_SAMPLE_DISTANCE < distance <= MAX_SAMPLE_DISTANCE:
                 continue
             sample = self._sample(q, rng)
-            if sample.freedom.condition <= worst and (sample.tells or not start.tells):
+            if sample.freedom.condition > max_condition:
+                continue
+            if sample.is_informative or not start.is_informative:
                 yield sample
                 return
 
     @cached_property
-    def far(self) -> list[Sample]:
-        """Random configurations with open loops."""
+    def open_loop_samples(self) -> list[Sample]:
+        """Random configurations at rest with open loops, in which all nv velocities count as free."""
         rng, count = np.random.default_rng(1), len(self.units)
         free = freedom(np.zeros((0, count)), self.units)
-        places = [self._far(amplitude, rng) for amplitude in SAMPLE_AMPLITUDES]
-        return [Sample(self, q, np.zeros(count), 0.0, free) for q in places]
+        configurations = [self._displaced(amplitude, rng) for amplitude in SAMPLE_AMPLITUDES]
+        return [Sample(self, q, np.zeros(count), 0.0, free) for q in configurations]
 
-    def _far(self, amplitude: float, rng: np.random.Generator) -> Array:
+    def _displaced(self, amplitude: float, rng: np.random.Generator) -> Array:
+        """Return a random configuration, displaced from the start by at most `amplitude`, rad or sizes."""
         reach = np.minimum(amplitude, self.ranges) * self.units
-        return self.moved(self.start, reach * rng.uniform(-1.0, 1.0, len(reach)))
+        return self.integrate(self.start, reach * rng.uniform(-1.0, 1.0, len(reach)))
 
     def _sample(self, q: Array, rng: np.random.Generator) -> Sample:
+        """Make a sample at a configuration, with random velocities of about 1 rad/s or 1 size/s."""
         residual, jacobian, _ = self.constraints(q)
         free = freedom(jacobian, self.units)
-        v = free.basis @ (self.units[free.rows] * rng.standard_normal(len(free.rows)))
+        v = free.basis @ (self.units[free.independent] * rng.standard_normal(len(free.independent)))
         v = v / max(1.0, float(np.max(np.abs(v / self.units), initial=0.0)))
         return Sample(self, q, v, float(np.max(np.abs(residual), initial=0.0)), free)
 
@@ -310,14 +343,14 @@ class Sample:
         reference: model of the file.
         q: configuration.
         v: (nv,) velocities, SI.
-        opening: constraint error beyond the offsets at the start, sizes or rad.
+        closure_error: largest constraint error beyond the offsets at the start, sizes or rad.
         freedom: motions that the constraints do not hold.
     """
 
     reference: ReferenceModel
     q: Array
     v: Array
-    opening: float
+    closure_error: float
     freedom: Freedom
 
     @property
@@ -336,14 +369,16 @@ class Sample:
 
     @property
     def tolerance_of_motion(self) -> float:
-        """Relative tolerance of motions: adds ten times the constraint error and the singular value in doubt.
+        """Relative tolerance of motions.
 
-        Different equations of motion omit different combinations of redundant rows.
+        The tolerance of forces, plus ten times the constraint error and the largest singular value in doubt:
+        different equations of motion omit different combinations of redundant constraint rows.
         """
-        return self.tolerance + 10.0 * (self.opening + self.freedom.doubt) * self.freedom.condition
+        error = self.closure_error + self.freedom.doubtful_value
+        return self.tolerance + 10.0 * error * self.freedom.condition
 
     @property
-    def tells(self) -> bool:
+    def is_informative(self) -> bool:
         """True if the state shows motions that differ by more than `MAX_USEFUL_TOLERANCE`."""
         return self.tolerance_of_motion <= MAX_USEFUL_TOLERANCE
 
@@ -359,7 +394,7 @@ class Sample:
 
     @cached_property
     def mass_matrices(self) -> tuple[Array, Array]:
-        """Mass matrices (nv, nv) of the bodies and of the rotors."""
+        """Mass matrices (nv, nv) of the bodies and of the armatures."""
         return self.reference.mass_matrix(self.q)
 
     @cached_property
@@ -380,7 +415,7 @@ class Sample:
             total = np.zeros(len(self.constraints.residual))
             for number, weight in DERIVATIVE_WEIGHTS:
                 for sign in (1.0, -1.0):
-                    q = self.reference.moved(self.q, sign * number * step * self.v)
+                    q = self.reference.integrate(self.q, sign * number * step * self.v)
                     rate = self.reference.constraints(q).jacobian @ (self.v / self.reference.units)
                     total += sign * weight / step * rate
             found.append(total)
@@ -388,10 +423,17 @@ class Sample:
 
 
 def names_of_wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
-    """Replace names of halves, which `weld_loops` makes, by the names of their bodies."""
+    """Replace the names of halves of cut bodies by the names of their bodies.
+
+    Export to MJCF and URDF cuts a body at a loop and names the second half BODY_at_JOINT.
+
+    Args:
+        names: names of bodies and halves in a file.
+        bodies: names of the scene's bodies.
+    """
     known = set(bodies)
     found = []
     for name in names:
-        places = [k for k in range(len(name)) if name.startswith("_at_", k) and name[:k] in known]
-        found.append(name[: places[-1]] if places and name not in known else name)
+        ends = [k for k in range(len(name)) if name.startswith("_at_", k) and name[:k] in known]
+        found.append(name[: ends[-1]] if ends and name not in known else name)
     return tuple(found)

@@ -1,7 +1,7 @@
 """Verify an imported scene against the same file as an independent parser compiles it.
 
-`verify` compares the scene with a `ReferenceModel` at the start, and at closed moving states near the start
-and far from it. Springs are deflected and actuators act. The checks are, in this order:
+`verify` compares the scene with a `ReferenceModel` at the start, and at moving states with closed loops near
+the start and far from it. Springs are deflected and actuators act. The checks are, in this order:
 
 1. mass properties of each body;
 2. the start: loop closure, pose and velocities nearest to the file's;
@@ -9,13 +9,13 @@ and far from it. Springs are deflected and actuators act. The checks are, in thi
 4. joints, gears and motions: the scene's joints at motions of the file, and the file's constraints at motions
    that the scene leaves free;
 5. gravity, springs, dampers, actuators and armatures separately, in independent velocities, and forces with
-   limits. A difference is attributed to the element of the file whose own force explains it best;
+   limits. A difference is attributed to the element of the file whose force alone explains it best;
 6. the equations of motion: poses, energies and accelerations.
 
-Differences are relative to the largest value at all states, row by row, before terms cancel. Tolerances are
-the round-off of about a hundred operations times the condition number of the constraints. Tolerances of
-motions include the remaining loop-closure error, but not the offsets of loops at the start, which scenes and
-files keep.
+A difference is divided by the largest sum of the magnitudes of its terms at any state. Tolerances are the
+round-off of about a hundred operations times the condition number of the constraints. Tolerances of motions
+include the remaining loop-closure error. They do not include the offset by which rounded digits in the file
+leave a loop open at the start, because scene and reference model keep this offset.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ CHECK_GROUPS: tuple[Callable[[ScenePlacement], Iterator[ReadingCheck]], ...] = (
     force_checks,
     system_checks,
 )
+"""Functions that yield the checks, in the order of the list above."""
 
 
 def verify(reference: ReferenceModel, system: System) -> Iterator[ReadingCheck]:
@@ -66,17 +67,18 @@ def verify(reference: ReferenceModel, system: System) -> Iterator[ReadingCheck]:
     Raises:
         NewtonEulerError: for numbers that are not finite, and a scene that the system cannot evaluate.
     """
-    unknown = sorted(set(system.mechanism.body_names[1:]) ^ set(reference.names))
-    missing = [*unknown, *reference.unaccounted]
+    # bodies that only the scene or only the file has, and elements of the file that no one mentions
+    unmatched = sorted(set(system.mechanism.body_names[1:]) ^ set(reference.names))
+    missing = [*unmatched, *reference.unaccounted]
     yield ReadingCheck("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))
-    if unknown:
+    if unmatched:
         return
     try:
         with np.errstate(all="ignore"):  # a check reports numbers that overflow
             placed = ScenePlacement(reference, system)
-        for part in CHECK_GROUPS:
+        for check_group in CHECK_GROUPS:
             with np.errstate(all="ignore"):
-                found = list(part(placed))
+                found = list(check_group(placed))
             yield from found
             if any(each.quantity == CENTER_CHECK and not each.agrees for each in found):
                 return
@@ -103,33 +105,34 @@ def verify_report(report: ImportReport) -> str:
     nearest = closest_to_failing(found)
     references = [reference for reference, _ in report.references]
     samples = [sample for reference in references for sample in reference.samples]
-    informative = [sample for sample in samples if sample.tells]
+    informative = [sample for sample in samples if sample.is_informative]
     moving = "moving " if any(np.any(sample.v) for sample in samples) else ""
     loosest = max(
         (sample.tolerance_of_motion for sample in informative or samples), default=MAX_USEFUL_TOLERANCE
     )
-    share = nearest.value / nearest.tolerance
-    at = f"{len(informative)} {moving}state{'s' * (len(informative) != 1)}"
-    to = (
-        f"to {loosest:.0e} at {at}"
+    percentage = 100.0 * (nearest.value / nearest.tolerance)
+    states = f"{len(informative)} {moving}state{'s' * (len(informative) != 1)}"
+    precision = (
+        f"to {loosest:.0e} at {states}"
         if informative
         else f"except for motions, known at no state to better than {loosest:.0e},"
     )
-    said = (
-        f"verified against the file's own model {to} in {len(found)} checks, the closest to "
-        f"failing at {100.0 * share:.2g} % of its tolerance: {nearest.quantity}"
+    summary = (
+        f"verified against the file's own model {precision} in {len(found)} checks, the closest to "
+        f"failing at {percentage:.2g} % of its tolerance: {nearest.quantity}"
     )
     # limits of the verification
     limits = []
-    if blind := len(samples) - len(informative):
+    if uninformative := len(samples) - len(informative):
         limits.append(
-            f"{blind} more states are next to singular configurations or have rounded loops, and test little"
+            f"{uninformative} more states are next to singular configurations or have rounded loops, "
+            "and test little"
         )
     if not moving:
         limits.append("nothing can move")
     elif any(len(reference.samples) == 1 for reference in references):
         limits.append("loops close at the start alone")
-    unknown = dict.fromkeys(name for reference in references for name in starts_not_compared(reference))
-    if unknown:
-        limits.append(f"the start of {listed(unknown)} is not compared, because its loops do not close")
-    return "; ".join([said, *limits])
+    open_joints = dict.fromkeys(name for reference in references for name in starts_not_compared(reference))
+    if open_joints:
+        limits.append(f"the start of {listed(open_joints)} is not compared, because its loops do not close")
+    return "; ".join([summary, *limits])

@@ -1,13 +1,14 @@
-"""Wrenches of a scene's forces and rotors on its bodies, computed from the fields of the elements.
+"""Wrenches of a scene's force elements and armatures on its bodies, computed from the elements' attributes.
 
-The module does not use the methods of force elements that newton_euler's equations use. A mistake in these
-methods is therefore not attributed to a file or to another engine.
+An armature is the inertia of a motor's rotor, which resists the acceleration of a joint coordinate. The
+module does not call the force methods that newton_euler's equations of motion use. The checks of imported
+files and of engines compare with these wrenches, so that the checks also find mistakes in the force methods.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import numpy as np
 
@@ -22,14 +23,32 @@ from newton_euler.model.wind import CALM, WindLoad
 from newton_euler.scalars import Array
 
 
+class CoordinateMotion(NamedTuple):
+    """A joint coordinate x and its motion at one state of the mechanism.
+
+    Attributes:
+        first, second: numbers of the joint's two bodies.
+        jacobian: (12,) with dx/dt = jacobian @ (velocity and angular velocity of the first body, then of the
+            second), world frame.
+        value: x, rad or m from the initial pose, with full revolutions.
+        rate: dx/dt, rad/s or m/s.
+    """
+
+    first: int
+    second: int
+    jacobian: Array
+    value: float
+    rate: float
+
+
 class Wrenches:
-    """Sums of wrenches on bodies.
+    """Sums of wrenches on the b bodies of a mechanism at one state.
 
     Attributes:
         mechanism: mechanism of the bodies.
         frames: poses and velocities of the bodies.
         total: (b, 6) forces and torques about the centers of mass, N and N m, world frame.
-        magnitude: (b, 6) sums of the absolute values.
+        magnitude: (b, 6) sums of the absolute values of the added wrenches; a scale for tolerances.
     """
 
     def __init__(self, mechanism: Mechanism, state: State) -> None:
@@ -37,154 +56,196 @@ class Wrenches:
         self.total, self.magnitude = np.zeros((2, len(self.frames), 6))
 
     def _add(self, body: int, force: Array, torque: Array) -> None:
+        """Add a force (3,) at the center of mass of a body and a torque (3,), N and N m, world frame."""
         wrench = np.concatenate([force, torque])
         self.total[body] += wrench
         self.magnitude[body] += np.abs(wrench)
 
-    def _turn(self, body: int) -> Array:
-        """Return the rotation (3, 3) of a body since the initial pose."""
+    def _add_along(self, at: CoordinateMotion, force: float) -> None:
+        """Add a generalized force, N or N m, along a joint coordinate to the joint's two bodies."""
+        generalized = force * at.jacobian
+        self._add(at.first, generalized[:3], generalized[3:6])
+        self._add(at.second, generalized[6:9], generalized[9:])
+
+    def _rotation_since_start(self, body: int) -> Array:
+        """Return the rotation matrix (3, 3) from a body's initial orientation to its present one."""
         return np.asarray(self.frames[body].rotation @ self.mechanism.bodies[body].pose.rotation.T)
 
-    def _arm(self, body: int, point: Array) -> Array:
-        """Return (3,) m from the center of mass to a point given at the initial pose."""
-        return np.asarray(self._turn(body) @ (point - self.mechanism.bodies[body].pose.position))
+    def _lever_arm(self, body: int, point: Array) -> Array:
+        """Return the vector (3,) from a body's center of mass to a point of the body, m, world frame.
+
+        Args:
+            body: number of the body.
+            point: (3,) m, world frame, position of the point in the initial pose.
+        """
+        offset = point - self.mechanism.bodies[body].pose.position
+        return np.asarray(self._rotation_since_start(body) @ offset)
 
     def add_forces(self, scene: Scene, control: Sequence[float] | Array = ()) -> None:
         """Add all forces of a scene except gravity, at time 0.
 
         Args:
             scene: scene with the forces.
-            control: forces of all control laws, used for laws that evaluate a model of the mechanism.
+            control: force of each element of `scene.joint_forces` (control laws and joint springs), N or N m.
+                Only entries of laws that evaluate a dynamic model of the mechanism are used.
         """
+        # forces along joint coordinates
         for k, law in enumerate(scene.joint_forces):
-            first, second, rows, x, rate = self._coordinate(*law.key)
-            known = isinstance(law, DeclaredLaw) and law.uses_model
-            push = (control[k] if known else self._law(law, x, rate)) * rows
-            self._add(first, push[:3], push[3:6])
-            self._add(second, push[6:9], push[9:])
+            at = self._coordinate(*law.key)
+            is_given = isinstance(law, DeclaredLaw) and law.uses_model
+            self._add_along(at, control[k] if is_given else self._joint_force(law, at))
+        # other force elements
         for force in scene.forces:
             match force:
                 case JointSpring():
-                    pass  # one of `Scene.joint_forces`
+                    pass  # already added: `Scene.joint_forces` has all joint springs
                 case PointSpring():
                     self._add_point_spring(force)
                 case BallSpring():
                     self._add_ball_spring(force)
                 case Wrench():
                     body = self.mechanism.body_index(force.body)
-                    turn = self._turn(body) if force.frame == "body" else np.eye(3)
-                    pull, torque = turn @ force.force, turn @ force.torque
-                    self._add(body, pull, torque + np.cross(self._arm(body, force.point), pull))
+                    rotation = self._rotation_since_start(body) if force.frame == "body" else np.eye(3)
+                    applied, torque = rotation @ force.force, rotation @ force.torque
+                    arm = self._lever_arm(body, force.point)
+                    self._add(body, applied, torque + np.cross(arm, applied))
                 case WindLoad():
                     self._add_wind(force)
                 case _:
                     assert_never(force)
 
-    def _law(self, law: Law | JointSpring, x: float, rate: float) -> float:
-        """Compute the force of a law on a joint coordinate, N or N m, at time 0."""
+    def _joint_force(self, law: Law | JointSpring, at: CoordinateMotion) -> float:
+        """Compute the force of a control law or a joint spring along its coordinate at time 0, N or N m.
+
+        Args:
+            law: a spring; a sampled controller, whose force is held between samples (`HeldLaw`); or a law of
+                feedforward and proportional-derivative feedback (`DeclaredLaw`).
+            at: the joint coordinate that the force acts along.
+        """
         if isinstance(law, JointSpring):
-            return law.stiffness * (law.rest - x) - law.damping * rate
+            return law.stiffness * (law.rest - at.value) - law.damping * at.rate
         if isinstance(law, HeldLaw):
             return law.held
         if not isinstance(law, DeclaredLaw):
             assert_never(law)
         force = float(law.feedforward_at(0.0))
         for key, (k_p, k_d) in law.feedback.items():
-            wanted, (*_, x, rate) = law.references(0.0)[key], self._coordinate(*key)
-            force += k_p * (wanted.value - x) + k_d * (wanted.rate - rate)
+            reference, measured = law.references(0.0)[key], self._coordinate(*key)
+            force += k_p * (reference.value - measured.value) + k_d * (reference.rate - measured.rate)
         return force
 
-    def _coordinate(self, joint: str, coordinate: int) -> tuple[int, int, Array, float, float]:
-        """Return the bodies of a joint, the Jacobian (12,) of a coordinate, its value and its rate."""
+    def _coordinate(self, joint: str, coordinate: int) -> CoordinateMotion:
+        """Evaluate a coordinate of a joint, given by its number within the joint."""
         equations = self.mechanism.joint_equations(joint)
-        constraint = equations.coordinates[coordinate]
+        # the coordinate is the residual phi of the constraint that would lock it in the initial pose
+        locking = equations.coordinates[coordinate]
         first, second = self.frames[equations.first], self.frames[equations.second]
-        jacobian = constraint.jacobian(first, second)
-        x, rate = constraint.phi(first, second)[0], jacobian.rate(first, second)[0]
-        x += self._state.revolutions((joint, coordinate), x)
-        return equations.first, equations.second, np.concatenate(jacobian, axis=1)[0], x, rate
+        jacobian = locking.jacobian(first, second)
+        value, rate = locking.phi(first, second)[0], jacobian.rate(first, second)[0]
+        value += self._state.revolutions((joint, coordinate), value)  # rad of full revolutions; 0 for a slide
+        rows = np.concatenate(jacobian, axis=1)
+        return CoordinateMotion(equations.first, equations.second, rows[0], value, rate)
 
     def _add_point_spring(self, spring: PointSpring) -> None:
-        ends = [self.mechanism.body_index(name) for name in (spring.first, spring.second)]
-        points = spring.point_on_first, spring.point_on_second
-        arms = [self._arm(body, point) for body, point in zip(ends, points, strict=True)]
-        (place, velocity), (other, other_velocity) = (
-            (frame.position + arm, frame.velocity + np.cross(frame.angular_velocity, arm))
-            for frame, arm in zip((self.frames[body] for body in ends), arms, strict=True)
-        )
-        line = other - place
+        """Add the pull of a spring and damper between points of two bodies, along the line between them."""
+        bodies = [self.mechanism.body_index(name) for name in (spring.first, spring.second)]
+        arms, positions, velocities = [], [], []
+        for body, point in zip(bodies, (spring.point_on_first, spring.point_on_second), strict=True):
+            frame, arm = self.frames[body], self._lever_arm(body, point)
+            arms.append(arm)
+            positions.append(frame.position + arm)
+            velocities.append(frame.velocity + np.cross(frame.angular_velocity, arm))
+        line = positions[1] - positions[0]
         length = float(np.linalg.norm(line))
         along = line / (length or 1.0)  # a spring without rest length and damping may have zero length
-        stretch_rate = float(along @ (other_velocity - velocity))
-        pull = (spring.stiffness * (length - spring.rest_length) + spring.damping * stretch_rate) * along
-        for body, arm, force in zip(ends, arms, (pull, -pull), strict=True):
+        stretch_rate = float(along @ (velocities[1] - velocities[0]))
+        tension = spring.stiffness * (length - spring.rest_length) + spring.damping * stretch_rate
+        pull = tension * along
+        for body, arm, force in zip(bodies, arms, (pull, -pull), strict=True):
             self._add(body, force, np.cross(arm, force))
 
     def _add_ball_spring(self, spring: BallSpring) -> None:
+        """Add the torque of a rotational spring and damper between the two bodies of a ball joint."""
         from scipy.spatial.transform import Rotation
 
         equations = self.mechanism.joint_equations(spring.joint)
         first, second = equations.first, equations.second
         rest = Rotation.from_rotvec(spring.rest.copy()).as_matrix()  # SciPy refuses read-only arrays
-        between = self._turn(first).T @ self._turn(second) @ rest.T
-        theta = self._turn(first) @ Rotation.from_matrix(between).as_rotvec()
+        # rotation vector theta from the rest orientation: in the first body's frame, then in the world frame
+        first_rotation = self._rotation_since_start(first)
+        between = first_rotation.T @ self._rotation_since_start(second) @ rest.T
+        theta = first_rotation @ Rotation.from_matrix(between).as_rotvec()
         omega = self.frames[second].angular_velocity - self.frames[first].angular_velocity
         torque = -spring.stiffness * theta - spring.damping * omega
         self._add(first, np.zeros(3), -torque)
         self._add(second, np.zeros(3), torque)
 
     def wind(self, load: WindLoad) -> Array:
-        """Compute force and moments of the wind on a plate at time 0, see `wind_on_plate`."""
+        """Compute the normal force and moments of the wind on a plate at time 0, see `wind_on_plate`."""
         body = self.mechanism.body_index(load.body)
-        frame, axes = self.frames[body], self._turn(body) @ load.axes
-        center = frame.velocity + np.cross(frame.angular_velocity, self._arm(body, load.point))
+        frame, axes = self.frames[body], self._rotation_since_start(body) @ load.axes
+        plate_velocity = frame.velocity + np.cross(frame.angular_velocity, self._lever_arm(body, load.point))
         speed = load.speed.value(0.0) if isinstance(load.speed, TimeFunction) else load.speed
-        blowing = speed * load.direction / np.linalg.norm(load.direction)
-        return wind_on_plate(load, axes.T @ (blowing - center))
+        wind_velocity = speed * load.direction / np.linalg.norm(load.direction)
+        return wind_on_plate(load, axes.T @ (wind_velocity - plate_velocity))
 
     def _add_wind(self, load: WindLoad) -> None:
+        """Add the wind load of a plate to the plate's body."""
         body = self.mechanism.body_index(load.body)
-        axes, (push, *moments) = self._turn(body) @ load.axes, self.wind(load)
-        force = push * axes[:, 2]
-        torque = axes[:, :2] @ moments + np.cross(self._arm(body, load.point), force)
+        # columns of axes: the two sides of the plate and its normal, world frame
+        axes, (normal_force, *moments) = self._rotation_since_start(body) @ load.axes, self.wind(load)
+        force = normal_force * axes[:, 2]
+        torque = axes[:, :2] @ moments + np.cross(self._lever_arm(body, load.point), force)
         self._add(body, force, torque)
 
-    def add_rotors(self, scene: Scene, linear: Array, angular: Array) -> None:
-        """Add the wrenches of a scene's armatures at accelerations (b, 3) each, m/s^2 and rad/s^2."""
+    def add_armatures(self, scene: Scene, linear: Array, angular: Array) -> None:
+        """Add the reactions of a scene's armatures to accelerations of the bodies.
+
+        Args:
+            scene: scene with the armatures.
+            linear: (b, 3) accelerations of the centers of mass, m/s^2, world frame.
+            angular: (b, 3) angular accelerations, rad/s^2, world frame.
+        """
         for armature in scene.armatures:
             equations = self.mechanism.joint_equations(armature.joint)
             i, j = equations.first, equations.second
             if armature.on_ball:
+                # d(omega_j - omega_i)/dt as seen from body j; omega_j x omega_i comes from the moving frame
                 turning = np.cross(self.frames[j].angular_velocity, self.frames[i].angular_velocity)
                 torque = -armature.inertia * (angular[j] - angular[i] + turning)
                 self._add(i, np.zeros(3), -torque)
                 self._add(j, np.zeros(3), torque)
                 continue
+            # d^2x/dt^2 = jacobian @ accelerations - gamma, where -gamma is the term quadratic in velocities
             _, coordinate = armature.key
-            *_, rows, _, _ = self._coordinate(armature.joint, coordinate)
-            rates = np.concatenate([linear[i], angular[i], linear[j], angular[j]])
+            at = self._coordinate(armature.joint, coordinate)
+            accelerations = np.concatenate([linear[i], angular[i], linear[j], angular[j]])
             gamma = equations.coordinates[coordinate].gamma(self.frames[i], self.frames[j])[0]
-            push = -armature.inertia * (float(rows @ rates) - gamma) * rows
-            self._add(i, push[:3], push[3:6])
-            self._add(j, push[6:9], push[9:])
+            self._add_along(at, -armature.inertia * (float(at.jacobian @ accelerations) - gamma))
 
 
 def wind_on_plate(load: WindLoad, relative: Array) -> Array:
-    """Compute force and moments of the wind on a plate from its angle of attack, see `WindLoad`.
+    """Compute force and moments of the wind on a flat plate from the angle of attack.
+
+    The formulas and their sources are in the docstring of `WindLoad`; this function evaluates them anew.
 
     Args:
         load: the plate.
         relative: (3,) m/s, wind velocity relative to the plate's center, along the sides and the normal.
 
     Returns:
-        (3,) force along the normal, N, and moments about the two sides through the center, N m.
+        (3,) force along the normal, N, and moments about the two axes through the center parallel to the
+        sides, N m.
     """
     x, y, z = relative
+    # a speed CALM (m/s) is added in quadrature, so that the load is smooth at zero wind
     along, across = np.hypot(np.hypot(x, y), CALM), np.hypot(z, CALM)
     attack = np.arctan2(across, along)
     aspect = max(load.lengths) / min(load.lengths)
-    finite = 1.0 / (0.56 + 0.44 * np.sin(attack)) - 0.41 * (1.0 - np.exp(-17.0 / aspect))
-    coefficient = 1.98 * np.sin(attack) * finite * z / across
-    push = 0.5 * load.air_density * load.area * (along**2 + across**2) * coefficient
-    ahead = -0.175 * (1.0 - 2.0 * attack / np.pi) * load.lengths * np.array([x, y]) / along
-    return np.array([push, ahead[1] * push, -ahead[0] * push])
+    # normal force coefficient: 1.98 (Khan and Nahon), 0.56 and 0.44 (Hoerner), 0.41 and 17 (Lindenburg)
+    span_factor = 1.0 / (0.56 + 0.44 * np.sin(attack)) - 0.41 * (1.0 - np.exp(-17.0 / aspect))
+    coefficient = 1.98 * np.sin(attack) * span_factor * z / across
+    normal_force = 0.5 * load.air_density * load.area * (along**2 + across**2) * coefficient
+    # center of pressure from the plate's center, m along the two sides: 0.175 lengths towards the wind
+    pressure_center = -0.175 * (1.0 - 2.0 * attack / np.pi) * load.lengths * np.array([x, y]) / along
+    return np.array([normal_force, pressure_center[1] * normal_force, -pressure_center[0] * normal_force])
