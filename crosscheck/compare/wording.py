@@ -82,7 +82,7 @@ def _qualifications(result: ComparisonResult) -> str:
     elif len(result.engines) > 1:
         text += "; what the motion covers is not known"
     references = result.mapping.references if result.mapping else []
-    if references and not any(reference.tells for reference, _ in references):
+    if references and not any(reference.is_informative for reference, _ in references):
         text += "; motions are not verified against the file: no state tells them"
     if result.mapping and (counts := result.mapping.counts()):
         text += f"; of what can act in the file {counts}"
