@@ -178,7 +178,7 @@ def _cubic_curve(time: Array, x: Array, rate: Array) -> Any:
 
 
 class Activity(NamedTuple):
-    """Whether and when an element would have acted in a run.
+    """Result of a test whether and when an element would have acted in a run.
 
     Attributes:
         words: the observation, for the import report.
