@@ -72,7 +72,7 @@ def compiled(scene: Scene) -> SoftMuJoCo:
 def forward(scene: Scene) -> Any:
     """Return a function without arguments that evaluates `mj_forward` at the initial state."""
     system = compiled(scene)
-    system.place(*system.coordinates(initial_state(scene)))
+    system.set_state(*system.coordinates(initial_state(scene)))
     model, data, call = system.model, system.data, mujoco.mj_forward
     return lambda: call(model, data)
 
@@ -80,7 +80,7 @@ def forward(scene: Scene) -> Any:
 def steps(scene: Scene) -> Any:
     """Return a function that takes a number of Euler steps from the initial state by `mj_step`."""
     system = compiled(scene)
-    system.place(*system.coordinates(initial_state(scene)))
+    system.set_state(*system.coordinates(initial_state(scene)))
     model, data = system.model, system.data
     system.use_integrator("Euler")
     qpos, qvel = data.qpos.copy(), data.qvel.copy()
@@ -130,7 +130,7 @@ class Stepper:
         """Reset MuJoCo to the initial state."""
         system = self._system
         mujoco.mj_resetData(system.model, system.data)
-        system.place(*system.coordinates(initial_state(system.scene)))
+        system.set_state(*system.coordinates(initial_state(system.scene)))
         system.use_integrator(self._integrator)
 
     def run(self) -> None:
@@ -194,7 +194,7 @@ def physics_states(system: SoftMuJoCo, q: Array, v: Array) -> Array:
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     states = np.empty((len(q), mujoco.mj_stateSize(system.model, kind)))
     for state, q_of_run, v_of_run in zip(states, q, v, strict=True):
-        system.place(q_of_run, v_of_run)
+        system.set_state(q_of_run, v_of_run)
         mujoco.mj_getState(system.model, system.data, state, kind)
     return states
 

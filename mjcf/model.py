@@ -152,7 +152,7 @@ class CompiledScene:
         q, v = self.tree.coordinates(self.welded.state(state))
         return self.couplings.turned(q, state, self.time), v
 
-    def place(self, q: Array, v: Array) -> None:
+    def set_state(self, q: Array, v: Array) -> None:
         """Set MuJoCo's state to q and v at `time`, and the controls of its actuators."""
         self.data.qpos[:] = self.layout.to_qpos @ q
         self.data.qvel[:] = self.layout.to_qvel @ v
@@ -197,7 +197,7 @@ class CompiledScene:
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Return coordinates, m or rad, and rates of the coordinates `Scene.sensed`, at a state."""
-        self.place(q, v)
+        self.set_state(q, v)
         return list(self.readings(self.data).values())
 
     def readings(self, data: Any) -> dict[Key, tuple[float, float]]:
@@ -208,16 +208,16 @@ class CompiledScene:
         x, x_rate = data.qpos[self._sensed_q], data.qvel[self._sensed_v]
         return dict(zip(self._sensed, zip(x, x_rate, strict=True), strict=True))
 
-    def move(self, q: Array, v: Array) -> None:
+    def compute_kinematics(self, q: Array, v: Array) -> None:
         """Compute positions, velocities and wind of a state in MuJoCo."""
-        self.place(q, v)
+        self.set_state(q, v)
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_fwdVelocity(self.model, self.data)
         self.set_wind(self.data)
 
     def state(self, q: Array, v: Array) -> State:
         """Return body poses and velocities by MuJoCo's kinematics."""
-        self.move(q, v)
+        self.compute_kinematics(q, v)
         return self.read_state()
 
     def coupling_phi(self, q: Array) -> Array:
@@ -226,7 +226,7 @@ class CompiledScene:
 
     def observe(self, q: Array, v: Array) -> Observation:
         """Return poses, velocities and energies of a state by MuJoCo."""
-        self.move(q, v)
+        self.compute_kinematics(q, v)
         return self.observation()
 
     def observation(self) -> Observation:

@@ -296,7 +296,7 @@ def _build_scene(
     joints = Joints(start, bodies, driven_joints(model), report)
     loops = Loops(start, bodies, joints, report)
     gravity = np.array(model.opt.gravity)
-    gear_groups = GearGroups(loops.gears)
+    gear_groups = GearGroups(loops.couplings)
     forces = Forces(start, bodies, joints, gear_groups, gravity, report)
     actuators = Actuators(start, bodies, joints, gear_groups, forces, report, sines)
     coordinate_armatures, ball_armatures = armatures(start, joints, gear_groups, report)
@@ -308,13 +308,13 @@ def _build_scene(
     name = unique_name(Path(path).stem if given_name in ("", UNNAMED) else given_name, "model", ())
     scene = Scene(
         name[:100].strip(".") or "model",
-        unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.gears)),
+        unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.couplings)),
         request.duration,
         request.output_period,
         gravity,
         actuators.laws,
         forces=tuple(forces.forces),
-        motions=tuple(loops.held),
+        motions=tuple(loops.held_motions),
         armatures=(
             *(Armature(joint, inertia, k) for (joint, k), inertia in coordinate_armatures.items()),
             *(BallArmature(joint, inertia) for joint, inertia in ball_armatures.items()),

@@ -78,7 +78,7 @@ class RigidMuJoCo(EvaluatedScene):
 
     def phi(self, q: Array) -> Array:
         """Return the residuals (k,) of MuJoCo's equality constraints, m or rad."""
-        self.move(q, np.zeros(self.nv))
+        self.compute_kinematics(q, np.zeros(self.nv))
         residuals = np.zeros(len(self._equality_of_row))
         residuals[self._present_rows()] = self.data.efc_pos
         # MuJoCo's equalities of joints are compiled with the values of prescribed motions at t = 0
@@ -96,7 +96,7 @@ class RigidMuJoCo(EvaluatedScene):
 
         For a motion, d phi/dt = J v + phi_t.
         """
-        self.move(q, np.zeros(self.nv))
+        self.compute_kinematics(q, np.zeros(self.nv))
         return self._jacobian()
 
     def _jacobian(self) -> Array:
@@ -107,7 +107,7 @@ class RigidMuJoCo(EvaluatedScene):
 
     def velocity_product(self, q: Array, v: Array) -> Array:
         """Return Jdot v (k,), the second time derivative of the residuals at zero acceleration."""
-        self.move(q, v)
+        self.compute_kinematics(q, v)
         # accelerations of bodies for qacc = 0, which `Loop.velocity_product` reads
         self.data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(self.model, self.data)
@@ -138,7 +138,7 @@ class RigidMuJoCo(EvaluatedScene):
 
         Bodies 0, 1, ... of the mechanism have six rows each; the rows of the ground, body 0, are zero.
         """
-        self.move(q, np.zeros(self.nv))
+        self.compute_kinematics(q, np.zeros(self.nv))
         count = len(self.mechanism.bodies)
         jacobian = np.zeros((2 * count, 3, self.model.nv))
         for k, index in enumerate(self.body_id[1:count], start=1):
@@ -161,12 +161,14 @@ class RigidMuJoCo(EvaluatedScene):
             index = model.joint(name).id
             return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
 
-        found = geometry_in_tree(self.welded, read)
+        geometry = geometry_in_tree(self.welded, read)
         for loop in active_loops(model, data):
             if loop.kind != mujoco.mjtEq.mjEQ_WELD:
                 kind = "rod" if loop.kind == mujoco.mjtEq.mjEQ_TENDON else "ball"
-                found[loop.name] = loop_closing_geometry(kind, (loop.points[0].copy(), loop.points[1].copy()))
-        return found
+                geometry[loop.name] = loop_closing_geometry(
+                    kind, (loop.points[0].copy(), loop.points[1].copy())
+                )
+        return geometry
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Compute accelerations, reactions and energies at a state."""
@@ -209,7 +211,7 @@ class RigidMuJoCo(EvaluatedScene):
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Compute M (nv, nv) and f (nv,) of M vdot = f + J^T lambda at a state, by MuJoCo."""
-        self.move(q, v)
+        self.compute_kinematics(q, v)
         return self._mass_and_force()
 
     def _mass_and_force(self) -> tuple[Array, Array]:

@@ -237,7 +237,7 @@ def _run(
 
     model, data, layout = system.model, system.data, system.layout
     q, v = system.coordinates(initial_state(system.scene))
-    system.place(q, v)
+    system.set_state(q, v)
     _, first_steps = plan[0]
     step_size = first_steps[0].size
     work = 0.0 if system.scene.tracks_work else None

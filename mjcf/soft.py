@@ -68,9 +68,9 @@ class SoftMuJoCo(EvaluatedScene):
         self.driven = DrivenLaws(scene.control)
         declared = [(k, law) for k, law in enumerate(scene.control) if isinstance(law, DeclaredLaw)]
         self.evaluated = {k: law for k, law in declared if law.uses_model or not isinstance(law, PD)}
-        # For the rows of prescribed motions in the latest stage of a step: a_ref and stiffness D; and the
-        # multipliers (m,) of the completed stages. Copies of this object share both lists, because MuJoCo
-        # calls the callback of one copy.
+        # The first list has a_ref and the stiffness D of the rows of prescribed motions in the latest stage
+        # of a step. The second list has the multipliers (m,) of the completed stages. Copies of this object
+        # share both lists, because MuJoCo calls the callback of one copy.
         self._latest_reference: list[tuple[Array, Array]] = []
         self._stage_multipliers: list[Array] = []
 
@@ -89,7 +89,7 @@ class SoftMuJoCo(EvaluatedScene):
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Compute accelerations, reactions and energies at a state."""
-        self.place(q, v)
+        self.set_state(q, v)
         self.data.qacc_warmstart[:] = 0.0  # the result must not depend on the previous state
         with self.following():
             mujoco.mj_forward(self.model, self.data)

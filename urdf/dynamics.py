@@ -300,7 +300,7 @@ class PinocchioSystem:
         gamma = np.concatenate([self._closures.gamma(data), self._rows.gamma(data, q, v, self.time)])
         gamma = gamma - stabilization
         try:
-            found, multipliers = solve_constrained(
+            acceleration, multipliers = solve_constrained(
                 mass,
                 force,
                 with_zero_rows(jacobian, self._unused),
@@ -310,9 +310,9 @@ class PinocchioSystem:
                 self._rank,
             )
         except np.linalg.LinAlgError:
-            found, multipliers = np.full(self.nv, np.nan), np.zeros(len(gamma))
+            acceleration, multipliers = np.full(self.nv, np.nan), np.zeros(len(gamma))
         of_closures, others = np.split(multipliers, [len(self._closures.units)])
-        return self._checked(found), of_closures, others
+        return self._checked(acceleration), of_closures, others
 
     def _checked(self, acceleration: Array) -> Array:
         """Return accelerations (nv,), or raise `SingularityError` if they are not finite."""

@@ -63,13 +63,13 @@ def joint_geometry(closed_model: ClosedLoopModel, welded: WeldedMechanism) -> di
         linear, angular = columns[:3, joint.idx_v], columns[3:, joint.idx_v]
         return ("hinge", angular, point) if np.any(angular) else ("slide", linear, point)
 
-    found = geometry_in_tree(welded, read)
+    geometry = geometry_in_tree(welded, read)
     constraints, rods = iter(closed_model.constraints), iter(closed_model.rods)
     for cut in welded.tree.cuts:
         joint = welded.tree.joint(cut)
         if joint.only_closes:
             first, second = (data.oMf[frame].translation.copy() for frame in next(rods))
-            found[joint.name] = loop_closing_geometry("rod", (first, second))
+            geometry[joint.name] = loop_closing_geometry("rod", (first, second))
             continue
         constraint = next(constraints)
         ends = (
@@ -77,5 +77,5 @@ def joint_geometry(closed_model: ClosedLoopModel, welded: WeldedMechanism) -> di
             data.oMi[constraint.joint2_id].act(constraint.joint2_placement).translation,
         )
         if constraint.type == pin.ContactType.CONTACT_3D:
-            found[joint.name] = loop_closing_geometry("ball", ends)
-    return found
+            geometry[joint.name] = loop_closing_geometry("ball", ends)
+    return geometry

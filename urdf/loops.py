@@ -1,8 +1,7 @@
 """Parse the loop file of a URDF, which describes what a URDF cannot: closed loops and ball joints.
 
-The file is YAML. Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), with the meaning
-that its loader_tools.py gives them, and in addition `coupled`, weighted sums of joint coordinates that are
-zero.
+The file is YAML. Its keys have the meaning that loader_tools.py of Gepetto's example-parallel-robots gives
+them (`robot.yaml`). An additional key is `coupled`: weighted sums of joint coordinates that are zero.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointMode
 """Pinocchio's joint models of hinges, by axis."""
 
 BaseName = Literal["fixed", "free"]
-"""How the root link of a URDF moves: fixed to the ground, or freely."""
+"""Motion of the root link of a URDF: fixed to the ground, or free."""
 
 BASES: tuple[BaseName, ...] = get_args(BaseName)
 """All values of `BaseName`."""
@@ -145,15 +145,15 @@ def _check_joints(loops: Loops, key: str, names: Iterable[str], known: Container
 
 def _frame(model: Any, name: str, loops: Loops) -> int:
     """Return the number of the frame of a link or joint, like Pinocchio's `getFrameId`."""
-    found = [number for number, frame in enumerate(model.frames) if frame.name == name]
-    if not found:
+    numbers_of_name = [number for number, frame in enumerate(model.frames) if frame.name == name]
+    if not numbers_of_name:
         raise LoopFileError(loops.source, "closed_loop", f"the URDF has no link or joint {name!r}")
-    first, *others = (model.frames[number] for number in found)
+    first, *others = (model.frames[number] for number in numbers_of_name)
     for other in others:
         if other.parentJoint != first.parentJoint or not other.placement.isApprox(first.placement):
             problem = f"{name!r} is a link and a joint in different places; needed: one place"
             raise LoopFileError(loops.source, "closed_loop", problem)
-    return found[0]
+    return numbers_of_name[0]
 
 
 def _add_axis_frame(model: Any, frame: int) -> int:
@@ -223,8 +223,8 @@ def _rebuild(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) ->
 def link_inertia(model: Any, index: int) -> Any:
     """Return the `pinocchio.Inertia` of the link with frame number `index`, in the frame of the link.
 
-    Pinocchio adds the inertias of links that fixed joints connect to the inertia of the moving joint, and
-    stores the inertia of each of them at the frame of its fixed joint.
+    Pinocchio merges links that fixed joints connect. It adds their inertias to that of the moving joint, and
+    also stores the inertia of each of them at the frame of its fixed joint.
     """
     link = model.frames[index]
     joint_frame = model.frames[link.parentFrame]

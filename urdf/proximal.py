@@ -2,8 +2,8 @@
 
 If constraint rows are redundant, J M^-1 J^T is singular. Pinocchio then adds a regularization mu to its
 diagonal, and removes the effect of mu by proximal iterations. Each iteration reduces the effect along an
-eigenvector of eigenvalue lambda by the factor mu / (mu + lambda) (Carpentier, Budhiraja and Mansard,
-"Proximal and Sparse Resolution of Constrained Dynamic Equations", RSS 2021, section III).
+eigenvector of eigenvalue lambda by the factor mu / (mu + lambda). Source: Carpentier, Budhiraja and Mansard,
+"Proximal and Sparse Resolution of Constrained Dynamic Equations", RSS 2021, section III.
 
 mu is the same for rows in meters and in radians. The solver therefore has a copy of the model in units of the
 mechanism's size and mass, which give both kinds of rows equal weight. In SI units, accelerations of a loop of
@@ -152,8 +152,8 @@ class ConstraintDynamics:
     def _solve(self, state: tuple[Array, Array, Array], settings: Any) -> Array:
         """Return accelerations (nv,), tree order, for a state (q, v, forces) in Pinocchio's order."""
         closures = self._constraints, self._constraint_data
-        found = pin.constraintDynamics(self._model, self._scaled_data, *state, *closures, settings)
-        return self._map.v_from_pinocchio(found)
+        accelerations = pin.constraintDynamics(self._model, self._scaled_data, *state, *closures, settings)
+        return self._map.v_from_pinocchio(accelerations)
 
     def wrenches(self) -> list[Any]:
         """Return the `pinocchio.Force` of each closure on its second body, for the latest accelerations.

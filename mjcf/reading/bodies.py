@@ -38,7 +38,7 @@ class Bodies:
     """Imported bodies.
 
     A root is a body of MuJoCo with joints, or the world body 0. Each of the other bodies is fixed to its
-    nearest ancestor that is a root, and has no body of its own in the scene.
+    nearest ancestor that is a root, and becomes a part of the root's body in the scene.
 
     Attributes:
         bodies: bodies of the scene, ground first.

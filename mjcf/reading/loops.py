@@ -31,8 +31,8 @@ class Loops:
 
     Attributes:
         joints: joints from connects, welds and tendons of constant length.
-        gears: couplings from equalities of joint coordinates.
-        held: prescribed motions of joints that an equality holds.
+        couplings: couplings from equalities of joint coordinates.
+        held_motions: prescribed motions of joints that an equality holds.
     """
 
     def __init__(self, start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
@@ -47,8 +47,8 @@ class Loops:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._report = bodies, joints, report
         self.joints: list[Joint] = []
-        self.gears: list[JointCoupling] = []
-        self.held: list[PrescribedMotion] = []
+        self.couplings: list[JointCoupling] = []
+        self.held_motions: list[PrescribedMotion] = []
         self._taken = [joint.name for joint in joints.joints]
         flags = [flag for flag in ("EQUALITY", "CONSTRAINT") if start.disabled(flag)]
         for index in range(self._model.neq):
@@ -132,7 +132,7 @@ class Loops:
             name, driver[0], follower[0], coefficients, driver[1], follower[1]
         )
         # the file counts coordinates from qpos0, the scene from the start
-        self.gears.append(in_file_coordinates.from_zero(driver_at_start))
+        self.couplings.append(in_file_coordinates.from_zero(driver_at_start))
         self._report.imported(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
 
     def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float, how: str) -> None:
@@ -146,11 +146,11 @@ class Loops:
             how: last words of the entry in the report.
         """
         if driver is None or ratio == 0.0:
-            self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
+            self.held_motions.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
             counterpart = f"joint {follower[0]!r} held, {how}"
         else:
             name = self._name(index)
-            self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
+            self.couplings.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
             counterpart = f"gear {name!r} of ratio {ratio:.6g}, {how}"
         self._report.imported(self._start.equality(index), counterpart)
 
@@ -195,7 +195,7 @@ class Loops:
             self._couple(index, follower, driver, -driver_weight / follower_weight, HELD_RIGIDLY)
         elif terms:
             name = self._name(index)
-            self.gears.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
+            self.couplings.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
             counterpart = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
             self._report.imported(self._start.equality(index), counterpart)
         else:

@@ -152,9 +152,9 @@ def _combine(weights: Array, centers: Array, second_moments: Array) -> Solid:
 def _hull(model: Any, number: int) -> Array:
     """Return the corners (m, 3, 3) of the triangles of a mesh's convex hull, empty if MuJoCo has no hull.
 
-    MuJoCo computes the hull for collisions and for inertias of the hull. `mesh_graph` stores for each hull
-    the number of points p and of triangles t, then 3 (p + t) integers about edges, then 3 t indices of the
-    corners of the triangles (MuJoCo's documentation, `mjModel.mesh_graph`).
+    MuJoCo computes the hull for collisions and for inertias of the hull. For each hull, `mesh_graph` has the
+    numbers p of points and t of triangles, and 3 (p + t) integers about edges. The 3 t indices of the corners
+    of the triangles follow (MuJoCo's documentation, `mjModel.mesh_graph`).
     """
     start = int(model.mesh_graphadr[number])
     if start < 0:

@@ -104,7 +104,7 @@ class SourceError(source_file.SourceError, MjcfError):
 
 
 KeySizes: TypeAlias = dict[int, dict[str, int]]
-"""For each keyframe of the file, by number: how many values each of its fields has."""
+"""Number of values of each field of a keyframe, by number of the keyframe in the file."""
 
 
 def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
@@ -399,10 +399,10 @@ class _Scan:
             for folder in folders
             for file in (reference, stripped)
         ]
-        found = [path for path in paths if os.path.exists(path)]
-        if not found:
+        existing = [path for path in paths if os.path.exists(path)]
+        if not existing:
             raise reference.refused("does not exist")
-        for path in found:
+        for path in existing:
             if not os.path.isfile(path):  # MuJoCo would wait for a pipe
                 raise reference.refused("is not a regular file")
             self._sizes[path] = os.path.getsize(path)

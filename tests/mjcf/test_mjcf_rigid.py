@@ -121,7 +121,7 @@ def test_soft_answers_do_not_depend_on_what_was_asked_before(
     soft = SoftMuJoCo(tracker)
     q, v = soft.coordinates(tracker_states[0])
     before = soft.evaluate(q, v)
-    soft.place(*soft.coordinates(tracker_states[1]))
+    soft.set_state(*soft.coordinates(tracker_states[1]))
     mujoco.mj_step(soft.model, soft.data, 200)
     after = soft.evaluate(q, v)
     assert np.array_equal(before.linear_acceleration, after.linear_acceleration)

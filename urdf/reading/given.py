@@ -155,13 +155,13 @@ class Given:
     def _configuration(self, model: Any, q: Sequence[float] | Array) -> Array:
         """Return a configuration of the user with quaternions of norm 1; raises `SourceError`."""
         try:
-            found = real_array(q)
+            configuration = real_array(q)
         except (TypeError, ValueError, OverflowError) as error:
             raise SourceError(self.source_name, f"q is {quoted(q)}; needed: {model.nq} numbers") from error
-        if found.shape != (model.nq,) or not np.all(np.isfinite(found)):
-            problem = f"q has shape {found.shape}, or numbers that are not finite"
+        if configuration.shape != (model.nq,) or not np.all(np.isfinite(configuration)):
+            problem = f"q has shape {configuration.shape}, or numbers that are not finite"
             raise SourceError(self.source_name, f"{problem}; needed: {model.nq} finite numbers")
-        return np.asarray(pin.normalize(model, found))
+        return np.asarray(pin.normalize(model, configuration))
 
     def _place_default_ends(self) -> None:
         """Move the second end of each constraint to the world with default placement to the first end.

@@ -71,7 +71,7 @@ class JointProperties(NamedTuple):
 
 def joint_properties(root: ET.Element) -> list[JointProperties]:
     """Read the properties of all joints of a checked URDF."""
-    found = []
+    joints = []
     for joint in root.findall("joint"):
         dynamics, limit = joint.find("dynamics"), joint.find("limit")
         damping, friction = (
@@ -83,10 +83,10 @@ def joint_properties(root: ET.Element) -> list[JointProperties]:
             limits = low, high, speed
         unit = "m" if joint.get("type") == "prismatic" else "rad"
         has_safety = joint.find("safety_controller") is not None
-        found.append(
+        joints.append(
             JointProperties(str(joint.get("name")), damping, friction, 0.0, limits, unit, has_safety)
         )
-    return found
+    return joints
 
 
 def read_loops(path: str, text: str) -> Loops:
@@ -152,15 +152,16 @@ def check_inertias(path: str, root: ET.Element) -> None:
 
     Moments below the round-off of the largest moment in the file count as zero.
     """
-    found: dict[str, Array] = {}
+    moments_of_link: dict[str, Array] = {}
     for link in root.findall("link"):
         element = link.find("inertial/inertia")
         if element is not None:
             xx, xy, xz, yy, yz, zz = (float(element.get(name, "0")) for name in NUMBER_ATTRIBUTES["inertia"])
             moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            found[str(link.get("name"))] = moments
-    round_off = 4.0 * np.finfo(float).eps * max((moments[-1] for moments in found.values()), default=0.0)
-    for name, moments in found.items():
+            moments_of_link[str(link.get("name"))] = moments
+    largest = max((moments[-1] for moments in moments_of_link.values()), default=0.0)
+    round_off = 4.0 * np.finfo(float).eps * largest
+    for name, moments in moments_of_link.items():
         if moments[0] < -round_off:
             text = ", ".join(f"{moment:.6g}" for moment in moments)
             problem = f"link {name!r:.100}: principal moments of inertia are {text} kg m^2"

@@ -113,7 +113,7 @@ def _visuals(root: ET.Element, start: RobotAtStart, tree: Tree) -> list[_Visual]
     """Return the visual elements of links that are part of a body."""
     bodies = {body.name: k for k, body in enumerate(tree.bodies)}
     colors = {m.get("name"): _rgba(m) for m in root.findall("material")}
-    found = []
+    visuals = []
     frames = {f.name: k for k, f in enumerate(start.model.frames) if f.type == pin.FrameType.BODY}
     for link in root.findall("link"):
         name = str(link.get("name"))
@@ -125,8 +125,8 @@ def _visuals(root: ET.Element, start: RobotAtStart, tree: Tree) -> list[_Visual]
             material = element.find("material")
             color = None if material is None else _rgba(material) or colors.get(material.get("name"))
             pose = start.data.oMf[frame] * origin(element.find("origin"))
-            found.append(_Visual(bodies[body], name, element, pose, color))
-    return found
+            visuals.append(_Visual(bodies[body], name, element, pose, color))
+    return visuals
 
 
 def _rgba(material: ET.Element) -> Color | None:
@@ -218,15 +218,15 @@ def packages(home: Path, name: str) -> list[Path]:
     """
     if name in ("", ".", "..") or "\0" in name:
         return []
-    found = []
+    folders = []
     for folder in (home, *home.parents):
         if folder == folder.parent:
             break
         if folder.name == name:
-            found.append(folder)
+            folders.append(folder)
         elif (folder / name / "package.xml").is_file():
-            found.append(folder / name)
-    return found
+            folders.append(folder / name)
+    return folders
 
 
 def _load_meshes(files: list[Path]) -> dict[Path, Mesh | None]:

@@ -242,21 +242,21 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
     links = {link.get("name") for link in root.findall("link")}
     for element in root:
         tag, name = tag_of(element), element.get("name") or element.get("reference") or ""
-        where = f"{tag} {name!r:.100}"
+        parent_name = f"{tag} {name!r:.100}"
         if tag in ("link", "joint"):
-            yield from _inside(element, tag, where)
+            yield from _inside(element, tag, parent_name)
             for inertial in element.findall("inertial"):
-                yield from _inside(inertial, "inertial", where)
+                yield from _inside(inertial, "inertial", parent_name)
         elif tag == "gazebo":
             reference = element.get("reference")
-            place = "gazebo" if reference is None else f"gazebo {'link' if reference in links else 'joint'}"
-            yield from _inside(element, place, where if name else tag)
+            key = "gazebo" if reference is None else f"gazebo {'link' if reference in links else 'joint'}"
+            yield from _inside(element, key, parent_name if name else tag)
         elif tag in ("transmission", "mujoco"):
             for part in element.iter():
                 part_tag = tag_of(part)
                 acts = ACTING_IN_TRANSMISSION.search(part_tag) if tag == "transmission" else True
                 if part is not element and acts and part_tag not in PASSIVE_ELEMENTS[tag]:
-                    yield part, f"<{part_tag}> of {where if name else tag}"
+                    yield part, f"<{part_tag}> of {parent_name if name else tag}"
         elif tag not in PASSIVE_ELEMENTS["robot"]:
             yield element, f"<{tag}>{f' {name!r:.100}' if name else ''}"
     # repeated elements, and unknown attributes of elements that are read
@@ -266,37 +266,37 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
             known = READ_ATTRIBUTES.get(part.tag, part.attrib)
             unknown_attributes = [name for name in part.attrib if name not in known]
             if unknown_attributes:
-                where = f"{element.tag} {element.get('name')!r:.100}"
-                yield part, f"{', '.join(unknown_attributes)} of <{part.tag}> of {where}"
+                parent_name = f"{element.tag} {element.get('name')!r:.100}"
+                yield part, f"{', '.join(unknown_attributes)} of <{part.tag}> of {parent_name}"
 
 
 def _repeated(element: ET.Element) -> Iterator[tuple[ET.Element, str]]:
     """Yield repeated elements of a link or joint; parsers read only the first of each tag."""
-    where = f"{element.tag} {element.get('name')!r:.100}"
+    parent_name = f"{element.tag} {element.get('name')!r:.100}"
     for parent in (element, *element.findall("inertial")):
         for tag in sorted(READ_ELEMENTS[parent.tag] - REPEATED_ELEMENTS):
             for part in parent.findall(tag)[1:]:
-                yield part, f"another <{tag}> of {where}"
+                yield part, f"another <{tag}> of {parent_name}"
 
 
-def _inside(element: ET.Element, place: str, where: str) -> Iterator[tuple[ET.Element, str]]:
+def _inside(element: ET.Element, key: str, parent_name: str) -> Iterator[tuple[ET.Element, str]]:
     """Yield the unknown children of an element, with their names in reports.
 
     Args:
         element: parent element.
-        place: key of `PASSIVE_ELEMENTS`.
-        where: name of the parent in reports.
+        key: key of `PASSIVE_ELEMENTS`.
+        parent_name: name of the parent in reports.
     """
-    known = READ_ELEMENTS.get(place, frozenset()) | PASSIVE_ELEMENTS[place]
-    if place.startswith("gazebo"):  # flags of joints on links, and of links on joints, do nothing
+    known = READ_ELEMENTS.get(key, frozenset()) | PASSIVE_ELEMENTS[key]
+    if key.startswith("gazebo"):  # flags of joints on links, and of links on joints, do nothing
         known |= PASSIVE_ELEMENTS["gazebo link"] | PASSIVE_ELEMENTS["gazebo joint"]
     for part in element:
         tag = tag_of(part)
         text = f"{part.get('filename', '')} {part.get('name', '')}" if tag == "plugin" else tag
-        passive = place.startswith("gazebo") and PASSIVE_PLUGIN.search(text)
+        passive = key.startswith("gazebo") and PASSIVE_PLUGIN.search(text)
         if tag not in known and not passive:
             file = f" {part.get('filename')!r:.100}" if part.get("filename") else ""
-            yield part, f"<{tag}>{file} of {where}"
+            yield part, f"<{tag}>{file} of {parent_name}"
 
 
 def report_unmoving(root: ET.Element, report: ImportReport) -> None:
