@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjcf.loops import body_acceleration
-from mjcf.model import CompiledScene
+from mjcf.model import MujocoScene
 from mjcf.reactions import Reactions
 from newton_euler.equations.system import Evaluation
 from newton_euler.scalars import Array, cross
@@ -38,7 +38,7 @@ def constraint_jacobian(model: Any, data: Any) -> Array:
     return transposed.T
 
 
-class EvaluatedScene(CompiledScene):
+class EvaluatedScene(MujocoScene):
     """Compiled scene that evaluates accelerations of bodies and joint reactions."""
 
     @cached_property

@@ -1,6 +1,6 @@
 """A scene compiled by MuJoCo: its model and data, and the map between coordinates of both.
 
-`CompiledScene` writes a scene as MJCF and compiles it. The class sets states and controls in MuJoCo's data,
+`MujocoScene` writes a scene as MJCF and compiles it. The class sets states and controls in MuJoCo's data,
 and reads poses, velocities and energies from the data. `mjcf.rigid` and `mjcf.soft` derive the equations of
 motion with hard and with soft constraints from it.
 """
@@ -45,7 +45,7 @@ def _reason_of_refusal(mechanism: Mechanism, error: ValueError) -> str:
     return " ".join(str(error).split())
 
 
-class CompiledScene:
+class MujocoScene:
     """Scene with its `MjModel` and `MjData`.
 
     MuJoCo can close a loop by a ball, a rod or a weld only. At any other joint that closes a loop, one of the

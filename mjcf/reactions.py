@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mjcf.loops import closes_loop, loops_with_rows
-from mjcf.model import CompiledScene
+from mjcf.model import MujocoScene
 from newton_euler.model.hinge_angles import dual_axes
 from newton_euler.model.parallel_hinges import ParallelHinges, driving_wrench
 from newton_euler.scalars import Array
@@ -24,7 +24,7 @@ class Reactions:
     its multipliers. A weld that joins the halves of a cut body belongs to no joint of the mechanism.
     """
 
-    def __init__(self, compiled: CompiledScene) -> None:
+    def __init__(self, compiled: MujocoScene) -> None:
         """Prepare the numbers of bodies and joints of a compiled scene."""
         self._compiled, model, mechanism = compiled, compiled.model, compiled.welded.mechanism
         self._joint_count, self._law_count = len(compiled.mechanism.joints), len(compiled.scene.control)

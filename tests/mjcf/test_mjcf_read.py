@@ -11,7 +11,7 @@ from mjcf_models import ELEMENTS, FLOATING, FOUR_BARS, PAIR, arm, model, reading
 
 from mjcf import read
 from mjcf.errors import MjcfError
-from mjcf.model import CompiledScene
+from mjcf.model import MujocoScene
 from mjcf.reader import Reading
 from mjcf.reading.joints import GearGroups
 from newton_euler import NewtonEulerError
@@ -188,7 +188,7 @@ def test_gains_of_a_tendon_of_tied_joints_are_not_negative(tmp_path: Path) -> No
     slope = 2.0 * (1.0 - 2.0 / 1.2)
     assert (law.joint, law.coordinate) == ("p", 0)
     assert (law.stiffness, law.damping) == pytest.approx((40.0 * slope**2, 3.0 * slope**2))
-    CompiledScene(found.scene)
+    MujocoScene(found.scene)
     # a joint with a limit keeps its own share, to be watched
     limited = reading(tmp_path, OPPOSED.replace('name="q"', 'name="q" actuatorfrcrange="-9 9"'))
     assert verified(limited)

@@ -20,7 +20,7 @@ import urdf
 from crosscheck.library.tracker import tracker as make_tracker
 from mjcf import read as read_mjcf
 from mjcf.errors import ModelError
-from mjcf.model import CompiledScene
+from mjcf.model import MujocoScene
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.control import PD
@@ -84,7 +84,7 @@ def test_a_path_that_cannot_be_written_is_named(tracker: Scene, tmp_path: Path) 
 @pytest.mark.parametrize("panel_inertia", ["realisable", "literal"])
 def test_compiled_masses_centers_and_inertias(panel_inertia: Any) -> None:
     scene = make_tracker(panel_inertia=panel_inertia)
-    found, wanted = CompiledScene(scene).mass_properties(), MassProperties.of(scene.mechanism)
+    found, wanted = MujocoScene(scene).mass_properties(), MassProperties.of(scene.mechanism)
     assert np.array_equal(found.mass, wanted.mass)
     assert np.max(np.abs(found.center_of_mass - wanted.center_of_mass)) < MODEL * 0.1
     scale = np.max(np.abs(wanted.inertia), axis=(1, 2), keepdims=True)
@@ -101,7 +101,7 @@ def test_halves_of_a_cut_body_add_up() -> None:
         for i, j in ((0, 1), (1, 2), (2, 3), (3, 0), (1, 3), (0, 2))
     ]
     scene = Scene("two_loops_and_more", Mechanism(bodies, joints), 1.0, 0.1)
-    system = CompiledScene(scene)
+    system = MujocoScene(scene)
     assert system.model.nbody > len(bodies)
     found, wanted = system.mass_properties(), MassProperties.of(scene.mechanism)
     assert np.allclose(found.mass, wanted.mass, rtol=MODEL)
@@ -117,7 +117,7 @@ def test_flat_bodies_in_any_orientation_are_accepted() -> None:
         a, b = rng.uniform(1e-3, 2e-3, 2)
         inertia = axes @ np.diag([a, b, a + b]) @ axes.T
         scene = one_body(Body("plate", 1.0, np.zeros(3), 0.5 * (inertia + inertia.T)))
-        found = CompiledScene(scene).mass_properties().inertia[1]
+        found = MujocoScene(scene).mass_properties().inertia[1]
         assert np.max(np.abs(found - inertia)) < MODEL * (a + b)
         standalone = compiled(scene).body_inertia[1]
         # what the text itself says is off by the slack it keeps, 1e-12, at most
@@ -131,7 +131,7 @@ def test_axes_of_inertia_that_are_nearly_the_bodys_own_are_kept(turn: float, tmp
     inertia = axes @ np.diag([1e-3, 2e-3, 2.5e-3]) @ axes.T
     scene = one_body(Body("plate", 1.0, np.zeros(3), 0.5 * (inertia + inertia.T)))
     wanted = scene.mechanism.bodies[1].inertia
-    assert np.max(np.abs(CompiledScene(scene).mass_properties().inertia[1] - wanted)) < MODEL * 2.5e-3
+    assert np.max(np.abs(MujocoScene(scene).mass_properties().inertia[1] - wanted)) < MODEL * 2.5e-3
     mjcf.write(scene, tmp_path / "plate.xml")
     back = read_mjcf(tmp_path / "plate.xml").scene.mechanism.bodies[1]
     found = rotation(back.quaternion) @ back.inertia @ rotation(back.quaternion).T
@@ -182,7 +182,7 @@ def test_a_clash_of_names_is_reported_with_mujocos_reason() -> None:
         Revolute("a_1", "body_0", "body_1", np.zeros(3), axis=z),
     ]
     with pytest.raises(ModelError, match="a_1"):
-        CompiledScene(Scene("clash", Mechanism(bodies, joints), 1.0, 0.1))
+        MujocoScene(Scene("clash", Mechanism(bodies, joints), 1.0, 0.1))
 
 
 def test_damping_that_feeds_energy_is_refused(tracker: Scene) -> None:
@@ -196,7 +196,7 @@ def test_a_body_that_is_too_light_is_named_with_what_is_needed() -> None:
     hinge = Revolute("hinge", "ground", "light", np.zeros(3), axis=np.eye(3)[2])
     reason = "body 'light': mass 1 kg, least principal moment 1e-20 kg m^2; needed: more than 1e-14 of both"
     with pytest.raises(ModelError, match=re.escape(reason)):
-        CompiledScene(Scene("light", Mechanism([Body.ground(), light], [hinge]), 1.0, 0.1))
+        MujocoScene(Scene("light", Mechanism([Body.ground(), light], [hinge]), 1.0, 0.1))
 
 
 WELD_CLOSED = """<mujoco><worldbody>

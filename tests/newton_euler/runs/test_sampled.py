@@ -14,7 +14,7 @@ from simulations import SIMULATIONS
 import mjcf
 import newton_euler
 import urdf
-from mjcf.model import CompiledScene
+from mjcf.model import MujocoScene
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from mjcf.write import to_xml
@@ -177,7 +177,7 @@ def test_mjcf_has_a_motor_with_the_held_force():
     scene = carts(PD("rail_0", 5.0, 1.0, 0.25), Sampled("rail_1", Recorder(), 0.02, held=3.0))
     assert '<motor name="rail_1" joint="rail_1" />' in to_xml(scene)
     assert 'ctrl="0.25 3"' in to_xml(scene)
-    assert np.array_equal(CompiledScene(scene).data.ctrl, [0.25, 3.0])
+    assert np.array_equal(MujocoScene(scene).data.ctrl, [0.25, 3.0])
 
 
 @pytest.mark.parametrize(
