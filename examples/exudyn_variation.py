@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.library import load
-from crosscheck.studies.benchmark.batch import NewtonEulerBatch, cheapest
+from crosscheck.studies.benchmark.batch import NewtonEulerBatch, fastest_setting
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from newton_euler.equations.cartesian import Cartesian
@@ -258,7 +258,7 @@ def measure(case: Case) -> Iterable[str]:
     # newton_euler's time at the same error
     known = [states[k] for k in exact]
     own = NewtonEulerBatch(scene)
-    setting = cheapest(own, known, list(exact.values()), ERROR, lambda message: None).options
+    setting = fastest_setting(own, known, list(exact.values()), ERROR, lambda message: None).options
     own_seconds = min(own.run(setting, known, threads=1).seconds for _ in range(5)) / len(known)
     step = 1e3 * scene.output_period / case.steps
     return (

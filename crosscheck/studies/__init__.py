@@ -1,6 +1,7 @@
-"""Studies: benchmarks, stress tests, fault injection, public models, and the paper's figures.
+"""Studies of crosscheck and the engines themselves: benchmarks, stress tests, fault injection, public models.
 
-In: a scene or a list of files. Out: reports, tables and plots about crosscheck and the engines themselves,
-not about one model. No other room imports a study. Start reading at the package of a study: `benchmark/`,
-`stress/`, `faults/`; `models.py` runs public model files, `random_scenes.py` generates random mechanisms.
+The input is a scene or a list of model files; the output is a report, a table or a plot. Except for the
+commands that start a study, no other package imports this one. Start reading at the package of a study:
+`benchmark/` (run times), `stress/` (limits of the engines), `faults/` (fault injection). `models.py` runs
+public model files, `paper_figures.py` plots the figures of a paper, `random_scenes.py` generates mechanisms.
 """

@@ -1,10 +1,11 @@
-"""Public models: run `crosscheck run` on a list of model files, and write the table docs/results/models.md.
+"""Study of public models: run `crosscheck run` on listed MJCF and URDF files, and write a table of verdicts.
 
     python -m crosscheck.studies.models docs/results/models.yaml FOLDER --write docs/results/models.md
 
-FOLDER contains the repositories as OWNER/NAME. Each file runs in a separate process with a limit of CPU time.
-The results are stored in a JSON file of the output folder. With `--only TEXT`, only files whose path contains
-TEXT are run again. If a verdict is not AGREE, a person finds out the reason and writes it into the list.
+FOLDER contains clones of the repositories as OWNER/NAME. Each file runs in a separate process with a limit of
+CPU time. Results are stored in the file models.json of the output folder. With `--only TEXT`, only files
+whose path contains TEXT are run again. If a verdict is not AGREE, a person finds out the reason and writes it
+into the list of models.
 """
 
 from __future__ import annotations
@@ -35,16 +36,19 @@ from newton_euler.folders import make_folder
 from newton_euler.reading.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 MAX_CPU_TIME = 600
-"""s, CPU time of one model. CPU time makes verdicts independent of other load."""
+"""Largest CPU time of one model, s. Other programs on the machine do not affect CPU time."""
 
 MAX_WALL_TIME = 3600.0
-"""s, wall time of one model."""
+"""Largest wall time of one model, s."""
 
 TABLE_BEGIN, TABLE_END = "<!-- models: begin -->", "<!-- models: end -->"
-"""Marks in the Markdown file around the generated text."""
+"""Lines of the Markdown file before and after the generated text."""
 
-REFUSED, TOO_LONG = "refused", "too long"
-"""Verdicts of models without an outcome: the file was rejected, or the run reached a time limit."""
+REFUSED = "refused"
+"""Verdict of a model whose file was rejected."""
+
+TOO_LONG = "too long"
+"""Verdict of a model whose run reached a time limit."""
 
 VERDICTS = (*(outcome.value for outcome in Outcome), REFUSED, TOO_LONG)
 """Verdicts of a model, in the order of the counts in the table."""
@@ -53,17 +57,17 @@ STATUS_WITH_SUMMARY = (ExitStatus.AGREE, ExitStatus.DISAGREE, ExitStatus.UNFINIS
 """Exit statuses of runs that write a summary."""
 
 MAX_REASON_LENGTH = 240
-"""Characters, longest reason in the table."""
+"""Largest number of characters of a reason in the table."""
 
 
 class ListedModel(BaseModel):
     """A model file of the list.
 
     Attributes:
-        file: path in its repository.
-        options: options of `crosscheck run`, see `crosscheck list`.
-        why: reason why the verdict is not AGREE, found by a person.
-        ours: True if the reason is an error or a limitation of crosscheck.
+        file: path of the file in its repository.
+        options: options of the file, as given to `crosscheck run` by `--set`.
+        why: reason why the verdict is not AGREE, written by a person.
+        ours: True if the reason is an error or a limitation of crosscheck, not of the file.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -78,9 +82,9 @@ class Repository(BaseModel):
     """Model files of one repository.
 
     Attributes:
-        repository: OWNER/NAME.
-        options: options of all files.
-        files: the files.
+        repository: name of the repository as OWNER/NAME.
+        options: options that all files share.
+        files: the model files.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -96,12 +100,13 @@ class ModelResult(BaseModel):
     Attributes:
         verdict: one of `VERDICTS`.
         line: verdict line of `crosscheck run`, or the error.
-        reason: part of the line that explains why the verdict is not AGREE.
+        reason: part of the verdict line that explains why the verdict is not AGREE.
         first: kind of the first element that would have acted and was not simulated, such as "limits".
-        fates: numbers of elements by the result of their import (the worst result, if there are several).
+        fates: number of elements of the file by the result of their import, a text of `FATES`. For an element
+            with several results, the worst one counts.
         covered: number of elements of the scene that the motion tests, as "3 of 4".
         lacks: description of the parts of the file that were not simulated.
-        processor_time: s, CPU time of all processes of the command.
+        processor_time: CPU time of all processes of the command, s.
     """
 
     verdict: str
@@ -132,8 +137,9 @@ def run_model(folder: Path, repository: Repository, entry: ListedModel, output: 
 
     Args:
         folder: folder of the repositories.
-        repository, entry: the file.
-        output: folder of the results of `crosscheck run`.
+        repository: repository of the file.
+        entry: the file.
+        output: folder for the results of `crosscheck run`; existing results are deleted.
     """
     # The command, with options of the repository and of the file
     home = folder / repository.repository
@@ -164,7 +170,7 @@ def run_model(folder: Path, repository: Repository, entry: ListedModel, output: 
     if done.returncode == -signal.SIGXCPU:
         line = f"more than {MAX_CPU_TIME} s of processor time"
         return ModelResult(verdict=TOO_LONG, line=line, processor_time=used)
-    # A file that was rejected leaves an error, any other a summary
+    # If the file was rejected, the result is the last line of the error output, else it is the summary
     summary = output / "summary.json"
     if done.returncode not in STATUS_WITH_SUMMARY or not summary.exists():
         lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
@@ -173,7 +179,7 @@ def run_model(folder: Path, repository: Repository, entry: ListedModel, output: 
     content = json.loads(summary.read_text(encoding="utf-8"))
     report = ImportReport()
     report.entries = [ImportedElement(**each) for each in content["mapping"] or []]
-    still = "nothing moves" if "nothing moves" in content["verdict"] else ""
+    motionless = "nothing moves" if "nothing moves" in content["verdict"] else ""
     tested = [covered["tested"] for covered in content["coverage"] or []]
     return ModelResult(
         verdict=content["outcome"],
@@ -182,7 +188,7 @@ def run_model(folder: Path, repository: Repository, entry: ListedModel, output: 
         first=_first_kind(content),
         fates=_fates(report),
         covered=f"{sum(tested)} of {len(tested)}" if tested else "",
-        lacks="; ".join(filter(None, [still, report.counts()])),
+        lacks="; ".join(filter(None, [motionless, report.counts()])),
         processor_time=used,
     )
 
@@ -199,8 +205,13 @@ def _processor_time() -> float:
 
 
 def _reason(content: dict[str, Any]) -> str:
-    """Return the reason why a verdict is not AGREE: elements that were not simulated, or the rest of the
-    line."""
+    """Return the reason why a verdict is not AGREE; empty if it is AGREE.
+
+    The reason consists of the elements that were not simulated, or of the rest of the verdict line.
+
+    Args:
+        content: summary of the run.
+    """
     if content["outcome"] == Outcome.AGREE:
         return ""
     if content["outcome"] != Outcome.AGREE_ON_A_REDUCED_MODEL:
@@ -211,7 +222,10 @@ def _reason(content: dict[str, Any]) -> str:
 
 
 def _first_kind(content: dict[str, Any]) -> str:
-    """Return the kind of the first element that acted: its topic, such as "limits", or "actuators"."""
+    """Return the kind of the first element that would have acted and was not simulated, such as "limits".
+
+    Empty if there is no such element. `content` is the summary of the run.
+    """
     if not content["not_simulated"]:
         return ""
     entry = ImportedElement(**content["not_simulated"][0])
@@ -220,6 +234,7 @@ def _first_kind(content: dict[str, Any]) -> str:
 
 
 def _fates(report: ImportReport) -> dict[str, int]:
+    """Count the elements of the file by the result of their import; the worst result of an element counts."""
     worst: dict[str, int] = {}
     for entry in report.entries:
         if not (entry.inert and entry.fate == "left out"):
@@ -229,7 +244,13 @@ def _fates(report: ImportReport) -> dict[str, int]:
 
 
 def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> Iterator[str]:
-    """Yield the counts and the table in Markdown, with models in the order of the list."""
+    """Yield the lines of Markdown: counts of verdicts, and a table of all models in the order of the list.
+
+    Args:
+        repositories: the list of models.
+        found: results by path OWNER/NAME/FILE.
+    """
+    # Counts of verdicts, and of elements by the result of their import
     pairs = [(entry, found.get(f"{r.repository}/{entry.file}")) for r in repositories for entry in r.files]
     known = [(entry, each) for entry, each in pairs if each is not None]
     counts = Counter(each.verdict for _, each in known)
@@ -243,6 +264,7 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
     yield f"{total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
+    # Kinds of elements that act first in models that are only partly simulated
     reduced = [each.first for _, each in known if each.verdict == Outcome.AGREE_ON_A_REDUCED_MODEL]
     if reduced:
         yield "What acts first in models that are reduced:"
@@ -250,6 +272,7 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
         kinds: Rows = [[kind, str(count)] for kind, count in Counter(reduced).most_common()]
         yield from markdown_table(Table("", text_columns("kind of element", "models"), kinds))
         yield ""
+    # One row for each model, below the name of its repository
     rows: Rows = []
     for repository in repositories:
         rows.append(repository.repository)
@@ -268,14 +291,15 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
 
 
 def _shortened(reason: str) -> str:
+    """Cut a reason at `MAX_REASON_LENGTH` characters."""
     return reason if len(reason) <= MAX_REASON_LENGTH else f"{reason[: MAX_REASON_LENGTH - 4].rstrip()} ..."
 
 
 def write(path: Path, lines: Sequence[str]) -> None:
-    """Replace the text between the marks of a Markdown file.
+    """Replace the text between the lines `TABLE_BEGIN` and `TABLE_END` of a Markdown file.
 
     Raises:
-        CrosscheckError: for a file without the marks.
+        CrosscheckError: for a file without these lines.
     """
     text = path.read_text(encoding="utf-8")
     before, begin, rest = text.partition(TABLE_BEGIN)
@@ -294,12 +318,14 @@ def write(path: Path, lines: Sequence[str]) -> None:
 def main(models: Path, folder: Path, only: str, target: Path | None, output: Path) -> None:
     """Run the files of the list MODELS, whose repositories are in FOLDER as OWNER/NAME."""
     try:
+        # Results of earlier runs, which `--only` keeps
         repositories = read_list(models)
         store = output / "models.json"
         found: dict[str, ModelResult] = {}
         if store.exists():
             content = json.loads(store.read_text(encoding="utf-8"))
             found = {name: ModelResult.model_validate(each) for name, each in content.items()}
+        # Run the files; results are stored after each of them
         make_folder(output)
         for repository in repositories:
             for entry in repository.files:
@@ -310,6 +336,7 @@ def main(models: Path, folder: Path, only: str, target: Path | None, output: Pat
                 click.echo(f"{name}: {found[name].processor_time:.0f} s: {found[name].line}")
                 kept = {key: each.model_dump() for key, each in found.items()}
                 write_files({store: (json.dumps(kept, indent=1) + "\n").encode()})
+        # Write the table
         if target is not None:
             write(target, list(table(repositories, found)))
             click.echo(f"wrote {target}")

@@ -1,7 +1,8 @@
-"""Figures 5 to 9 of the paper, with curves of the three engines.
+"""Plots of figures 5 to 9 of the paper on the solar tracker, with one curve for each of the three engines.
 
-newton_euler uses the paper's method here: Cartesian coordinates, Euler parameters, and Baumgarte
-stabilization with alpha = 10.
+The paper is the source of the library scene `tracker`, see `crosscheck.library.tracker`. newton_euler uses
+the method of the paper here: Cartesian coordinates, Euler parameters (quaternions), and Baumgarte
+stabilization with alpha = 10 1/s. `crosscheck figures` calls `draw`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,14 @@ if TYPE_CHECKING:
 
 
 def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
-    """Simulate the paper's scene and write `figure_5.png` to `figure_9.png` into a folder.
+    """Simulate the scene `tracker` with all engines and write `figure_5.png` to `figure_9.png`.
+
+    Args:
+        folder: folder of the files.
+        progress: called with the name of each engine before its run.
+
+    Returns:
+        The paths of the files.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
@@ -53,9 +61,11 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
     return list(paths.values())
 
 
-def _axes(title: str, rows: int, labels: Sequence[str]) -> tuple[Figure, list[Axes]]:
+def _figure_with_panels(title: str, labels: Sequence[str]) -> tuple[Figure, list[Axes]]:
+    """Return a figure with one panel for each label of a vertical axis, one below the other."""
     from matplotlib.figure import Figure
 
+    rows = len(labels)
     figure = Figure(figsize=(7.0, 1.2 + 1.9 * rows), layout="constrained")
     axes = [figure.add_subplot(rows, 1, k + 1) for k in range(rows)]
     figure.suptitle(title)
@@ -67,7 +77,13 @@ def _axes(title: str, rows: int, labels: Sequence[str]) -> tuple[Figure, list[Ax
 
 
 def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Trajectory], Array]) -> None:
-    """Plot each column (n, panels) of `columns(run)` in its own panel, with one curve per engine."""
+    """Plot one curve per engine in each panel.
+
+    Args:
+        axes: the panels.
+        runs: runs by engine.
+        columns: returns the values (n, panels) of a run at its n output times, one column for each panel.
+    """
     colors = palette(list(runs))
     for name, run in runs.items():
         for ax, values in zip(axes, columns(run).T, strict=True):
@@ -77,20 +93,24 @@ def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Traj
 
 def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     """Plot figure 5: heights of both sliders and their target."""
-    figure, axes = _axes("Figure 5: response of the actuators' displacement", 2, ["z2, m", "z3, m"])
-    _plot(axes, runs, lambda run: run.position[:, 1:3, 2])
+    figure, axes = _figure_with_panels(
+        "Figure 5: response of the actuators' displacement", ["z2, m", "z3, m"]
+    )
+    _plot(axes, runs, lambda run: run.position[:, 1:3, 2])  # bodies 1 and 2 are the sliders
     for ax in axes:
         ax.axhline(TARGET_HEIGHT, color="0.5", linewidth=0.8)
     return figure
 
 
 def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 6: constraint violation by engine, and by stabilization at coarse steps."""
+    """Plot figure 6: constraint violation of each engine, and of newton_euler with coarse steps by method of
+    stabilization."""
     labels = ["engines\nlargest |Phi|, m or rad", "newton_euler, RK4 at 10 ms\nlargest |Phi|, m or rad"]
-    figure, axes = _axes("Figure 6: kinematic constraints", 2, labels)
+    figure, axes = _figure_with_panels("Figure 6: kinematic constraints", labels)
 
     def largest(run: Trajectory) -> Array:
         assert run.constraint_violation is not None
+        # a logarithmic axis has no zero
         return np.maximum(run.constraint_violation.max(axis=1, keepdims=True), 1e-18)
 
     _plot(axes[:1], runs, largest)
@@ -104,12 +124,13 @@ def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def orientation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 7: rotation of the panel about the fixed axes x, then y, then z, degrees."""
+    """Plot figure 7: orientation of the panel, as rotations about the fixed axes x, then y, then z, deg."""
     labels = ["about x, deg", "about y, deg", "about z, deg"]
-    figure, axes = _axes("Figure 7: orientation of the solar panel", 3, labels)
+    figure, axes = _figure_with_panels("Figure 7: orientation of the solar panel", labels)
 
     def angles(run: Trajectory) -> Array:
-        r = rotations(run.quaternion[:, -1])
+        """Return the angles (n, 3) of the panel, degrees: its rotation matrix is R_z R_y R_x."""
+        r = rotations(run.quaternion[:, -1])  # the panel is the last body
         x = np.arctan2(r[:, 2, 1], r[:, 2, 2])
         y = np.arctan2(-r[:, 2, 0], np.hypot(r[:, 2, 1], r[:, 2, 2]))
         z = np.arctan2(r[:, 1, 0], r[:, 0, 0])
@@ -120,15 +141,17 @@ def orientation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def euler_parameters(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 8: Euler parameters of the panel."""
-    figure, axes = _axes("Figure 8: Euler parameters of the solar panel", 4, ["e0", "e1", "e2", "e3"])
+    """Plot figure 8: Euler parameters of the panel, the components (w, x, y, z) of its quaternion."""
+    figure, axes = _figure_with_panels(
+        "Figure 8: Euler parameters of the solar panel", ["e0", "e1", "e2", "e3"]
+    )
     _plot(axes, runs, lambda run: run.quaternion[:, -1])
     return figure
 
 
 def norm(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 9: p7^T p7 - 1 of the panel's Euler parameters."""
-    figure, axes = _axes("Figure 9: norm of the panel's Euler parameters", 1, ["p7^T p7 - 1"])
+    """Plot figure 9: error p7^T p7 - 1 of the norm of the panel's Euler parameters p7."""
+    figure, axes = _figure_with_panels("Figure 9: norm of the panel's Euler parameters", ["p7^T p7 - 1"])
     _plot(axes, runs, lambda run: np.sum(run.quaternion[:, -1:] ** 2, axis=2) - 1.0)
     return figure
 
@@ -140,4 +163,4 @@ FIGURES: dict[int, Callable[[Scene, dict[str, Trajectory]], Figure]] = {
     8: euler_parameters,
     9: norm,
 }
-"""Functions that plot the paper's figures, by number."""
+"""Functions of the scene and the runs by engine that plot a figure, by its number in the paper."""

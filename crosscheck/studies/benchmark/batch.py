@@ -1,13 +1,13 @@
 """Batch benchmark: runs per second of newton_euler and MuJoCo at an error, on one thread and on all cores.
 
-The runs start from random consistent states. For each engine a sample of these states selects the fastest
-setting whose largest error is below the wanted one. newton_euler delivers the poses of all bodies at all
-outputs. `mujoco.rollout` delivers MuJoCo's full physics state (time, qpos, qvel) after every step; qpos at
-the outputs is kept, and no poses are computed. Making the states, and converting them for each engine, is not
-timed.
+The runs start from random states that satisfy all constraints. For each engine, a sample of these runs
+selects the fastest setting whose largest error is below the given error. newton_euler computes the poses of
+all bodies at all outputs. `mujoco.rollout` returns MuJoCo's full physics state (time, qpos, qvel) after every
+step; qpos at the outputs is kept, and no poses are computed. Generation of the states, and their conversion
+for each engine, is not timed.
 
-newton_euler simulates several runs at once, one in each lane of the vector registers. One run of every
-`SCALAR_SAMPLE_EVERY` is also simulated alone by scalar code, with bitwise identical results.
+newton_euler simulates several runs at once, one in each lane of the processor's vector registers. One run in
+`SCALAR_SAMPLE_EVERY` is also simulated by scalar code, which has bitwise identical results.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.ladders import (
-    JUDGED,
+    BASELINE_ENGINE,
     STEPS_PER_OUTPUT,
     Ladder,
     Options,
@@ -35,7 +35,7 @@ from crosscheck.studies.benchmark.ladders import (
     poses_only,
 )
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
-from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
+from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
 from crosscheck.studies.bisection import smallest
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import time_limit
@@ -61,20 +61,20 @@ SAMPLE_RUNS = 20
 """Number of runs on which settings are chosen."""
 
 MAX_POSE_BYTES = 150_000_000
-"""Bytes, largest memory of the poses of one batch; larger batches have fewer outputs per run."""
+"""Largest memory of the poses of one batch, bytes; larger batches have fewer outputs per run."""
 
 MUJOCO_TIME_LIMIT = 10.0
-"""s, longest time of MuJoCo's runs on one thread; if all runs would take longer, MuJoCo makes fewer of
-them."""
+"""Longest duration of MuJoCo's batch on one thread, s; if all runs would take longer, the batch has fewer
+runs."""
 
 SCALAR_SAMPLE_EVERY = 8
-"""Number of runs of a batch for each run that scalar code repeats."""
+"""Scalar code simulates every 8th run of a batch."""
 
 SAMPLE_TIME_LIMIT = 20.0
-"""s, longest time of a sample; slower settings are not tried."""
+"""Longest duration of a sample, s; slower settings are not tried."""
 
 TOLERANCES_PER_DECADE = 8
-"""Density of newton_euler's tolerances, as dense as MuJoCo's steps."""
+"""Number of newton_euler's tolerances per factor of ten, as dense as MuJoCo's steps."""
 
 SAMPLE_TRIES = 2
 """Number of times that a sample is timed at a setting that reaches the error; the shorter time counts."""
@@ -87,8 +87,8 @@ class CompletedBatch(NamedTuple):
     """A batch that was simulated.
 
     Attributes:
-        seconds: s, time of the simulation.
-        setup: s, time before it to load the scene and to convert states for the engine.
+        seconds: duration of the simulation, s.
+        setup: time before the simulation to load the scene and to convert states for the engine, s.
         poses: computes the poses of each run; raises the error of a run that failed.
         failed: number of runs that failed.
     """
@@ -104,37 +104,42 @@ class Engine(Protocol):
 
     Attributes:
         name: name of the engine.
-        delivers: the results whose computation is included in the time.
+        delivers: description of the results whose computation is included in the time.
     """
 
     name: str
     delivers: str
 
     def ladders(self) -> Iterator[Ladder]:
-        """Yield the settings of each method."""
+        """Yield the settings of each method, from coarse to fine."""
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
-        """Simulate one run from each state."""
+        """Simulate one run from each state, with the options of a setting, on a number of threads."""
 
 
 class NewtonEulerBatch:
-    """newton_euler in lanes, with its adaptive methods. Its fixed steps are slower at every error."""
+    """newton_euler with several runs at once in vector registers.
 
-    name = JUDGED
+    The settings are those of the integrators with error control; fixed steps are slower at every error.
+    """
+
+    name = BASELINE_ENGINE
     delivers = "poses of all bodies at all outputs"
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
 
     def ladders(self) -> Iterator[Ladder]:
+        """Yield the settings of each formulation, stabilization and integrator; compile their code."""
         for formulation, stabilization in product(FORMULATIONS, STABILIZATIONS):
             compiled = compile_scene(self._scene, formulation, stabilization)
-            how = {"formulation": formulation, "stabilization": stabilization}
+            equations = {"formulation": formulation, "stabilization": stabilization}
             for ladder in adaptive_ladders(formulation, stabilization, TOLERANCES_PER_DECADE):
                 load_lanes(compiled, ladder.common["integrator"])  # compile before a sample is timed
-                yield ladder._replace(common=ladder.common | how)
+                yield ladder._replace(common=ladder.common | equations)
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
+        """Simulate one run from each state."""
         start = time.perf_counter()
         batch = simulate_batch(self._scene, states, threads=threads, **options)
         setup = time.perf_counter() - start - batch.wall_time
@@ -147,37 +152,42 @@ class NewtonEulerBatch:
 class NewtonEulerScalar(NewtonEulerBatch):
     """newton_euler's scalar code, which simulates one run after another."""
 
-    name = f"{JUDGED}, one by one"
+    name = f"{BASELINE_ENGINE}, one by one"
     delivers = "the same, by scalar code"
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
+        """Simulate one run from each state on one thread; `threads` is not used."""
+        # Setup: compile the scene, and convert the states to its coordinates
         start = time.perf_counter()
-        how = {name: options[name] for name in ("formulation", "stabilization")}
-        compiled = compile_scene(self._scene, **how)
-        chosen = IntegratorOptions(**{name: value for name, value in options.items() if name not in how})
+        equations = {name: options[name] for name in ("formulation", "stabilization")}
+        compiled = compile_scene(self._scene, **equations)
+        chosen = IntegratorOptions(
+            **{name: value for name, value in options.items() if name not in equations}
+        )
         starts = np.tile(compiled.start, (len(states), 1))
         for x, state in zip(starts, states, strict=True):
             x[: compiled.size] = np.concatenate(compiled.system.coordinates(state))
         integrator = Integrator(compiled, self._scene.times, chosen)
         results, failed = np.empty((len(states), *integrator.outputs.shape)), 0
-        begun = time.perf_counter()
+        # Simulation
+        run_start = time.perf_counter()
         for x, result in zip(starts, results, strict=True):
             try:
                 integrator(x)
                 integrator.outputs(result)
             except IntegrationError:
                 failed += 1
-        seconds = time.perf_counter() - begun
+        seconds = time.perf_counter() - run_start
 
         def poses() -> list[Poses]:
             arrays = [named(compiled, result) for result in results]
             return [(each["position"], each["quaternion"]) for each in arrays]
 
-        return CompletedBatch(seconds, begun - start, poses, failed)
+        return CompletedBatch(seconds, run_start - start, poses, failed)
 
 
 class MuJoCoRollout:
-    """`mujoco.rollout`, which writes the full physics state after every step."""
+    """`mujoco.rollout`, MuJoCo's function for batches. It writes the full physics state after every step."""
 
     name = "mujoco"
     delivers = "time, qpos and qvel after every step, of which qpos at outputs is kept"
@@ -187,40 +197,46 @@ class MuJoCoRollout:
 
         Args:
             scene: the scene of the batch.
-            period: s, output period of the benchmark of whole runs, whose shortest step limits steps here.
+            period: output period of the benchmark of whole runs, s. The shortest step of that benchmark is
+                also the shortest step of batches.
         """
         from mjcf.benchmark_kernels import compiled
 
         self._system = compiled(scene)
         self._interval = output_interval(scene)
-        self._most = max(1, round(self._interval / period * STEPS_PER_OUTPUT[-1]))
+        self._max_steps = max(1, round(self._interval / period * STEPS_PER_OUTPUT[-1]))
 
     def ladders(self) -> Iterator[Ladder]:
-        yield from mujoco_ladders(self._interval, range(1, self._most + 1))
+        """Yield the settings of each integrator: all numbers of steps per output interval."""
+        yield from mujoco_ladders(self._interval, range(1, self._max_steps + 1))
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
+        """Simulate one run from each state."""
         from mjcf.benchmark_kernels import Rollout, physics_states
 
+        # Setup
         start = time.perf_counter()
         rollout = Rollout(self._system, **options, threads=threads)
         coordinates = [self._system.coordinates(state) for state in states]
         starts = physics_states(self._system, *map(np.array, zip(*coordinates, strict=True)))
-        begun = time.perf_counter()
+        # Simulation
+        run_start = time.perf_counter()
         runs = rollout(starts)
-        seconds = time.perf_counter() - begun
-        return CompletedBatch(seconds, begun - start, lambda: [rollout.poses(qpos) for qpos in runs])
+        seconds = time.perf_counter() - run_start
+        return CompletedBatch(seconds, run_start - start, lambda: [rollout.poses(qpos) for qpos in runs])
 
 
 # Settings
 
 
 class TriedSetting(NamedTuple):
-    """A setting that was tried on the sample.
+    """A setting with which the sample was simulated.
 
     Attributes:
-        name, options: the setting.
-        error: m or rad, largest error of the sample; infinite if a run failed.
-        seconds: s, time of the whole sample.
+        name: name of the setting.
+        options: options of the setting.
+        error: largest error in the sample, m or rad; infinite if a run failed.
+        seconds: duration of the whole sample, s.
     """
 
     name: str
@@ -229,7 +245,7 @@ class TriedSetting(NamedTuple):
     seconds: float
 
 
-def cheapest(
+def fastest_setting(
     engine: Engine, states: Sequence[State], exact: Sequence[Poses], error: float, progress: Progress
 ) -> TriedSetting:
     """Find the fastest setting of an engine whose largest error over the states is at most `error`.
@@ -237,9 +253,9 @@ def cheapest(
     Args:
         engine: the engine.
         states: initial states of the sample.
-        exact: reference poses of the sample.
-        error: m or rad.
-        progress: called with the name of each stage.
+        exact: reference poses of each run of the sample.
+        error: the largest allowed error, m and rad.
+        progress: called with the name of each method.
 
     Raises:
         CrosscheckError: if no setting reaches the error.
@@ -248,27 +264,32 @@ def cheapest(
     reaching: list[TriedSetting] = []
     for ladder in engine.ladders():
         progress(f"{len(states)} runs of {engine.name}: {ladder.method}")
-        # stop a method when it takes longer than another method that reaches the error
+        # The search in a method ends at a setting that takes longer than another one that reaches the error
         longest = min((choice.seconds for choice in reaching), default=SAMPLE_TIME_LIMIT)
 
-        def suffices(n: int, ladder: Ladder = ladder, longest: float = longest) -> bool:
+        def ends_search(n: int, ladder: Ladder = ladder, longest: float = longest) -> bool:
+            """Return True if setting n is accurate enough or too slow; finer settings are too, then."""
             number = ladder.numbers[n - 1]
-            tried.append(_try(engine, *ladder.setting(number), states, exact, error))
+            tried.append(_try_setting(engine, *ladder.setting(number), states, exact, error))
             return tried[-1].error <= error or tried[-1].seconds > longest
 
-        smallest(suffices, len(ladder.numbers))
+        # all settings that the bisection tries are recorded in `tried`
+        smallest(ends_search, len(ladder.numbers))
         reaching = [choice for choice in tried if choice.error <= error]
     if not reaching:
-        least = min(choice.error for choice in tried)
+        smallest_error = min(choice.error for choice in tried)
         reason = f"does not reach an error of {error:g} on all {len(states)} runs in {SAMPLE_TIME_LIMIT:g} s"
-        raise CrosscheckError(f"{engine.name} {reason}; its smallest error is {least:.1e}")
+        raise CrosscheckError(f"{engine.name} {reason}; its smallest error is {smallest_error:.1e}")
     return min(reaching, key=lambda choice: choice.seconds)
 
 
-def _try(
+def _try_setting(
     engine: Engine, name: str, options: Options, states: Sequence[State], exact: Sequence[Poses], error: float
 ) -> TriedSetting:
-    """Simulate a sample at a setting."""
+    """Simulate the sample at a setting, several times if the setting reaches the error.
+
+    Arguments other than the name and the options of the setting are those of `fastest_setting`.
+    """
     seconds, worst = math.inf, math.inf
     for _ in range(SAMPLE_TRIES):
         start = time.perf_counter()
@@ -292,12 +313,15 @@ class Rate(Timed):
     """Throughput of one engine on a number of threads.
 
     Attributes:
-        engine, delivers, setting: names, see `Engine` and `TriedSetting`.
-        error: m or rad, largest error of the sample.
-        threads, runs: number of threads and of runs.
-        setup: s, time to load the scene and to convert the states of all runs for the engine.
+        engine: name of the engine.
+        delivers: description of the results that the engine computes.
+        setting: name of the setting.
+        error: largest error in the sample, m or rad.
+        threads: number of threads.
+        runs: number of runs of the batch.
+        setup: time to load the scene and to convert the states of all runs for the engine, s.
         failed: number of runs that failed.
-        times: s, time of all runs together, at each repetition.
+        times: duration of the batch in each repeat, s.
     """
 
     engine: str
@@ -312,7 +336,7 @@ class Rate(Timed):
 
     @property
     def per_second(self) -> float:
-        """1/s, runs per second by the median time."""
+        """Runs per second, from the median time."""
         return self.runs / self.median
 
 
@@ -321,12 +345,14 @@ class BatchBenchmark:
     """Result of the batch benchmark.
 
     Attributes:
-        duration, outputs: s, and number of outputs of each run.
-        error: m or rad, error that settings had to reach.
-        uncertainty: m or rad, of the reference motions of the sample.
-        sample, unknown: runs of the sample with and without a reference motion.
+        duration: duration of each run, s.
+        outputs: number of outputs of each run.
+        error: largest allowed error of the settings, m and rad.
+        uncertainty: largest uncertainty of the sample's reference motions, m or rad.
+        sample: number of runs of the sample that have a reference motion.
+        unknown: number of runs of the sample without a reference motion, which are ignored.
         rates: throughput of each engine and number of threads.
-        missing: reason by engine that could not take part.
+        missing: reason of each engine that cannot run the batch, by engine.
     """
 
     duration: float
@@ -344,14 +370,15 @@ def thread_counts() -> tuple[int, ...]:
     return tuple(sorted({1, thread_count()}))
 
 
-def rarer(scene: Scene, runs: int) -> Scene:
-    """Return the scene with so few outputs that the poses of a batch fit into `MAX_POSE_BYTES`.
+def with_fewer_outputs(scene: Scene, runs: int) -> Scene:
+    """Return the scene with few enough outputs that the poses of a batch of `runs` fit into `MAX_POSE_BYTES`.
 
-    Outputs stay equally spaced, and are never more frequent than the scene's own.
+    Outputs stay equally spaced, and are never more frequent than in the given scene.
 
     Raises:
         CrosscheckError: if the poses of two outputs per run are too large.
     """
+    # a pose has 7 numbers of 8 bytes
     outputs = MAX_POSE_BYTES // (runs * len(scene.mechanism.bodies) * 7 * 8)
     if outputs < 2:
         problem = f"poses of two outputs already take more than {MAX_POSE_BYTES:g} bytes"
@@ -366,63 +393,82 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     Args:
         given: the scene.
         runs: number of runs of a batch.
-        error: m or rad, largest error of a run.
+        error: largest allowed error of a run, m and rad.
         progress: called with the name of each stage.
 
     Raises:
-        CrosscheckError: for a scene that cannot be benchmarked, and an error that newton_euler cannot reach.
-        NewtonEulerError: if too few random configurations can be closed.
+        CrosscheckError: for a scene that cannot be benchmarked, or an error that newton_euler cannot reach.
+        NewtonEulerError: if too few random states satisfy the constraints.
     """
     # Random states, and the reference motions of a sample of them
-    scene = rarer(poses_only(given), runs)
+    scene = with_fewer_outputs(poses_only(given), runs)
     progress(f"{runs} random states")
     states = random_states(scene, runs)
     sample = [states[k] for k in np.linspace(0, runs - 1, min(SAMPLE_RUNS, runs)).astype(int)]
     exact, uncertainty = batch_references(scene, sample, error, progress)
     known, poses = [sample[k] for k in exact], list(exact.values())
     # The fastest setting of each engine on the sample
-    own = NewtonEulerBatch(scene)
-    choice = cheapest(own, known, poses, error, progress)
-    batches: list[tuple[Engine, TriedSetting, Sequence[State]]] = [(own, choice, states)]
+    lanes = NewtonEulerBatch(scene)
+    lanes_setting = fastest_setting(lanes, known, poses, error, progress)
+    batches: list[tuple[Engine, TriedSetting, Sequence[State]]] = [(lanes, lanes_setting, states)]
     missing: dict[str, str] = {}
     try:
-        other = MuJoCoRollout(scene, given.output_period)
-        found = cheapest(other, known, poses, error, progress)
+        rollout = MuJoCoRollout(scene, given.output_period)
+        rollout_setting = fastest_setting(rollout, known, poses, error, progress)
     except (NewtonEulerError, CrosscheckError) as reason:
         missing[MuJoCoRollout.name] = reason_of(reason)
     else:
-        most = MUJOCO_TIME_LIMIT * len(known) / found.seconds
-        batches.append((other, found, states[: max(len(known), int(most))]))
-    # Times of the batches, engines and threads alternating
+        max_runs = MUJOCO_TIME_LIMIT * len(known) / rollout_setting.seconds
+        batches.append((rollout, rollout_setting, states[: max(len(known), int(max_runs))]))
+    # Times of the batches; engines and numbers of threads alternate
     cases = [*product(batches, thread_counts())]
-    cases.append(((NewtonEulerScalar(scene), choice, states[:: min(SCALAR_SAMPLE_EVERY, runs)]), 1))
-    firsts: dict[str, CompletedBatch] = {}
-    calls = [partial(_timed, *case, threads, firsts) for case, threads in cases]
+    every = min(SCALAR_SAMPLE_EVERY, runs)
+    cases.append(((NewtonEulerScalar(scene), lanes_setting, states[::every]), 1))
+    first_batches: dict[str, CompletedBatch] = {}
+    calls = [partial(_time_batch, *batch, threads, first_batches) for batch, threads in cases]
+    times_of_cases = time_alternately(calls, [BATCH_REPEATS] * len(calls), progress)
+    # Results
     rates = []
-    for ((engine, chosen, share), threads), times in zip(
-        cases, in_turns(calls, [BATCH_REPEATS] * len(calls), progress), strict=True
-    ):
-        first = firsts[engine.name]
-        of_sample = engine.name, engine.delivers, chosen.name, chosen.error
-        rates.append(Rate(*of_sample, threads, len(share), first.setup, first.failed, times))
-    unknown = len(sample) - len(known)
-    made = scene.duration, len(scene.times), error, uncertainty, len(known), unknown
-    return BatchBenchmark(*made, tuple(rates), missing)
+    for ((engine, setting, batch_states), threads), times in zip(cases, times_of_cases, strict=True):
+        first = first_batches[engine.name]
+        rates.append(
+            Rate(
+                engine=engine.name,
+                delivers=engine.delivers,
+                setting=setting.name,
+                error=setting.error,
+                threads=threads,
+                runs=len(batch_states),
+                setup=first.setup,
+                failed=first.failed,
+                times=times,
+            )
+        )
+    return BatchBenchmark(
+        duration=scene.duration,
+        outputs=len(scene.times),
+        error=error,
+        uncertainty=uncertainty,
+        sample=len(known),
+        unknown=len(sample) - len(known),
+        rates=tuple(rates),
+        missing=missing,
+    )
 
 
-def _timed(
+def _time_batch(
     engine: Engine,
-    choice: TriedSetting,
+    setting: TriedSetting,
     states: Sequence[State],
     threads: int,
-    firsts: dict[str, CompletedBatch],
+    first_batches: dict[str, CompletedBatch],
 ) -> float:
-    """Return the time of a batch, s, and keep the first batch of each engine in `firsts`."""
-    # Touch as much memory as a batch needs: a virtual machine reclaims memory that is free for some seconds,
-    # and returning it would be timed.
+    """Simulate a batch and return its duration, s; keep the first batch of each engine in `first_batches`."""
+    # Use as much memory as a batch needs. A virtual machine reclaims memory that is free for some seconds,
+    # and the time to get the memory back would be timed.
     np.ones(MAX_POSE_BYTES // 8)
-    done = engine.run(choice.options, states, threads)
-    firsts.setdefault(engine.name, done)
+    done = engine.run(setting.options, states, threads)
+    first_batches.setdefault(engine.name, done)
     return done.seconds
 
 
@@ -432,22 +478,26 @@ def _timed(
 def parts(result: BatchBenchmark) -> list[Part]:
     """Make the report: throughput by engine and number of threads.
 
-    The column `ratio` is newton_euler's throughput in lanes divided by that of the engine.
+    The column `scaling` is the throughput divided by that of the same engine on one thread. The column
+    `ratio` is newton_euler's throughput in vector registers divided by that of the engine.
     """
     rates = {(rate.engine, rate.threads): rate.per_second for rate in result.rates}
-    rows: Rows = [
-        [
-            rate.engine,
-            str(rate.threads),
-            str(rate.runs),
-            f"{rate.per_second:.4g}",
-            rate.spread,
-            f"{rate.per_second / rates[rate.engine, 1]:.2f}",
-            "-" if rate.engine == JUDGED else f"{rates[JUDGED, rate.threads] / rate.per_second:.3g}",
-            f"{rate.setup:.2f}",
-        ]
-        for rate in result.rates
-    ]
+    rows: Rows = []
+    for rate in result.rates:
+        scaling = rate.per_second / rates[rate.engine, 1]
+        ratio = rates[BASELINE_ENGINE, rate.threads] / rate.per_second
+        rows.append(
+            [
+                rate.engine,
+                str(rate.threads),
+                str(rate.runs),
+                f"{rate.per_second:.4g}",
+                rate.spread,
+                f"{scaling:.2f}",
+                "-" if rate.engine == BASELINE_ENGINE else f"{ratio:.3g}",
+                f"{rate.setup:.2f}",
+            ]
+        )
     heads = number_columns("threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
     table = Table("", [*text_columns("engine"), *heads], rows)
     period = result.duration / (result.outputs - 1)

@@ -1,9 +1,9 @@
-"""Settings of each engine for benchmarks: one ladder per method, from coarse to fine tolerances or steps.
+"""Settings of each engine for benchmarks, and functions that run the engine at a setting.
 
-The time of a run includes everything until the poses of all bodies at all outputs are known in the engine's
-own form:
+A ladder is a list of settings of one method, from coarse to fine tolerances or steps. The time of a run
+includes everything until the poses of all bodies at all outputs are known in the engine's own form:
 
-- newton_euler: `Trajectory.wall_time`: integration, positions and quaternions of all bodies.
+- newton_euler: integration, positions and quaternions of all bodies (`Trajectory.wall_time`).
 - MuJoCo (`mjcf.benchmark_kernels`): all steps, kinematics at every output, and copies of positions and
   quaternions there. The steps from one output to the next run inside one call.
 - Pinocchio (`urdf.benchmark_kernels`): integration, forward kinematics at every output, and copies of the
@@ -27,10 +27,11 @@ from newton_euler.integrators.options import STABILIZATIONS, FormulationName, St
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-JUDGED = "newton_euler"
+BASELINE_ENGINE = "newton_euler"
 """Name of the engine that the others are compared with."""
 
 Options = dict[str, Any]
+"""Options of a run by name, such as the integrator, the step or the tolerance."""
 
 Poses = tuple[Array, Array]
 """Positions (n, b, 3), m, and quaternions (n, b, 4) of the bodies, ground first, at the output times."""
@@ -40,9 +41,9 @@ class Run(NamedTuple):
     """One timed run.
 
     Attributes:
-        seconds: s, time of the run by its own clock.
+        seconds: duration of the run, s.
         evaluations: number of evaluations of the equations of motion.
-        poses: converts the results to `Poses`; not timed.
+        poses: converts the results to `Poses`, which is not part of the timed run.
     """
 
     seconds: float
@@ -55,28 +56,28 @@ class Ladder(NamedTuple):
 
     Attributes:
         method: name of the method.
-        finer: returns the name and the own options of setting n; errors decrease with n.
+        make_setting: returns the name and the options of setting n; the larger n, the smaller the error.
         numbers: the values of n that are run, ascending.
-        common: options of all settings.
+        common: options that all settings share.
     """
 
     method: str
-    finer: Callable[[int], tuple[str, Options]]
+    make_setting: Callable[[int], tuple[str, Options]]
     numbers: Sequence[int]
     common: Options
 
     def setting(self, number: int) -> tuple[str, Options]:
         """Return the full name and all options of setting n."""
-        name, options = self.finer(number)
+        name, options = self.make_setting(number)
         return f"{self.method}, {name}", self.common | options
 
 
 class Model(NamedTuple):
-    """A scene as loaded by an engine.
+    """A scene, loaded into an engine with one variant of its equations.
 
     Attributes:
         ladders: settings of each method.
-        run: simulates the scene with given options; raises an exception with the reason if it fails.
+        run: simulates the scene with given options; raises an exception if the engine fails.
     """
 
     ladders: Sequence[Ladder]
@@ -91,7 +92,7 @@ def poses_only(scene: Scene) -> Scene:
     """Return the scene with the poses of its bodies as its only outputs.
 
     Raises:
-        CrosscheckError: for a scene with a sampled controller: its Python code would dominate every time.
+        CrosscheckError: for a scene with a sampled controller, whose Python code would take most of the time.
     """
     if scene.sampled:
         raise CrosscheckError(
@@ -100,73 +101,91 @@ def poses_only(scene: Scene) -> Scene:
     return replace(scene, outputs=frozenset())
 
 
-def _by_tolerance(
-    method: str, coarsest: float, finest: float, share: float, per_decade: int = 2, **options: Any
+def _tolerance_ladder(
+    method: str, coarsest: float, finest: float, atol_per_rtol: float, per_decade: int = 2, **options: Any
 ) -> Ladder:
-    """Make a ladder of rtol from 10^-coarsest to 10^-finest, with atol = share * rtol."""
+    """Make a ladder of relative tolerances (rtol).
 
-    def finer(number: int) -> tuple[str, Options]:
+    Args:
+        method: name of the method.
+        coarsest: the largest rtol is 10^-coarsest.
+        finest: the smallest rtol is 10^-finest.
+        atol_per_rtol: ratio of absolute and relative tolerance.
+        per_decade: number of tolerances per factor of ten.
+        **options: options that all settings share.
+    """
+
+    def make_setting(number: int) -> tuple[str, Options]:
         rtol = 10.0 ** (-number / per_decade)
-        return f"rtol {rtol:.2g}", {"rtol": rtol, "atol": share * rtol}
+        return f"rtol {rtol:.2g}", {"rtol": rtol, "atol": atol_per_rtol * rtol}
 
     numbers = range(round(coarsest * per_decade), round(finest * per_decade) + 1)
-    return Ladder(f"{method}, atol = {share:g} rtol", finer, numbers, options)
+    return Ladder(f"{method}, atol = {atol_per_rtol:g} rtol", make_setting, numbers, options)
 
 
-def _by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
+def _step_ladder(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
     """Make a ladder of fixed steps.
 
     Args:
         method: name of the method.
-        option: the option that sets the step: "number" of steps per output interval, or the step's size, s.
-        interval: s between outputs.
+        option: name of the option that sets the step. The option "number" takes the number of steps per
+            output interval, any other option takes the step in s.
+        interval: time between outputs, s.
         numbers: numbers of steps from one output to the next.
-        options: options of all settings.
+        **options: options that all settings share.
     """
 
-    def finer(number: int) -> tuple[str, Options]:
+    def make_setting(number: int) -> tuple[str, Options]:
         step = interval / number
         return f"step {step:.3g} s", {option: number if option == "number" else step}
 
-    return Ladder(method, finer, numbers, options)
+    return Ladder(method, make_setting, numbers, options)
 
 
 def output_interval(scene: Scene) -> float:
-    """Return the s between the first two outputs."""
+    """Return the time between the first two outputs, s."""
     return float(scene.times[1] - scene.times[0])
 
 
 # newton_euler
 
 ATOL_PER_RTOL = (1.0, 1e-2)
-"""Ratios of atol (SI) and rtol that are run."""
+"""Ratios of absolute tolerance (SI units) and relative tolerance that are run."""
 
 FINEST_DECADE = 13.5
-"""Decades of the finest rtol, 3e-14. DOP853 accepts no rtol below 2.2e-14, in scipy and here."""
+"""Negative decimal logarithm of the finest rtol, 3e-14. DOP853 accepts no rtol below 2.2e-14."""
 
 RADAU_VARIANT = ("relative", "projection")
-"""Formulation and stabilization of Radau. The Jacobian of Cartesian coordinates compiles for half a
-minute."""
+"""Formulation and stabilization with which Radau runs; in Cartesian coordinates, its Jacobian would compile
+for half a minute."""
 
 
 def adaptive_ladders(formulation: str, stabilization: str, per_decade: int = 2) -> list[Ladder]:
-    """Make the ladders of newton_euler's methods with error control."""
+    """Make the ladders of newton_euler's integrators with error control.
+
+    Args:
+        formulation: "relative" or "cartesian".
+        stabilization: method that keeps constraint violations small.
+        per_decade: number of tolerances per factor of ten.
+    """
     prefix = f"{formulation}, {stabilization}"
-    kinds = [("DOP853", FINEST_DECADE, share) for share in ATOL_PER_RTOL]
+    kinds = [("DOP853", FINEST_DECADE, ratio) for ratio in ATOL_PER_RTOL]
     if (formulation, stabilization) == RADAU_VARIANT:
         kinds.append(("Radau", 9.5, ATOL_PER_RTOL[1]))
     return [
-        _by_tolerance(f"{prefix}, {name}", 2.0, finest, share, per_decade, integrator=name)
-        for name, finest, share in kinds
+        _tolerance_ladder(f"{prefix}, {name}", 2.0, finest, ratio, per_decade, integrator=name)
+        for name, finest, ratio in kinds
     ]
 
 
 def _newton_euler(scene: Scene) -> Models:
-    """Return a model for each formulation and stabilization."""
-    return {", ".join(how): partial(_load_own, scene, *how) for how in product(FORMULATIONS, STABILIZATIONS)}
+    """Return functions that load a scene with each formulation and stabilization of newton_euler."""
+    variants = product(FORMULATIONS, STABILIZATIONS)
+    return {", ".join(variant): partial(_load_newton_euler, scene, *variant) for variant in variants}
 
 
-def _load_own(scene: Scene, formulation: FormulationName, stabilization: StabilizationName) -> Model:
+def _load_newton_euler(scene: Scene, formulation: FormulationName, stabilization: StabilizationName) -> Model:
+    """Compile a scene with one formulation and stabilization of newton_euler."""
     compiled = compile_scene(scene, formulation=formulation, stabilization=stabilization)
     load(compiled, "Euler")
     if (formulation, stabilization) == RADAU_VARIANT:
@@ -174,7 +193,7 @@ def _load_own(scene: Scene, formulation: FormulationName, stabilization: Stabili
     ladders, interval = adaptive_ladders(formulation, stabilization), output_interval(scene)
     for integrator in ("RK4", "Euler"):
         method, numbers = f"{formulation}, {stabilization}, {integrator}", (1, 2, 5, 10, 20, 50)
-        ladders.append(_by_step(method, "step", interval, numbers, integrator=integrator))
+        ladders.append(_step_ladder(method, "step", interval, numbers, integrator=integrator))
 
     def run(options: Options) -> Run:
         found = compiled.simulate(**options)
@@ -189,18 +208,24 @@ STEPS_PER_OUTPUT = (1, 2, 3, 5, 7, 10, 20, 50, 100, 200)
 """Numbers of MuJoCo's steps from one output to the next; MuJoCo has outputs only at its steps."""
 
 MUJOCO_METHODS = (("RK4", 1.0), ("RK4", 0.6), ("implicitfast", 1.0), ("implicit", 1.0), ("Euler", 1.0))
-"""MuJoCo's integrators, each with a damping ratio of the constraints; their time constant is two steps.
+"""MuJoCo's integrators, each with the damping ratio of the constraints, the second number of `solref`.
 
-Two steps are the stiffest stable time constant. Softer, direct (negative) and less damped constraints were
-tried on the tracker. A ratio of 0.6 makes RK4 a third more accurate at every step. Other integrators depend
-on the ratio only at a step of 10 ms, where RK4 is faster.
+The time constant of the constraints, the first number of `solref`, is two steps, the stiffest stable value.
+With the scene `tracker`, softer constraints, constraints with negative `solref` (stiffness and damping), and
+other damping ratios were tried. A ratio of 0.6 makes RK4 a third more accurate at every step. Other
+integrators depend on the ratio only at a step of 10 ms, where RK4 is faster.
 """
 
 
 def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS_PER_OUTPUT) -> list[Ladder]:
-    """Make the ladders of MuJoCo's methods for outputs every `interval` s."""
+    """Make the ladders of MuJoCo's integrators.
+
+    Args:
+        interval: time between outputs, s.
+        numbers: numbers of steps from one output to the next.
+    """
     return [
-        _by_step(
+        _step_ladder(
             f"{integrator}, solref (2 steps, {ratio:g})",
             "number",
             interval,
@@ -213,10 +238,12 @@ def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS_PER_OUTPUT) -
 
 
 def _mujoco(scene: Scene) -> Models:
+    """Return the function that loads a scene into MuJoCo."""
     return {"MJCF": partial(_load_mujoco, scene)}
 
 
 def _load_mujoco(scene: Scene) -> Model:
+    """Compile a scene for MuJoCo."""
     from mjcf.benchmark_kernels import Stepper, compiled
 
     system = compiled(scene)
@@ -235,7 +262,10 @@ def _load_mujoco(scene: Scene) -> Model:
 
 
 def intervals(times: Array) -> list[tuple[int, float]]:
-    """Return the numbers and lengths (s) of equal intervals between outputs; the last may be shorter."""
+    """Return the intervals between output times (n,), s: pairs of a number of intervals and their length, s.
+
+    All intervals are equally long, except that the last one may be shorter.
+    """
     first, last = float(times[1] - times[0]), float(times[-1] - times[-2])
     if abs(first - last) <= 1e-9 * first:
         return [(len(times) - 1, first)]
@@ -245,14 +275,17 @@ def intervals(times: Array) -> list[tuple[int, float]]:
 # Pinocchio
 
 BAUMGARTE_ALPHAS = (0.0, 3.0, 10.0)
-"""1/s, Baumgarte gains alpha. On the tracker 30 is not better than 10, and 100 makes the equations stiff."""
+"""Baumgarte gains alpha, 1/s, which control constraint violations.
+
+With the scene `tracker`, 30 is not better than 10, and 100 makes the equations stiff.
+"""
 
 
 def _pinocchio(scene: Scene) -> Models:
-    """Return a model for each Baumgarte gain.
+    """Return functions that load a scene into Pinocchio with each Baumgarte gain.
 
-    Accelerations come from `constraintDynamics`. Those of `lcaba` are smooth to 1e-9 only, and integrators
-    with error control stall on this noise.
+    Accelerations come from Pinocchio's `constraintDynamics`. Those of `lcaba`, Pinocchio's articulated-body
+    algorithm with constraints, have noise of 1e-9, at which integrators with error control stall.
     """
     return {
         f"constraintDynamics, alpha {alpha:g}": partial(_load_pinocchio, scene, alpha)
@@ -261,6 +294,7 @@ def _pinocchio(scene: Scene) -> Models:
 
 
 def _load_pinocchio(scene: Scene, alpha: float) -> Model:
+    """Load a scene into Pinocchio with a Baumgarte gain, 1/s; the integrator is LSODA."""
     from urdf.benchmark_kernels import Kinematics, equations_of, lsoda
 
     equations = equations_of(scene, alpha, None)
@@ -274,7 +308,7 @@ def _load_pinocchio(scene: Scene, alpha: float) -> Model:
         return Run(seconds, evaluations, partial(kinematics.poses, placements))
 
     method = f"constraintDynamics, alpha {alpha:g}, LSODA"
-    ladders = [_by_tolerance(method, 1.0, FINEST_DECADE, share) for share in ATOL_PER_RTOL]
+    ladders = [_tolerance_ladder(method, 1.0, FINEST_DECADE, ratio) for ratio in ATOL_PER_RTOL]
     return Model(ladders, run)
 
 
@@ -283,4 +317,4 @@ ENGINES: dict[str, Callable[[Scene], Models]] = {
     "mujoco": _mujoco,
     "pinocchio": _pinocchio,
 }
-"""Functions that return the models of a scene, by engine."""
+"""Functions that return, for a scene, the loading functions of each variant of an engine, by engine."""

@@ -1,11 +1,13 @@
-"""Reference motion of a benchmark, from which errors are measured, and its uncertainty.
+"""Reference motion of a benchmark, from which errors of engines are measured, and its uncertainty.
 
-The reference is Pinocchio's motion at a tolerance near the limit of double precision, or at a looser one if
-fewer than two equations of motion run at that. Pinocchio's equations share nothing with `newton_euler`, which
-the benchmark judges. If Pinocchio cannot run a scene, the reference is newton_euler's Cartesian formulation.
+The reference is Pinocchio's motion at a tolerance near the limit of double precision. A looser tolerance is
+used if fewer than two different equations of motion can run at the tight one. Pinocchio's equations share
+nothing with newton_euler, whose speed the benchmark assesses. If Pinocchio cannot run a scene, the reference
+is newton_euler's motion in Cartesian coordinates.
 
-The uncertainty is the largest difference from the same run at twice the tolerance, and from runs of other
-equations of motion at tight tolerances. An error of Pinocchio would therefore show in the uncertainty.
+The uncertainty is the largest difference of the reference from other runs: the same run at twice the
+tolerance, and both formulations of newton_euler at tight tolerances. An error of Pinocchio would therefore
+show in the uncertainty.
 """
 
 from __future__ import annotations
@@ -36,14 +38,15 @@ BATCH_REFERENCE_RTOL = 1e-12
 """Relative tolerance of the references of a batch."""
 
 RUN_TIME_LIMIT = 10.0
-"""s, longest time of a reference run."""
+"""Longest duration of a reference run, s."""
 
 
 def pose_errors(poses: Poses, exact: Poses) -> tuple[float, float]:
     """Compute the largest errors of poses at n outputs of b bodies.
 
     Args:
-        poses, exact: positions (n, b, 3), m, and quaternions (n, b, 4), scalar first.
+        poses: positions (n, b, 3), m, and quaternions (n, b, 4) in the order (w, x, y, z).
+        exact: reference poses in the same form.
 
     Returns:
         The largest distance between positions, m, and the largest angle between orientations, rad.
@@ -57,10 +60,10 @@ class Reference:
     """Reference motion and its uncertainty.
 
     Attributes:
-        name: engine, integrator and tolerance.
+        name: engine, integrator and tolerance of the reference.
         poses: poses of all bodies at all outputs.
-        differences: by name of another run, its largest differences from the reference, m and rad.
-        missing: by name of a run that failed, the reason.
+        differences: largest differences of each other run from the reference, m and rad, by name of the run.
+        missing: reason of each run that failed, by name of the run.
     """
 
     name: str
@@ -70,12 +73,17 @@ class Reference:
 
     @property
     def uncertainty(self) -> float:
-        """m or rad, the largest of all differences."""
+        """Largest of all differences, m or rad."""
         return max(max(difference) for difference in self.differences.values())
 
 
 def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = REFERENCE_RTOLS) -> Reference:
-    """Compute the reference of a scene at the first tolerance at which two equations of motion run.
+    """Compute the reference of a scene at the first tolerance at which two different equations can run.
+
+    Args:
+        scene: the scene.
+        progress: called with the name of each run.
+        rtols: relative tolerances, tried in this order.
 
     Raises:
         CrosscheckError: if fewer than two independent equations of motion run the scene.
@@ -83,6 +91,7 @@ def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = REFEREN
     missing: dict[str, str] = {}
     for rtol in rtols:
         runs = _runs(scene, rtol, missing, progress)
+        # names begin with the equations of motion, as in "Pinocchio, DOP853 rtol 5e-14"
         if len({name.split(",")[0] for name in runs}) > 1:
             break
     else:
@@ -93,7 +102,10 @@ def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = REFEREN
 
 
 def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress) -> dict[str, Poses]:
-    """Return the poses of all runs that succeed at a tolerance; add the reasons of others to `missing`."""
+    """Return the poses of all runs that succeed at a tolerance, by name of the run.
+
+    The reasons of runs that fail are added to `missing`.
+    """
     runs: dict[str, Poses] = {}
     for name, run in _candidates(scene, rtol).items():
         progress(f"reference: {name}")
@@ -111,7 +123,10 @@ def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress
 
 
 def _candidates(scene: Scene, tightest: float) -> dict[str, Callable[[], Trajectory]]:
-    """Return the runs that are compared; the first one that succeeds becomes the reference."""
+    """Return functions that simulate the scene, by name of the run; the first that succeeds is the reference.
+
+    `tightest` is the relative tolerance of all runs but one, whose tolerance is twice as large.
+    """
     runs: dict[str, Callable[[], Trajectory]] = {}
     for rtol in (tightest, 2.0 * tightest):
         runs[f"Pinocchio, DOP853 rtol {rtol:.0e}"] = partial(
@@ -129,9 +144,14 @@ def batch_references(
 ) -> tuple[dict[int, Poses], float]:
     """Compute reference poses of runs from several states.
 
-    A state has no reference if its run passes a singular configuration: runs at tight tolerances then fail,
-        or
-    differ by more than `error`, m or rad.
+    A state has no reference if its run passes a singular configuration: runs at tight tolerances then fail or
+    differ by more than `error`.
+
+    Args:
+        scene: the scene.
+        states: initial states of the runs.
+        error: largest uncertainty of a reference, m or rad.
+        progress: called with the name of each stage.
 
     Returns:
         Poses by number of the state, and their largest uncertainty, m or rad.

@@ -1,4 +1,4 @@
-"""Report of the benchmark of whole runs: time that each engine needs to reach an error."""
+"""Report of the benchmark of whole runs: the time that each engine needs to reach an error, m and rad."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ import numpy as np
 
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.table import Cell, Lines, Part, Rows, Table, number_columns, text_columns
-from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
+from crosscheck.studies.benchmark.ladders import BASELINE_ENGINE, ENGINES
 from crosscheck.studies.benchmark.reference import Reference
-from crosscheck.studies.benchmark.timing import rounded, shown
+from crosscheck.studies.benchmark.timing import rounded, time_text
 from crosscheck.studies.benchmark.work_precision import Measurement, WorkPrecision
 from crosscheck.support.palette import ENGINE_COLORS
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 TABLE_ERRORS = tuple(10.0**-power for power in range(3, 12))
-"""m and rad, errors of the rows of the table."""
+"""Errors, m and rad, of the rows of the table."""
 
 SMALLEST_PLOTTED_ERROR = 1e-16
-"""m or rad, lower end of errors in the plot, whose axis is logarithmic."""
+"""Smallest error, m or rad, in the plot, whose axis is logarithmic; smaller errors are drawn here."""
 
 METHOD_NOTE = (
     "times: one thread, median of alternating repeats, spread of quartiles, without loading and first run; "
     "until the poses of all bodies at all outputs are known in the engine's own form"
 )
+"""Sentence of the report about the method of measurement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +36,10 @@ class Benchmark:
     """Result of the benchmark of whole runs.
 
     Attributes:
-        title: title of the scene, with its options.
+        title: name of the scene, with its options.
         scene: the scene.
         reference: motion from which errors are measured.
-        measured: measurements of all settings.
+        measured: time and error of all settings.
     """
 
     title: str
@@ -51,11 +52,11 @@ class Benchmark:
         """Title, duration and number of outputs of the scene."""
         return f"{self.title}: {self.scene.duration:g} s, {len(self.scene.times)} outputs"
 
-    def cheapest(self, engine: str, error: float) -> Measurement | None:
-        """Return the setting of an engine with the shortest median time among those with at most this error.
+    def fastest_setting(self, engine: str, error: float) -> Measurement | None:
+        """Return the fastest setting of an engine whose error is at most `error`, m and rad.
 
         An error below the uncertainty of the reference counts as the uncertainty. None if no setting reaches
-        `error`, m or rad.
+        the error.
         """
         unknown = self.reference.uncertainty
         reaching = [m for m in self._of(engine) if max(m.error, unknown) <= error]
@@ -70,6 +71,7 @@ class Benchmark:
         return best
 
     def _of(self, engine: str) -> list[Measurement]:
+        """Return the measurements of one engine."""
         return [m for m in self.measured.measurements if m.engine == engine]
 
 
@@ -100,21 +102,23 @@ def parts(result: Benchmark) -> Iterator[Part]:
 
 
 def verdict(result: Benchmark, error: float) -> str:
-    """Report in one line the time that each engine needs to reach an error, m or rad."""
+    """Report in one line the time that each engine needs to reach an error, m and rad."""
     if result.reference.uncertainty > error:
         return (
             f"error {error:g} is below the uncertainty of the reference, {result.reference.uncertainty:.1e}"
         )
-    own, said = result.cheapest(JUDGED, error), list[str]()
+    baseline, texts = result.fastest_setting(BASELINE_ENGINE, error), list[str]()
     for engine in ENGINES:
-        m = result.cheapest(engine, error)
+        m = result.fastest_setting(engine, error)
         if m is None:
             ran = any(one.engine == engine for one in result.measured.measurements)
-            said.append(f"{engine} {'does not reach it' if ran else 'cannot run it, see -v'}")
-        else:
-            longer = f", {rounded(m.ratio(own))} times as long" if own is not None and m is not own else ""
-            said.append(f"{engine} takes {shown(m.median)}{longer}")
-    return f"to an error of {error:g} (m, rad): {'; '.join(said)}"
+            texts.append(f"{engine} {'does not reach it' if ran else 'cannot run it, see -v'}")
+            continue
+        longer = ""
+        if baseline is not None and m is not baseline:
+            longer = f", {rounded(m.ratio(baseline))} times as long"
+        texts.append(f"{engine} takes {time_text(m.median)}{longer}")
+    return f"to an error of {error:g} (m, rad): {'; '.join(texts)}"
 
 
 def summary(result: Benchmark, error: float) -> Iterator[Part]:
@@ -122,34 +126,37 @@ def summary(result: Benchmark, error: float) -> Iterator[Part]:
     errors = TABLE_ERRORS[::2]
     rows: Rows = []
     for engine in ENGINES:
-        every = [result.cheapest(engine, each) for each in errors]
+        every = [result.fastest_setting(engine, each) for each in errors]
         rows.append([engine, *("-" if m is None else rounded(1e3 * m.median) for m in every)])
     yield Table(
         "", [*text_columns("ms for an error of"), *number_columns(*(f"{each:.0e}" for each in errors))], rows
     )
-    wanted = [m for engine in ENGINES if (m := result.cheapest(engine, error))]
+    wanted = [m for engine in ENGINES if (m := result.fastest_setting(engine, error))]
     yield Lines("", [f"{m.engine} for {error:g}: {m.name}" for m in wanted])
 
 
 def _times(result: Benchmark) -> Table:
-    """Tabulate the time of each engine's fastest setting for each error, and its ratio to newton_euler's."""
+    """Tabulate the time of each engine's fastest setting for each error of `TABLE_ERRORS`.
+
+    The column `ratio` is the time of an engine divided by newton_euler's time.
+    """
     heads = number_columns("error")
     for engine in ENGINES:
-        heads += number_columns(engine, "spread", *(() if engine == JUDGED else ("ratio",)))
+        heads += number_columns(engine, "spread", *(() if engine == BASELINE_ENGINE else ("ratio",)))
     rows: Rows = []
     for error in TABLE_ERRORS:
-        own, row = result.cheapest(JUDGED, error), list[str | Cell]()
+        baseline, row = result.fastest_setting(BASELINE_ENGINE, error), list[str | Cell]()
         for engine in ENGINES:
-            m = result.cheapest(engine, error)
+            m = result.fastest_setting(engine, error)
             row += ["-", ""] if m is None else [rounded(1e3 * m.median), m.spread]
-            if engine != JUDGED:
-                row.append("" if m is None or own is None else rounded(m.ratio(own)))
+            if engine != BASELINE_ENGINE:
+                row.append("" if m is None or baseline is None else rounded(m.ratio(baseline)))
         rows.append([f"{error:.0e}", *row])
     return Table("ms of the fastest setting for each error, m and rad", heads, rows)
 
 
 def _settings(result: Benchmark) -> Table:
-    """Tabulate the Pareto-optimal settings of each engine."""
+    """Tabulate the Pareto-optimal settings of each engine; errors below the uncertainty are shown as "<="."""
     unknown = result.reference.uncertainty
     rows: Rows = []
     for engine in ENGINES:
@@ -218,4 +225,5 @@ def picture(result: Benchmark) -> bytes:
 
 
 def _points(measurements: Sequence[Measurement]) -> Array:
+    """Return errors, m and rad, and median times, s, as points (n, 2) of the plot."""
     return np.array([(max(m.error, SMALLEST_PLOTTED_ERROR), m.median) for m in measurements])

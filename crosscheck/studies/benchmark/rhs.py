@@ -1,10 +1,13 @@
-"""One right-hand side of each engine: time, operations, loading.
+"""Benchmark of one right-hand side: time, number of operations and loading time of each engine.
 
-Each engine is called in its cheapest way: newton_euler from a native loop, MuJoCo by `mj_forward` from
-Python and by `mj_step` with its loop in C (which also integrates), Pinocchio from Python, the only way
-there is, so a call of its binding is in its time. Ways take turns. Loading is that of a fresh process that
-makes the right-hand side without a compilation cache and calls it once; Pinocchio's makes two more models, in
-other units, that choose the regularization.
+A right-hand side evaluates accelerations from coordinates and velocities, once. Each engine is called by its
+fastest interface. newton_euler is called in a native loop. MuJoCo is called by `mj_forward` from Python, and
+by `mj_step` with a loop in C, which also integrates. Pinocchio has an interface to Python only, so that its
+time includes a call from Python. All interfaces are timed alternately.
+
+The loading time is that of a fresh process: it makes the right-hand side without a compilation cache and
+calls it once. Loading Pinocchio includes two further models in other units, which determine the
+regularization of its constraints.
 """
 
 from __future__ import annotations
@@ -19,8 +22,8 @@ from timeit import Timer
 from typing import NamedTuple
 
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
-from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
-from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
+from crosscheck.studies.benchmark.ladders import BASELINE_ENGINE, poses_only
+from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
 from crosscheck.support.errors import reason_of
 from crosscheck.support.processes import ProcessLostError, run_in_processes
 from newton_euler import compile_scene
@@ -29,28 +32,28 @@ from newton_euler.compiled.outputs import time_function
 from newton_euler.integrators.options import FormulationName
 from newton_euler.model.scene import Scene
 
-BATCH = 1e-3
-"""s that the calls which are timed together take, about."""
+BATCH_DURATION = 1e-3
+"""Approximate duration, s, of a batch of calls; the calls of a batch are timed together."""
 
-ROUNDS = 201
-"""Batches of each right-hand side, fewer where they would take longer than `TOTAL`, 3 at least."""
+MAX_BATCHES = 201
+"""Number of batches of each right-hand side; fewer (at least 3) if all would exceed `MAX_TOTAL_TIME`."""
 
-TOTAL = 2.0
-"""s for all batches of one right-hand side."""
+MAX_TOTAL_TIME = 2.0
+"""Longest duration, s, of all batches of one right-hand side."""
 
-LIMIT = 180.0
-"""s of processor time that loading in a fresh process may take."""
+LOADING_TIME_LIMIT = 180.0
+"""Largest CPU time, s, of loading in a fresh process."""
 
-MEMORY_SHARE = 0.4
+MEMORY_FRACTION = 0.4
 """Largest address space of the loading process, as a fraction of the machine's memory."""
 
 
 class RightHandSide(NamedTuple):
-    """Ready to be called.
+    """Right-hand side of an engine for one scene, ready to be called.
 
     Attributes:
-        repeat: s that a number of calls takes.
-        operations: floating-point operations of one, where they are known.
+        repeat: makes a number of calls and returns their duration, s.
+        operations: number of floating-point operations in one call; None if it is unknown.
     """
 
     repeat: Callable[[int], float]
@@ -59,14 +62,14 @@ class RightHandSide(NamedTuple):
 
 @dataclass(frozen=True)
 class Timing(Timed):
-    """One way to call an engine's right-hand side.
+    """Times of one interface to an engine's right-hand side.
 
     Attributes:
-        way: the engine and how it is called.
-        operations: floating-point operations, where they are known.
-        times: s per call, of each batch; none if it cannot run the scene.
-        load: s to import, build and compile it in a fresh process, without a cache.
-        reason: why it cannot run the scene.
+        way: the interface: engine and function, a key of `RIGHT_HAND_SIDES`.
+        operations: number of floating-point operations in one call; None if it is unknown.
+        times: mean duration of a call in each batch, s; empty if the engine cannot run the scene.
+        load: duration of import, construction and compilation in a fresh process without a cache, s.
+        reason: reason why the engine cannot run the scene; else empty.
     """
 
     way: str
@@ -76,24 +79,27 @@ class Timing(Timed):
     reason: str = ""
 
     @property
-    def judged(self) -> bool:
-        """True of newton_euler's."""
-        return self.way.startswith(JUDGED)
+    def is_baseline(self) -> bool:
+        """True for interfaces to newton_euler, with which the other engines are compared."""
+        return self.way.startswith(BASELINE_ENGINE)
 
 
 def _newton_euler(scene: Scene, formulation: FormulationName) -> RightHandSide:
+    """Make newton_euler's native right-hand side, which a native loop calls."""
     compiled = compile_scene(scene, formulation=formulation, stabilization="none")
     call = partial(time_function, compiled.function("derivative"), compiled.start)
     return RightHandSide(call, compiled.operations["derivative"])
 
 
 def _mj_forward(scene: Scene) -> RightHandSide:
+    """Make MuJoCo's right-hand side, called from Python."""
     from mjcf.benchmark_kernels import forward
 
     return RightHandSide(Timer(forward(scene)).timeit)
 
 
 def _mj_step(scene: Scene) -> RightHandSide:
+    """Make MuJoCo's steps with the Euler integrator, in a loop in C."""
     from mjcf.benchmark_kernels import steps
 
     call = steps(scene)
@@ -101,18 +107,26 @@ def _mj_step(scene: Scene) -> RightHandSide:
 
 
 def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
+    """Make Pinocchio's right-hand side for mechanisms with loops, called from Python.
+
+    Args:
+        scene: the scene.
+        lcaba: regularization mu and number of proximal iterations of `lcaba`, Pinocchio's articulated-body
+            algorithm with constraints; None for `constraintDynamics`, which factorizes the constraints.
+    """
     from urdf.benchmark_kernels import equations_of
 
     return RightHandSide(Timer(equations_of(scene, 0.0, lcaba).acceleration).timeit)
 
 
 def _aba(scene: Scene) -> RightHandSide:
+    """Make Pinocchio's articulated-body algorithm for mechanisms without loops, called from Python."""
     from urdf.benchmark_kernels import articulated_bodies
 
     return RightHandSide(Timer(articulated_bodies(scene)).timeit)
 
 
-WAYS: dict[str, Callable[[Scene], RightHandSide]] = {
+RIGHT_HAND_SIDES: dict[str, Callable[[Scene], RightHandSide]] = {
     "newton_euler relative": partial(_newton_euler, formulation="relative"),
     "newton_euler cartesian": partial(_newton_euler, formulation="cartesian"),
     "mujoco mj_forward": _mj_forward,
@@ -121,7 +135,7 @@ WAYS: dict[str, Callable[[Scene], RightHandSide]] = {
     "pinocchio constraintDynamics": partial(_pinocchio, lcaba=None),
     "pinocchio lcaba, mu 1e-6": partial(_pinocchio, lcaba=(1e-6, 1)),
 }
-"""Right-hand sides by engine and how it is called."""
+"""Functions that make a right-hand side, by engine and interface."""
 
 
 def time_right_hand_sides(
@@ -130,60 +144,67 @@ def time_right_hand_sides(
     """Time one right-hand side of each engine at a scene's initial state, and its loading.
 
     Args:
-        scene: loaded, with native control laws.
-        progress: is told each stage.
-        ways: out of `WAYS`; all of them if not given.
+        scene: the scene; its control laws must be native.
+        progress: called with the name of each stage.
+        ways: names of interfaces, keys of `RIGHT_HAND_SIDES`; all of them if None.
 
     Raises:
         CrosscheckError: for a scene that cannot be benchmarked.
     """
     scene = poses_only(scene)
-    probes, ready = {}, {}
-    for way in WAYS if ways is None else ways:
+    loaded, ready = {}, {}
+    for way in RIGHT_HAND_SIDES if ways is None else ways:
         progress(f"loading {way}")
-        (found,) = run_in_processes(partial(probe, scene), [way], 1, lambda *_: None, lambda _: LIMIT)
-        probes[way] = Timing(way, reason=str(found)) if isinstance(found, ProcessLostError) else found
-        if not probes[way].reason:
-            ready[way] = WAYS[way](scene)
+        (found,) = run_in_processes(
+            partial(measure_loading, scene), [way], 1, lambda *_: None, lambda _: LOADING_TIME_LIMIT
+        )
+        loaded[way] = Timing(way, reason=str(found)) if isinstance(found, ProcessLostError) else found
+        if not loaded[way].reason:
+            ready[way] = RIGHT_HAND_SIDES[way](scene)
     times = dict(zip(ready, _times(list(ready.values()), progress), strict=True))
-    return [replace(probe, times=times.get(way, ())) for way, probe in probes.items()]
+    return [replace(each, times=times.get(way, ())) for way, each in loaded.items()]
 
 
 def _times(sides: Sequence[RightHandSide], progress: Progress) -> list[tuple[float, ...]]:
-    """Return the s per call of each right-hand side, in batches that take turns."""
-    counts = [_batch(side.repeat) for side in sides]
+    """Return the durations of a call, s, of each right-hand side in all its batches, which alternate."""
+    counts = [_calls_per_batch(side.repeat) for side in sides]
     seconds = [side.repeat(count) for side, count in zip(sides, counts, strict=True)]
-    rounds = [int(min(ROUNDS, max(3.0, TOTAL / s))) for s in seconds]
-    calls = [partial(_per_call, side, count) for side, count in zip(sides, counts, strict=True)]
-    return in_turns(calls, rounds, progress)
+    batches = [int(min(MAX_BATCHES, max(3.0, MAX_TOTAL_TIME / s))) for s in seconds]
+    calls = [partial(_time_per_call, side, count) for side, count in zip(sides, counts, strict=True)]
+    return time_alternately(calls, batches, progress)
 
 
-def _per_call(side: RightHandSide, count: int) -> float:
+def _time_per_call(side: RightHandSide, count: int) -> float:
+    """Make a number of calls; return the mean duration of a call, s."""
     return side.repeat(count) / count
 
 
-def _batch(calls: Callable[[int], float]) -> int:
-    """Estimate the number of calls that take about `BATCH`, from the shortest of three times.
+def _calls_per_batch(repeat: Callable[[int], float]) -> int:
+    """Estimate the number of calls that take about `BATCH_DURATION`, from the shortest of three times.
 
-    The first call compiles, and an interrupted one would leave batches of a few calls with cold caches.
+    The first time may include compilation, and another program may interrupt a call. A time that is too long
+    would lead to batches of few calls, with the processor's caches full of another engine's data.
     """
     count = 1
-    while (seconds := min(calls(count) for _ in range(3))) < 0.2 * BATCH:
+    while (seconds := min(repeat(count) for _ in range(3))) < 0.2 * BATCH_DURATION:
         count *= 4
-    return max(1, round(count * BATCH / seconds))
+    return max(1, round(count * BATCH_DURATION / seconds))
 
 
-def probe(scene: Scene, way: str) -> Timing:
-    """Measure loading in this process, without a cache, its memory limited; what goes wrong is the reason."""
-    most = int(MEMORY_SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+def measure_loading(scene: Scene, way: str) -> Timing:
+    """Measure the loading time of one interface in this process, without a compilation cache.
+
+    The memory of the process is limited. An error becomes the `reason` of the result.
+    """
+    max_bytes = int(MEMORY_FRACTION * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
     os.environ[CACHE_VARIABLE] = ""
     try:
         start = time.perf_counter()
-        side = WAYS[way](scene)
+        side = RIGHT_HAND_SIDES[way](scene)
         side.repeat(1)
         seconds = time.perf_counter() - start
-    except Exception as error:  # whatever an engine has against a scene belongs in the table
+    except Exception as error:  # the table reports any error of an engine
         return Timing(way, reason=reason_of(error))
     return Timing(way, side.operations, load=seconds)
 
@@ -192,13 +213,13 @@ def probe(scene: Scene, way: str) -> Timing:
 
 
 def fastest_other(timings: Iterable[Timing]) -> Timing | None:
-    """The fastest right-hand side that is not newton_euler's."""
-    others = [t for t in timings if not t.judged and t.times]
+    """Return the fastest right-hand side that is not newton_euler's; None if no other engine can run."""
+    others = [t for t in timings if not t.is_baseline and t.times]
     return min(others, key=lambda t: t.median, default=None)
 
 
 def parts(timings: Sequence[Timing]) -> list[Part]:
-    """Times, operations and loading of each way to call an engine."""
+    """Make the report: time, operations and loading time of each right-hand side."""
     best = fastest_other(timings)
     rows: Rows = []
     for t in timings:
@@ -213,7 +234,7 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
             ]
         rows.append([t.way, *cells])
     heads = number_columns("operations", "time, us", "spread", "ratio", "load, s")
-    words = [] if best is None else [f"ratio: to {best.way}, the fastest of the others"]
-    words.append("load: in a fresh process, without a cache")
-    words += [f"{t.way} cannot run the scene: {t.reason}" for t in timings if t.reason]
-    return [Table("", [*text_columns("right-hand side"), *heads], rows), Lines("", words)]
+    notes = [] if best is None else [f"ratio: to {best.way}, the fastest of the others"]
+    notes.append("load: in a fresh process, without a cache")
+    notes += [f"{t.way} cannot run the scene: {t.reason}" for t in timings if t.reason]
+    return [Table("", [*text_columns("right-hand side"), *heads], rows), Lines("", notes)]

@@ -1,4 +1,8 @@
-"""`crosscheck bench`: run one of the four benchmarks, write its files, and report."""
+"""`crosscheck bench`: run one of the four benchmarks, write its files, and make its report.
+
+The benchmarks are whole runs, one right-hand side (evaluation of the equations of motion), batches of runs,
+and parameter sensitivities.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ from crosscheck.support.files import check_no_source, check_writable, write_file
 from newton_euler.model.scene import Scene
 
 SMALLEST_ERROR = 1e-13
-"""m and rad, smallest error that a user can ask for."""
+"""Smallest error, m and rad, that a user can ask for; references are not more accurate."""
 
 
 class BenchmarkRequest(NamedTuple):
@@ -30,10 +34,10 @@ class BenchmarkRequest(NamedTuple):
 
     Attributes:
         scene: the scene.
-        source: name or file that the scene was loaded from.
+        source: name of the library scene, or path of the file, that the scene was loaded from.
         options: options of the scene that the user set.
-        error: m and rad, error that settings must reach.
-        runs: number of runs of a batch.
+        error: largest error, m and rad, of the compared settings.
+        runs: number of runs of a batch; not used by the other benchmarks.
     """
 
     scene: Scene
@@ -54,8 +58,8 @@ class BenchmarkResult(NamedTuple):
     Attributes:
         data: all measurements, for JSON.
         parts: parts of the report.
-        picture: plot as PNG, if the benchmark has one.
-        verdict: one line, or empty.
+        picture: plot as the bytes of a PNG file, if the benchmark has one.
+        verdict: the result in one line, or empty.
         summary: parts that the terminal shows without `-v`; all parts if None.
     """
 
@@ -81,19 +85,22 @@ def bench(
         The report, and the paths of the files.
 
     Raises:
-        CrosscheckError: for an error out of range, a scene that cannot be run, and files that cannot be
-            written, that are the source, or (without `output`) that belong to another model.
+        CrosscheckError: if the error is out of range, or the scene cannot be run. Also if a file cannot be
+            written, is the source itself, or (without `output`) belongs to another model.
     """
+    # Check the arguments and the files before the measurement
     if not SMALLEST_ERROR <= wanted.error < math.inf:
         needed = f"{SMALLEST_ERROR:g} or more (m and rad), the best accuracy of references"
         raise CrosscheckError(f"--error is {wanted.error:g}; needed: {needed}")
-    names, measured = KINDS[kind]
+    names, measure_kind = KINDS[kind]
     folder = output or usual_folder(Path("output/bench"), wanted.source, "benchmark")
     paths = [folder / name for name in names]
     check_no_source(paths, [wanted.source])
     check_writable(*paths)
+    # Measure; the load of the machine by other programs is that before the measurement
     where = machine()
-    found = measured(wanted, progress)
+    found = measure_kind(wanted, progress)
+    # Make the report and write the files
     head = f"{where['processor']}, {where['cores']} cores, load {where['load']:g} by others"
     parts = [Lines("", [head]), *found.parts]
     summary = [*(found.parts if found.summary is None else found.summary), Lines("", [head])]
@@ -105,6 +112,7 @@ def bench(
 
 
 def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
+    """Measure time and error of whole runs at all settings of all engines."""
     scene = poses_only(wanted.scene)
     motion = reference(scene, progress)
     measured = measure({name: engine(scene) for name, engine in ENGINES.items()}, motion.poses, progress)
@@ -119,16 +127,19 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
 
 
 def _right_hand_sides(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
+    """Time one evaluation of the equations of motion by each engine."""
     timings = rhs.time_right_hand_sides(wanted.scene, progress)
     return BenchmarkResult({"right_hand_sides": [asdict(t) for t in timings]}, rhs.parts(timings))
 
 
 def _batch(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
+    """Measure the throughput of batches of runs from random states."""
     result = batch.benchmark_batch(wanted.scene, wanted.runs, wanted.error, progress)
     return BenchmarkResult(asdict(result), batch.parts(result))
 
 
 def _sensitivities(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult:
+    """Time runs of newton_euler with derivatives with respect to parameters."""
     costs = sensitivities.time_sensitivities(wanted.scene, progress)
     return BenchmarkResult({"sensitivities": [asdict(cost) for cost in costs]}, sensitivities.parts(costs))
 
@@ -139,4 +150,4 @@ KINDS: dict[str, tuple[tuple[str, ...], Callable[[BenchmarkRequest, Progress], B
     "batch": (("batch.json",), _batch),
     "sensitivities": (("sensitivities.json",), _sensitivities),
 }
-"""Names of the files of each kind of benchmark, and the function that measures."""
+"""Each kind of benchmark: names of its files (JSON first, then the plot), and the function that measures."""

@@ -1,8 +1,10 @@
-"""Cost of parameter sensitivities, as a multiple of one run at the same tolerance.
+"""Benchmark of parameter sensitivities: their cost as a multiple of one run without sensitivities.
 
-The parameters are masses of bodies, or one coordinate of a joint point. A parameter of geometry adds the
-search for singular configurations to the run. Runs with and without sensitivities alternate; their times are
-CPU times. Compilation and the derivatives of initial states are not timed.
+Sensitivities are derivatives of the motion with respect to parameters, which newton_euler integrates with the
+motion. The parameters are masses of bodies, or one coordinate of a joint point. With a parameter of geometry,
+a run also searches for singular configurations, where derivatives do not exist. Runs with and without
+sensitivities alternate, at the same tolerance; their times are CPU times. Compilation and the derivatives of
+initial states are not timed.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from timeit import Timer
 
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
 from crosscheck.studies.benchmark.ladders import poses_only
-from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, shown
+from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately, time_text
 from newton_euler import compile_scene
 from newton_euler.analysis.sensitivity.tangent_code import tangent_code
 from newton_euler.analysis.sensitivity.tangent_run import FollowedRun, tangent_options
@@ -30,6 +32,7 @@ PARAMETER_COUNTS = (1, 2, 4, 8)
 """Numbers of parameters that are timed, up to the number of bodies."""
 
 REPEATS = 21
+"""Number of times that each run is timed."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,9 @@ class SensitivityCost(Timed):
     Attributes:
         parameters: number of parameters; 0 for the run without sensitivities.
         kind: "masses" or "joint points"; empty for the run without sensitivities.
-        operations: number of operations of the right-hand side.
-        times: s, CPU time of each repeat.
+        operations: number of floating-point operations in one evaluation of all derivatives with respect to
+            time.
+        times: CPU time of each repeat, s.
     """
 
     parameters: int
@@ -50,54 +54,64 @@ class SensitivityCost(Timed):
 
 
 def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost]:
-    """Time runs of a scene at the default tolerance.
+    """Time runs of a scene with and without sensitivities, at the default tolerance.
 
     Returns:
-        The cost of the run without sensitivities first, then with sensitivities.
+        The cost of the run without sensitivities, then of each run with sensitivities. Runs that come near a
+        singular configuration are omitted.
     """
+    # Parameters of each run
     scene, options = poses_only(scene), tangent_options({})
     masses = tuple(f"{body.name}.mass" for body in scene.mechanism.bodies[1:])
-    plain = compile_scene(scene)
     points = [name for name in parameter_names(scene) if name.endswith(".point")]
     wanted = [("masses", masses[:count]) for count in PARAMETER_COUNTS if count <= len(masses)]
     wanted += [("joint points", (f"{name}.x",)) for name in points[-1:]]
-    calls = [_timed(lambda: integrate_intervals(plain, plain.start.copy(), options))]
-    made = [(0, "", plain.operations["derivative"])]
+    # The run without sensitivities
+    plain = compile_scene(scene)
+    calls = [_cpu_timer(lambda: integrate_intervals(plain, plain.start.copy(), options))]
+    described = [(0, "", plain.operations["derivative"])]
+    # Runs with sensitivities: compile, and run once
     for kind, names in wanted:
         progress(f"compiling derivatives, parameters: {len(names)}")
         code = tangent_code(scene, names, None)
         run = FollowedRun(code, options, ["output"])
         try:
             start = Starts(code, names)(own_numbers(scene, names))
-            _followed(run, *start)
-        except (
-            SensitivityError
-        ):  # the run comes near a singular configuration, where derivatives do not exist
+            _run_with_sensitivities(run, *start)
+        except SensitivityError:  # the run comes near a singular configuration
             continue
-        calls.append(_timed(partial(_followed, run, *start)))
-        made.append((len(names), kind, code.function(code.rates[0]).operation_count))
+        calls.append(_cpu_timer(partial(_run_with_sensitivities, run, *start)))
+        described.append((len(names), kind, code.function(code.rates[0]).operation_count))
+    # Time all runs alternately
     calls[0]()
-    times = in_turns(calls, [REPEATS] * len(calls), progress)
-    return [SensitivityCost(*each, taken) for each, taken in zip(made, times, strict=True)]
+    times = time_alternately(calls, [REPEATS] * len(calls), progress)
+    return [SensitivityCost(*each, taken) for each, taken in zip(described, times, strict=True)]
 
 
-def _followed(run: FollowedRun, start: Array, directions: Array) -> None:
+def _run_with_sensitivities(run: FollowedRun, start: Array, directions: Array) -> None:
+    """Integrate the motion and its derivatives, from copies of the start, which the run overwrites.
+
+    Args:
+        run: compiled run of the motion and its derivatives.
+        start: initial coordinates and velocities.
+        directions: derivatives of the start with respect to the parameters.
+    """
     run(start.copy(), directions.copy())
 
 
-def _timed(call: Callable[[], object]) -> Callable[[], float]:
-    """Return a function that makes a call and returns its CPU time, s."""
+def _cpu_timer(call: Callable[[], object]) -> Callable[[], float]:
+    """Return a function that runs `call` once and returns the CPU time, s."""
     return partial(Timer(call, timer=time.process_time).timeit, 1)
 
 
 def parts(costs: Sequence[SensitivityCost]) -> list[Part]:
-    """Make the report: times of runs with sensitivities, and the cost of each parameter in runs."""
-    alone = costs[0]
+    """Make the report: times of the runs, and the cost of each parameter as a multiple of one plain run."""
+    plain = costs[0]
     rows: Rows = []
     for cost in costs:
-        each = f"{(cost.ratio(alone) - 1.0) / cost.parameters:.2f}" if cost.parameters else "-"
+        each = f"{(cost.ratio(plain) - 1.0) / cost.parameters:.2f}" if cost.parameters else "-"
         by = f"{cost.kind}: {cost.parameters}" if cost.parameters else "run alone"
-        rows.append([by, f"{cost.operations:,}", shown(cost.median), cost.spread, each])
+        rows.append([by, f"{cost.operations:,}", time_text(cost.median), cost.spread, each])
     heads = [*text_columns("by"), *number_columns("operations", "time", "spread", "runs per parameter")]
-    words = "CPU time of a run with sensitivities at the default tolerance, without initial states"
-    return [Table("", heads, rows), Lines("", [words])]
+    note = "CPU time of a run with sensitivities at the default tolerance, without initial states"
+    return [Table("", heads, rows), Lines("", [note])]

@@ -1,4 +1,4 @@
-"""Timing of alternating calls: medians, spread, and a description of the machine."""
+"""Timing for benchmarks: alternating calls, median and spread of their times, and the machine's data."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from crosscheck.support.versions import versions
 from newton_euler.codegen.compile import garbage_collection_off
 
 Progress = Callable[[str], None]
+"""Function that shows one line on the progress of a benchmark."""
 
 
 class Timed:
     """Base class of records with repeated times.
 
     Attributes:
-        times: s, one per repeat.
+        times: duration of each repeat, s.
     """
 
     times: tuple[float, ...]
 
     @property
     def median(self) -> float:
-        """s, median of the times."""
+        """Median of the times, s."""
         return float(np.median(self.times))
 
     @property
@@ -40,22 +41,23 @@ class Timed:
     def ratio(self, other: Timed) -> float:
         """Return the ratio of these times to those of another record.
 
-        If both were timed alternately, the ratio is the median over turns: a change of the machine's speed
-        affects both times of a turn alike.
+        If both records have as many times, they were timed alternately, and the ratio is the median of the
+        ratios of all turns: a change of the machine's speed affects both times of a turn alike.
         """
         if len(self.times) != len(other.times):
             return self.median / other.median
         return float(np.median(np.divide(self.times, other.times)))
 
 
-def in_turns(
+def time_alternately(
     calls: Sequence[Callable[[], float]], repeats: Sequence[int], progress: Progress
 ) -> list[tuple[float, ...]]:
     """Repeat timed calls alternately, so that a change of the machine's speed affects all of them.
 
     Args:
         calls: functions that return the time that they took, s.
-        repeats: number of repeats of each call; smaller numbers are spread evenly over the turns.
+        repeats: number of repeats of each call. In each turn every call runs once; the repeats of a call with
+            fewer repeats than turns are spread evenly.
         progress: called at five of the turns.
 
     Returns:
@@ -64,6 +66,7 @@ def in_turns(
     times: list[list[float]] = [[] for _ in calls]
     turns, messages = max(repeats, default=0), 5
     for turn in range(turns):
+        # turn * n % turns < n holds in n of the turns, evenly spaced
         if turn * messages % turns < messages:
             progress(f"timing {len(calls)} settings alternately: {turn + 1} of {turns}")
         for call, count, row in zip(calls, repeats, times, strict=True):
@@ -99,8 +102,8 @@ def rounded(value: float) -> str:
     return f"{float(f'{value:.3g}'):,.12g}"
 
 
-def shown(seconds: float) -> str:
-    """Format a time with three significant digits in s, ms, us or ns."""
+def time_text(seconds: float) -> str:
+    """Format a time, given in s, with three significant digits in s, ms, us or ns."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"

@@ -1,8 +1,8 @@
-"""Work-precision measurement: run time and error of every engine and setting.
+"""Work-precision benchmark: run time and error of every engine at each of its settings.
 
-The time of a setting includes everything until the motion of all bodies at all outputs is known. Loading,
-compilation and the first run are measured separately. The error is the largest over all bodies and outputs,
-relative to the motion of `crosscheck.studies.benchmark.reference`.
+The time of a setting includes everything until the poses of all bodies at all outputs are known. Loading,
+compilation and the first run are measured separately. The error is the largest difference from the reference
+motion of `crosscheck.studies.benchmark.reference`, over all bodies and outputs.
 """
 
 from __future__ import annotations
@@ -16,35 +16,43 @@ import numpy as np
 
 from crosscheck.studies.benchmark.ladders import Ladder, Models, Options, Poses, Run
 from crosscheck.studies.benchmark.reference import pose_errors
-from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
+from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
 from crosscheck.support.errors import CrosscheckError, reason_of
 from crosscheck.support.time_limits import time_limit
 from newton_euler.codegen.compile import garbage_collection_off
 
 LADDER_TIME_LIMIT = 1.5
-"""s, CPU time of a run after which finer settings of its method are not tried."""
+"""CPU time of a run, s, above which finer settings of the same method are not tried."""
 
 RUN_TIME_LIMIT = 3.0
-"""s, longest time of a run."""
+"""Longest duration of a run, s."""
 
 ENGINE_TIME_LIMIT = 20.0
-"""s, CPU time after which an engine begins no further method. It is CPU time so that other load has no
-effect."""
+"""CPU time of an engine, s, after which no further method of the engine is tried."""
 
 SETTING_TIME = 0.15
-"""s, time of all repeats of one setting together, unless `MIN_REPEATS` take longer."""
+"""Duration of all repeats of one setting together, s, unless `MIN_REPEATS` take longer."""
 
 MIN_REPEATS = 3
 """Smallest number of repeats of a setting."""
 
 REPEAT_TIME = 0.02
-"""s, shortest duration of one repeat, which is the mean of consecutive runs. A single run of less than a
-millisecond would be timed with the caches of the processor full of another engine's data."""
+"""Shortest duration of one repeat, s; a repeat consists of as many consecutive runs as necessary.
+
+A single run of less than a millisecond would be timed with the processor's caches full of another engine's
+data.
+"""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A model, or a setting of one, that cannot run the scene."""
+    """A setting, or all settings of one variant of an engine's equations, that cannot run the scene.
+
+    Attributes:
+        engine: name of the engine.
+        name: name of the setting, or of the variant.
+        reason: the error in one line.
+    """
 
     engine: str
     name: str
@@ -56,11 +64,14 @@ class Measurement(Timed):
     """Time and error of one setting.
 
     Attributes:
-        engine, method, name: names of the engine, of the method and of the setting.
-        error_position, error_angle: m and rad, largest errors over bodies and outputs.
+        engine: name of the engine.
+        method: name of the method, for example its equations and integrator.
+        name: name of the setting: the method with its step or tolerance.
+        error_position: largest position error over bodies and outputs, m.
+        error_angle: largest orientation error over bodies and outputs, rad.
         evaluations: number of evaluations of the equations of motion in one run.
-        first: s, time of the first run, which is not a repeat.
-        times: s, time of a run in each repeat.
+        first: duration of the first run, s, which is not a repeat.
+        times: mean duration of a run in each repeat, s.
     """
 
     engine: str
@@ -74,7 +85,7 @@ class Measurement(Timed):
 
     @property
     def error(self) -> float:
-        """m or rad, the larger of both errors."""
+        """Larger of both errors, m or rad."""
         return max(self.error_position, self.error_angle)
 
     @property
@@ -88,9 +99,9 @@ class WorkPrecision:
     """Measurements of all settings of all engines.
 
     Attributes:
-        measurements: settings that run.
-        failures: models and settings that do not run.
-        ended: by engine and method, the reason why no finer setting was tried.
+        measurements: time and error of each setting that can run.
+        failures: settings that cannot run.
+        ended: reason why no finer setting was tried, by engine and method.
     """
 
     measurements: list[Measurement] = field(default_factory=list)
@@ -102,14 +113,15 @@ def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> 
     """Run every setting of every engine once for its error, then alternately for its time.
 
     Args:
-        engines: by engine, the functions that load the scene.
+        engines: functions that load the scene, by engine and variant of its equations.
         exact: reference poses.
         progress: called with the name of each stage.
     """
+    # Run each setting once, from coarse to fine
     found = WorkPrecision()
     calls: list[Callable[[], float]] = []
     for engine, models in engines.items():
-        climbing = 0.0
+        engine_time = 0.0
         for name, load in models.items():
             progress(f"{engine}: {name}")
             try:
@@ -119,17 +131,18 @@ def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> 
                 continue
             for ladder in model.ladders:
                 end = f"not tried: other methods of the engine took {ENGINE_TIME_LIMIT:g} s"
-                if climbing < ENGINE_TIME_LIMIT:
+                if engine_time < ENGINE_TIME_LIMIT:
                     start = time.process_time()
-                    end = _climb(engine, ladder, model.run, exact, found, calls)
-                    climbing += time.process_time() - start
+                    end = _run_ladder(engine, ladder, model.run, exact, found, calls)
+                    engine_time += time.process_time() - start
                 found.ended[f"{engine}: {ladder.method}"] = end
-    times = in_turns(calls, [m.repeats for m in found.measurements], progress)
+    # Repeat all settings that can run, alternately
+    times = time_alternately(calls, [m.repeats for m in found.measurements], progress)
     found.measurements = [replace(m, times=row) for m, row in zip(found.measurements, times, strict=True)]
     return found
 
 
-def _climb(
+def _run_ladder(
     engine: str,
     ladder: Ladder,
     run: Callable[[Options], Run],
@@ -137,12 +150,18 @@ def _climb(
     found: WorkPrecision,
     calls: list[Callable[[], float]],
 ) -> str:
-    """Run each setting of a ladder once.
+    """Run each setting of one method once, from the coarsest to the finest.
 
-    Measurements and failures are added to `found`, and calls that repeat the successful runs to `calls`.
+    Args:
+        engine: name of the engine.
+        ladder: settings of the method.
+        run: simulates the scene at a setting.
+        exact: reference poses.
+        found: measurements and failures, to which those of this method are added.
+        calls: functions that repeat a run and return its duration, to which those of this method are added.
 
     Returns:
-        The reason why the ladder ended.
+        The reason why no finer setting was run.
     """
     for number in ladder.numbers:
         name, options = ladder.setting(number)
@@ -156,17 +175,18 @@ def _climb(
         except Exception as error:
             found.failures.append(Failure(engine, name, reason_of(error)))
         else:
-            of_run = *errors, done.evaluations, done.seconds
-            found.measurements.append(Measurement(engine, ladder.method, name, *of_run))
-            calls.append(partial(_sample, run, options))
+            found.measurements.append(
+                Measurement(engine, ladder.method, name, *errors, done.evaluations, first=done.seconds)
+            )
+            calls.append(partial(_time_runs, run, options))
         seconds = time.process_time() - start
         if seconds > LADDER_TIME_LIMIT and number != ladder.numbers[-1]:
             return f"{name} took {seconds:.1f} s, more than {LADDER_TIME_LIMIT:g} s"
     return "its last setting"
 
 
-def _sample(run: Callable[[Options], Run], options: Options) -> float:
-    """Return the mean time of consecutive runs, s."""
+def _time_runs(run: Callable[[Options], Run], options: Options) -> float:
+    """Return the mean duration, s, of consecutive runs that together take `REPEAT_TIME` or more."""
     seconds = [run(options).seconds]
     while sum(seconds) < REPEAT_TIME:
         seconds.append(run(options).seconds)

@@ -188,13 +188,13 @@ def test_what_cannot_run_is_listed_with_its_reason_and_the_rest_goes_on():
 
 def test_the_cheapest_setting_is_the_fastest_that_is_exact_enough(tracker):
     found = result(tracker)
-    assert found.cheapest("newton_euler", 1e-4).name == "coarse"
-    assert found.cheapest("newton_euler", 1e-5).name == "fine"
-    assert found.cheapest("mujoco", 1e-6) is None
+    assert found.fastest_setting("newton_euler", 1e-4).name == "coarse"
+    assert found.fastest_setting("newton_euler", 1e-5).name == "fine"
+    assert found.fastest_setting("mujoco", 1e-6) is None
     assert [m.name for m in found.frontier("newton_euler")] == ["coarse", "fine"]
     # none is more exact than the reference is known
-    assert result(tracker, uncertainty=1e-9).cheapest("pinocchio", 1e-9).name == "fine"
-    assert result(tracker, uncertainty=2e-9).cheapest("pinocchio", 1e-9) is None
+    assert result(tracker, uncertainty=1e-9).fastest_setting("pinocchio", 1e-9).name == "fine"
+    assert result(tracker, uncertainty=2e-9).fastest_setting("pinocchio", 1e-9) is None
 
 
 def test_the_verdict_in_words(tracker):

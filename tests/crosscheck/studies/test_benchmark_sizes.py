@@ -11,7 +11,12 @@ import pytest
 import newton_euler
 from crosscheck.studies.benchmark import batch, rhs
 from crosscheck.studies.benchmark import reference as benchmark_reference
-from crosscheck.studies.benchmark.batch import CompletedBatch, MuJoCoRollout, NewtonEulerBatch, cheapest
+from crosscheck.studies.benchmark.batch import (
+    CompletedBatch,
+    MuJoCoRollout,
+    NewtonEulerBatch,
+    fastest_setting,
+)
 from crosscheck.studies.benchmark.ladders import Ladder, intervals, poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from crosscheck.studies.benchmark.rhs import Timing, fastest_other, time_right_hand_sides
@@ -56,12 +61,12 @@ def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
 
 def test_right_hand_sides_are_timed_here_and_loaded_in_processes_of_their_own(monkeypatch, short):
     wanted = [OTHER, "pinocchio constraintDynamics"]
-    monkeypatch.setattr(rhs, "BATCH", 1e-4)
+    monkeypatch.setattr(rhs, "BATCH_DURATION", 1e-4)
     timings = time_right_hand_sides(short, lambda message: None, wanted)
     assert [t.way for t in timings] == wanted
     for t in timings:
         assert not t.reason
-        assert len(t.times) == rhs.ROUNDS
+        assert len(t.times) == rhs.MAX_BATCHES
         assert t.load > 0.0
 
 
@@ -78,14 +83,14 @@ def test_a_process_that_fails_says_why(tracker):
 
 
 def test_outputs_are_as_rare_as_memory_needs(tracker):
-    assert batch.rarer(tracker, 10).times == pytest.approx(tracker.times)
-    rare = batch.rarer(tracker, 10_000)
+    assert batch.with_fewer_outputs(tracker, 10).times == pytest.approx(tracker.times)
+    rare = batch.with_fewer_outputs(tracker, 10_000)
     size = 10_000 * len(rare.times) * len(tracker.mechanism.bodies) * 7 * 8
     # one output more would be too much
     assert 0.9 * batch.MAX_POSE_BYTES < size <= batch.MAX_POSE_BYTES
     assert intervals(rare.times) == [(len(rare.times) - 1, pytest.approx(rare.output_period))]
     with pytest.raises(CrosscheckError, match="--batch 1000000"):
-        batch.rarer(tracker, 1_000_000)
+        batch.with_fewer_outputs(tracker, 1_000_000)
 
 
 def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
@@ -133,7 +138,7 @@ EXACT = np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]])
 
 def choice(methods, error):
     engine = MadeUp(methods)
-    return cheapest(engine, [None] * 3, [EXACT] * 3, error, lambda message: None), engine.tried
+    return fastest_setting(engine, [None] * 3, [EXACT] * 3, error, lambda message: None), engine.tried
 
 
 def test_the_setting_is_the_coarsest_that_the_worst_of_the_sample_reaches_the_error_with():
