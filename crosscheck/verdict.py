@@ -206,7 +206,7 @@ def check(
     *,
     advice: bool = False,
     progress: Callable[[str], None] = lambda stage: None,
-    **options: str | float | Sequence[float] | Floats,
+    **options: str | float | Sequence[float] | Floats | Mapping[str, str | float],
 ) -> Verdict:
     """Simulate a model in several engines and compare them.
 
@@ -238,7 +238,12 @@ def check(
     return Verdict(crosscheck(scene, chosen, progress, source, taken, mapping, advice))
 
 
-def _text(value: str | float | Sequence[float] | Floats) -> str:
-    """Return an option as text, as on the command line: numbers with all digits, separated by commas."""
+def _text(value: str | float | Sequence[float] | Floats | Mapping[str, str | float]) -> str:
+    """Return an option as text, as on the command line.
+
+    Numbers have all digits and are separated by commas. A mapping is YAML in braces.
+    """
+    if isinstance(value, Mapping):
+        return str(dict(value))
     numbers = items_of(value)
     return str(value) if numbers is None else ",".join(map(str, np.asarray(numbers).tolist()))

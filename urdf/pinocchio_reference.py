@@ -145,6 +145,38 @@ class PinocchioReference(ReferenceModel):
         """Return the topics of an element that the import report leaves out; "" is the whole element."""
         return self._topics_left_out.get(element, set())
 
+    # The parts of the model, for a simulation
+
+    @property
+    def model(self) -> Any:
+        """`pinocchio.Model` with gravity, rotors and frames of closures; not to be changed."""
+        return self._model
+
+    @property
+    def closures(self) -> Sequence[Closure]:
+        """Loop closures between frames of `model`."""
+        return self._closures
+
+    @property
+    def moving_bodies(self) -> Sequence[int]:
+        """Pinocchio's numbers of the joints that carry the bodies of `names`."""
+        return self._joints
+
+    @property
+    def couplings(self) -> Array:
+        """Factors (c, nv) of the velocities in coupling rows, such as those of mimics; each sum is zero."""
+        return self._linear
+
+    @property
+    def has_nonlinear_couplings(self) -> bool:
+        """True if a coupling has second or higher powers of coordinates."""
+        return bool(np.any(self._higher_powers))
+
+    @property
+    def has_springs_or_dampers(self) -> bool:
+        """True if springs or dampers act in the model."""
+        return bool(np.any(self._stiffness) or np.any(self._damping) or self._springs)
+
     # Quantities by Pinocchio
 
     def integrate(self, q: Array, step: Array) -> Array:
@@ -265,11 +297,16 @@ class PinocchioReference(ReferenceModel):
         """Return the generalized forces (nv,) of gravity, springs, dampers, actuators, and bias."""
         gravity = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
         bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + gravity
+        springs, dampers = self.springs_and_dampers(q, v)
+        return Forces(gravity, springs, dampers, np.zeros(len(v)), bias)
+
+    def springs_and_dampers(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return the generalized forces (nv,) of springs, and those of dampers, N or N m."""
         springs, dampers = -self._stiffness * (self._coordinates(q) - self._rests), -self._damping * v
         for spring in self._springs:
             spring_force, damper_force, _ = self._point_spring_forces(spring, q, v)
             springs, dampers = springs + spring_force, dampers + damper_force
-        return Forces(gravity, springs, dampers, np.zeros(len(v)), bias)
+        return springs, dampers
 
     def _coordinates(self, q: Array) -> Array:
         """Return the coordinates of hinges and slides, ordered as velocities (nv,)."""

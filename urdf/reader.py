@@ -14,10 +14,10 @@ import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 
@@ -41,13 +41,14 @@ from newton_euler.reading.import_report import (
     ImportReport,
     unique_name,
 )
-from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.verify import verify_report
 from newton_euler.scalars import Array
 from urdf.errors import UrdfError
 from urdf.extensions import Extensions, PointSpringElement
+from urdf.file_run import PinocchioFile, unsupported
 from urdf.loops import NO_LOOPS, Loops
 from urdf.model import BASES, BaseName, ClosedLoopModel, build
+from urdf.pinocchio_reference import PinocchioReference
 from urdf.reading.bodies import Tree
 from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
@@ -65,6 +66,7 @@ from urdf.reading.source import (
 from urdf.reading.start import Mimic, RobotAtStart
 from urdf.reading.visuals import with_visuals
 from urdf.reference import ModelReference, UrdfReference
+from urdf.run_settings import EXAMPLE_CLOSED, EXAMPLE_OPEN, OwnRun, read_settings
 
 DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
 """Default gravity, m/s^2; a URDF has no gravity."""
@@ -98,6 +100,8 @@ class Robot:
         root: root element of the URDF; None for a model in memory.
         first: configuration to start near to, with its name in reports; None for coordinates 0.
         springs: springs between points of two links.
+        own_run: given settings of the user's simulation loop, by name, see `PinocchioSettings`.
+        gains: Baumgarte's gains kp, 1/s^2, and kd, 1/s, of each constraint in memory; None for a file.
     """
 
     source_name: str
@@ -110,6 +114,8 @@ class Robot:
     root: ET.Element | None = None
     first: tuple[Array, str] | None = None
     springs: tuple[PointSpringElement, ...] = ()
+    own_run: dict[str, Any] = field(default_factory=dict)
+    gains: Sequence[tuple[float, float]] | None = None
 
 
 @checked
@@ -120,6 +126,7 @@ def read(
     gravity: Sequence[float] | None = None,
     q: Sequence[float] | Array | None = None,
     ignore: str | Sequence[str] | None = None,
+    own_run: Annotated[OwnRun | None, UNCHECKED] = None,
     **options: Unpack[ReadOptions],
 ) -> Reading:
     """Import a URDF, or a model that Pinocchio has in memory, as a scene.
@@ -135,6 +142,9 @@ def read(
         q: (nq,) Pinocchio's configuration from which a model in memory starts; None for neutral.
         ignore: tags or names of elements of a URDF other than links and joints, such as "loop_joint". These
             elements are left out instead of simulated or refused. None for no elements.
+        own_run: settings of the loop in which you simulate the model: path of a YAML file, YAML text in
+            braces, or a mapping, see `urdf.run_settings`. None for the settings of Pinocchio's examples, and
+            the Baumgarte gains of a model's constraints.
         options: duration, output period, excitation and other options of the scene, see
             `newton_euler.model.source_file.Request`. The scene is verified without excitation.
 
@@ -152,6 +162,7 @@ def read(
     # options of both kinds of models, then those of one kind
     check_choice("base", base, BASES)
     request = Request.of(options)
+    loop_settings = read_settings(own_run)
     if gravity is not None:
         gravity = finite_array("urdf.read", "gravity", gravity, (3,)).tolist()
     if isinstance(model, str | os.PathLike):
@@ -159,11 +170,11 @@ def read(
             raise OptionError("q", q, "no q for a URDF, which starts from coordinates 0")
         ignored = (ignore,) if isinstance(ignore, str) else () if ignore is None else tuple(ignore)
         gravity_of_file = DEFAULT_GRAVITY if gravity is None else gravity
-        return _import_file(model, loops, base, gravity_of_file, request, ignored)
+        return _import_file(model, loops, base, gravity_of_file, request, ignored, loop_settings)
     for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, None)):
         if value is not default and not (isinstance(value, str) and value == default):
             raise OptionError(option, value, f"no {option} for a model in memory, an option of URDF files")
-    return _import_from_memory(model, gravity, q, request)
+    return _import_from_memory(model, gravity, q, request, loop_settings)
 
 
 def _import_file(
@@ -173,6 +184,7 @@ def _import_file(
     gravity: Sequence[float],
     request: Request,
     ignore: Sequence[str],
+    own_run: dict[str, Any],
 ) -> Reading:
     """Import a URDF file; for the arguments see `read`."""
     source_name = path_text(path, SourceError)
@@ -211,6 +223,7 @@ def _import_file(
             joints=_joints_with_extensions(root, extensions),
             root=root,
             springs=tuple(extensions.point_springs),
+            own_run=own_run,
         )
         make_reference = partial(UrdfReference, extensions, loop_text, base, gravity)
         reading = _import(robot, report, request, gravity, make_reference)
@@ -251,7 +264,11 @@ def _unread_loops(path: Path) -> Iterator[Finding]:
 
 
 def _import_from_memory(
-    model: object, gravity: Sequence[float] | None, q: Sequence[float] | Array | None, request: Request
+    model: object,
+    gravity: Sequence[float] | None,
+    q: Sequence[float] | Array | None,
+    request: Request,
+    own_run: dict[str, Any],
 ) -> Reading:
     """Import a model that Pinocchio has in memory; for the arguments see `read`."""
     given = Given(model, q)
@@ -264,6 +281,8 @@ def _import_from_memory(
         mimics=[],
         joints=given.joints,
         first=(given.q, given.name_of_q),
+        own_run=own_run,
+        gains=given.gains,
     )
     model_gravity = given.closed_model.model.gravity.linear if gravity is None else gravity
     make_reference = partial(ModelReference, given.model, given.constraints, given.q, model_gravity)
@@ -296,7 +315,7 @@ def _import(
     report: ImportReport,
     request: Request,
     gravity: Sequence[float],
-    make_reference: Callable[[ImportReport, Scene], ReferenceModel],
+    make_reference: Callable[[ImportReport, Scene], PinocchioReference],
 ) -> Reading:
     """Import a robot as a scene, verify and excite the scene.
 
@@ -317,14 +336,29 @@ def _import(
     scene = _scene(robot, start, tree, report, request, gravity)
     # numbers that overflow are refused later; messages of the parser were already collected
     with np.errstate(all="ignore"), collected_messages([]):
-        report.references.append((make_reference(report, scene), scene))
+        reference = make_reference(report, scene)
+        report.references.append((reference, scene))
     if request.verified:
         report.start.append(verify_report(report))
     report.findings.extend(plausibility.findings(scene.mechanism))
     if request.excitation:
         scene, speeds = with_start_velocities(scene, report.bounds)
         report.start.append(f"excited: {speeds}")
+    _add_own_run(robot, reference, scene, report)
     return Reading(scene, report)
+
+
+def _add_own_run(robot: Robot, reference: PinocchioReference, scene: Scene, report: ImportReport) -> None:
+    """Add the model in the user's simulation loop to a report; a line of the report if there is none."""
+    default = EXAMPLE_CLOSED if reference.closures else EXAMPLE_OPEN
+    if robot.gains:
+        default = replace(default, kp=None, kd=None)
+    settings = replace(default, **robot.own_run)
+    if problem := unsupported(reference):
+        report.start.append(f"a user's loop with Pinocchio is not judged: {problem}")
+        return
+    is_assumed = not robot.own_run
+    report.simulation = PinocchioFile(reference, scene, settings, is_assumed, robot.gains or ())
 
 
 def _scene(

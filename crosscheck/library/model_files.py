@@ -75,6 +75,7 @@ def _switch(value: str) -> bool:
 
 # arguments `read` and `needed` of options of several tables
 _SECONDS = plain_number, "a positive number of seconds"
+_OWN_RUN = Option("FILE with the settings of your simulation loop", "those of Pinocchio's examples")
 _GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {MAX_MODEL_NUMBER:g}, or 0"
 
 COMMON = {
@@ -104,6 +105,7 @@ MUJOCO_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() if name 
 PINOCCHIO_OPTIONS = COMMON | {
     "gravity": Option("X,Y,Z in m/s^2, or 0", "the model's own", *_GRAVITY),
     "q": Option("NUMBERS, Pinocchio's configuration to start from", "neutral", _numbers, "finite numbers"),
+    "own_run": _OWN_RUN,
 }
 """Options of a Pinocchio model in memory."""
 
@@ -112,6 +114,7 @@ URDF_OPTIONS = COMMON | {
     "base": Option("fixed|free", "fixed"),
     "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", *_GRAVITY),
     "ignore": Option("ELEMENTS to leave out, tags or names, between commas", "none", _names),
+    "own_run": _OWN_RUN,
 }
 """Options of URDF files."""
 

@@ -144,7 +144,9 @@ class _Comparison:
         scene = simulation.scene
         # a multiple of four, so that RK4 at four times the step has the same outputs
         every = 4 * round(scene.output_period / step / 4.0) or max(1, round(scene.output_period / step))
-        steps = min(MAX_STEPS, int(scene.duration / step * (1.0 + 1e-9))) // every * every
+        max_duration = simulation.max_evaluations / simulation.evaluations(simulation.settings)
+        duration = min(scene.duration, max_duration, MAX_STEPS * step)
+        steps = int(duration / step * (1.0 + 1e-9)) // every * every
         steps = max(steps, every)
         sampled = replace(
             scene,
@@ -162,6 +164,10 @@ class _Comparison:
         ratio = self.simulation.timestep(self.simulation.settings) / self.simulation.timestep(settings)
         every = max(1, round(self.every * ratio))
         return self.simulation.run(settings, self.steps // self.every * every, every, reduced)
+
+    def affords(self, settings: Any) -> bool:
+        """Return True if a run with these settings has few enough evaluations for its engine."""
+        return self.simulation.evaluations(settings) * self.scene.duration <= self.simulation.max_evaluations
 
     def error(self, run: FileRun) -> RunError:
         """Compare a run with the reference, as far as a comparison means something."""
@@ -263,7 +269,10 @@ def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[
     for settings, remedy in measured[:KINDS_REFINED]:
         last, divisor = remedy, 2
         while last.error.relative > TARGET and divisor * remedy.evaluations <= MAX_EVALUATIONS:
-            finer = tried(simulation.at_divisor(settings, divisor))
+            divided = simulation.at_divisor(settings, divisor)
+            if not compared.affords(divided):
+                break
+            finer = tried(divided)
             divisor *= 2
             if finer is not None:
                 found.append(finer)

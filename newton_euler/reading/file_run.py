@@ -7,6 +7,7 @@ run begins at the start of the imported scene and has the scene's inputs.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -73,8 +74,11 @@ class FileSimulation(ABC, Generic[SettingsT]):
         engine: name and version of the engine, such as "MuJoCo 4.0".
         scene: the imported scene.
         settings: settings of the file.
+        max_evaluations: largest number of evaluations of the equations of motion in the judged run, and in a
+            run with a smaller step; lower for an engine whose loop runs in Python.
     """
 
+    max_evaluations: float = math.inf
     engine: str
     scene: Scene
     settings: SettingsT

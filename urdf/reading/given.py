@@ -52,6 +52,7 @@ class Given:
     Attributes:
         model: model of the user, which is not changed.
         constraints: constraints as `RigidConstraintModel`s.
+        gains: Baumgarte's gains kp, 1/s^2, and kd, 1/s, of each constraint.
         source_name: kind and name of the model, for messages.
         name: name of the model.
         closed_model: copy of the model, with a frame at each end of each constraint.
@@ -71,7 +72,9 @@ class Given:
         self.source_name = f"pinocchio.Model {self.name!r:.100}" if self.name else "pinocchio.Model"
         self.model = model
         self._check(model)
+        constraints = list(constraints)
         self.constraints = [self._rigid(each, number) for number, each in enumerate(constraints)]
+        self.gains = [_gains(each) for each in constraints]
         if problem := exceeded("closures", len(self.constraints)):
             raise SourceError(self.source_name, problem)
         # a copy of the model with frames at the ends of constraints
@@ -199,6 +202,13 @@ class Given:
                 limits = low, high, speed if speed < MAX_FINITE_LIMIT else np.inf
         unit = "m" if joint.shortname().startswith("JointModelP") else "rad"
         return JointProperties(name, damping, friction, armature, limits, unit, rotor=rotor)
+
+
+def _gains(constraint: Any) -> tuple[float, float]:
+    """Return Baumgarte's gains kp, 1/s^2, and kd, 1/s, of a rigid constraint or an anchor."""
+    is_rigid = isinstance(constraint, pin.RigidConstraintModel)
+    gains = constraint.m_baumgarte_parameters if is_rigid else constraint.baumgarte_corrector_parameters
+    return float(gains.Kp), float(gains.Kd)
 
 
 def _add_frames(

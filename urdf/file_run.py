@@ -1,0 +1,446 @@
+"""Simulate a URDF or a Pinocchio model in the loop that users of Pinocchio write.
+
+Each step computes accelerations by `pinocchio.constraintDynamics`, or by `pinocchio.aba` for a model without
+closures, and integrates them with a fixed step. Models with mimics use the mass matrix, like Pinocchio's
+examples/mimic_dynamics.py. Generalized forces are those of the springs and dampers of the file. Joint limits,
+limits of velocity and effort, dry friction and contacts do not act in such a loop.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.equations.dense import least_squares
+from newton_euler.model.euler_parameters import angle_between, conjugate, continuous, product, rotations
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_run import Cause, FileRun, FileSimulation
+from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array
+from urdf.loops import REVOLUTE
+from urdf.pinocchio_reference import PinocchioReference
+from urdf.run_settings import (
+    EXAMPLE_CLOSED,
+    EXPLICIT,
+    INTEGRATORS,
+    KEYS,
+    RK4,
+    SEMI_IMPLICIT,
+    PinocchioSettings,
+)
+
+STAGES = {RK4: 4}
+"""Evaluations of accelerations per step, if more than one."""
+
+FINE_STEP_DIVISOR = 10
+"""Divisor of the step of a run that shows the error of the step: order 1 leaves a tenth of it."""
+
+GAIN_FACTORS = (1.0, 0.1)
+"""Rates at which tried gains close loops, as factors on the fastest rate, one closure per step."""
+
+CLOSING_FACTORS = {RK4: 0.1}
+"""Factor on the fastest rate of closing, if not 1, for a run that shows the error of its step. RK4 that
+closes loops in one step disturbs its own stages."""
+
+CONVERGED: dict[str, Any] = {"accuracy": 1e-12, "mu": 1e-10, "iterations": 100}
+"""Proximal settings whose iterations remove the effect of mu."""
+
+MAX_VELOCITY = 1e10
+"""Largest velocity, m/s or rad/s, of a run that has not diverged; MuJoCo has the same limit."""
+
+MAX_EVALUATIONS = 20_000
+"""Largest number of evaluations in the judged run, and in a run with a smaller step: 0.2 s in Python."""
+
+Acceleration = Callable[[Array, Array], Array]
+"""Function that returns the accelerations (nv,) at a configuration (nq,) and velocities (nv,)."""
+
+
+def closing_gains(timestep: float, integrator: str, factor: float = 1.0) -> tuple[float, float]:
+    """Return Baumgarte's gains kp, 1/s^2, and kd, 1/s, that close a loop at a rate of factor / timestep.
+
+    A constraint error e obeys d2e/dt2 = -kd de/dt - kp e. With factor 1, two steps of an Euler integrator
+    remove a small error completely: both eigenvalues of a step are zero. Explicit Euler and RK4 have critical
+    damping, kd = 2 sqrt(kp). Semi-implicit Euler is unstable with these gains for factor 1, because its new
+    velocity moves the configuration in the same step. Its kd is smaller by kp times the step.
+    """
+    rate = factor / timestep
+    damping = 2.0 * rate - (rate * rate * timestep if integrator == SEMI_IMPLICIT else 0.0)
+    return rate * rate, damping
+
+
+def unsupported(reference: PinocchioReference) -> str:
+    """Return why Pinocchio's loop cannot simulate a model; "" if it can."""
+    if any(closure.kind == "rod" for closure in reference.closures):
+        return "constraintDynamics has no rods"
+    if reference.has_nonlinear_couplings:
+        return "Pinocchio has no couplings with powers of coordinates"
+    if len(reference.couplings) and reference.closures:
+        return "constraintDynamics has no mimics and couplings"
+    return ""
+
+
+class PinocchioFile(FileSimulation[PinocchioSettings]):
+    """URDF or Pinocchio model in a user's simulation loop, at the start of an imported scene."""
+
+    max_evaluations = MAX_EVALUATIONS
+    engine = f"Pinocchio {pin.__version__}"
+
+    def __init__(
+        self,
+        reference: PinocchioReference,
+        scene: Scene,
+        settings: PinocchioSettings,
+        are_assumed: bool,
+        gains: Sequence[tuple[float, float]] = (),
+    ) -> None:
+        """Take a reference model, which is not changed.
+
+        Args:
+            reference: reference model of the scene, for which `unsupported` is "".
+            scene: imported scene.
+            settings: settings of the loop.
+            are_assumed: True if the user has not given settings.
+            gains: Baumgarte's gains kp, 1/s^2, and kd, 1/s, of each closure of a model in memory.
+        """
+        self.scene, self.settings = scene, settings
+        self._reference, self._are_assumed, self._gains = reference, are_assumed, gains
+        self._start = np.array(reference.start)
+        self._runs: dict[tuple[PinocchioSettings, int, int], FileRun] = {}
+        # basis (nv, k) of the velocities that mimics and couplings allow
+        self._free: Array | None = None
+        if len(reference.couplings):
+            rank = np.linalg.matrix_rank(reference.couplings)
+            self._free = np.linalg.svd(reference.couplings)[2][rank:].T
+        # joint velocities from the velocities of the bodies
+        state = initial_state(scene)
+        places = [scene.mechanism.body_names.index(name) for name in reference.names]
+        motion = np.hstack([state.linear_velocity[places], state.angular_velocity[places]]).ravel()
+        rows = reference.kinematics(self._start, np.zeros(reference.model.nv)).transformation
+        rows = rows.reshape(-1, reference.model.nv)
+        if self._free is None:
+            self._velocity = least_squares(rows, motion)
+        else:
+            self._velocity = self._free @ least_squares(rows @ self._free, motion)
+
+    def timestep(self, settings: PinocchioSettings) -> float:
+        """Return the time step of settings, s."""
+        return settings.timestep
+
+    def evaluations(self, settings: PinocchioSettings) -> float:
+        """Return the number of evaluations of the equations of motion per second of motion."""
+        return STAGES.get(settings.integrator, 1) / settings.timestep
+
+    def words(self) -> str:
+        """Describe the settings of the loop in a few words, such as "RK4, 2 ms, kp 10, kd 6.32, mu 1e-10"."""
+        settings = self.settings
+        words = [settings.integrator, f"{1e3 * settings.timestep:g} ms"]
+        if self._reference.closures:
+            kp, kd = zip(*self._gains_of(settings), strict=True)
+            words += [f"kp {_rounded(kp)}", f"kd {_rounded(kd)}"]
+            words.append(f"mu {settings.mu:g}")
+        if self._are_assumed:
+            words.append("as in Pinocchio's examples, yours by --set own_run=FILE")
+        return ", ".join(words)
+
+    def changes(self, settings: PinocchioSettings) -> dict[str, str]:
+        """Map the keys of `own_run` that differ from the user's settings to their values."""
+        own = vars(self.settings)
+        return {name: _text(value) for name, value in vars(settings).items() if value != own[name]}
+
+    def fragment(self, settings: PinocchioSettings) -> str:
+        """Return the content of the file `own_run` with these settings."""
+        given = {name: value for name, value in vars(settings).items() if value is not None}
+        if not self._reference.closures:
+            given = {name: given[name] for name in ("timestep", "integrator")}
+        return "\n".join(f"{name}: {_text(given[name])}" for name in KEYS if name in given)
+
+    def causes(self) -> Iterator[Cause[PinocchioSettings]]:
+        """Yield the properties of the settings that can cause an error, without those before it.
+
+        A small step hides bad gains, because a drift of the loops is an error of the integration. The step
+        and the integrator are therefore examined with loops that are kept closed.
+        """
+        base = self.settings
+        if self._reference.closures:
+            converged = replace(base, **CONVERGED)
+            yield Cause("proximal iterations", without=converged)
+            for factor in GAIN_FACTORS:
+                yield Cause("Baumgarte stabilization", without=_closing(converged, factor), against=converged)
+            base = _closing(converged, CLOSING_FACTORS.get(converged.integrator, 1.0))
+        yield Cause("time step", without=self._scaled(base, base.timestep / FINE_STEP_DIVISOR), against=base)
+        for name in INTEGRATORS:
+            if name != base.integrator:
+                cost = STAGES.get(name, 1) / STAGES.get(base.integrator, 1)
+                other = replace(base, integrator=name, timestep=base.timestep * cost)
+                if not self._reference.closures:
+                    yield Cause("integrator", without=other, against=base)
+                for factor in GAIN_FACTORS if self._reference.closures else ():
+                    yield Cause("integrator", without=_closing(other, factor), against=base)
+
+    def alternatives(self, divisor: int) -> Iterator[PinocchioSettings]:
+        """Yield other integrators, gains and proximal settings with the time step divided by `divisor`."""
+        own = self.settings
+        for integrator in dict.fromkeys([own.integrator, SEMI_IMPLICIT, RK4]):
+            kind = replace(own, timestep=own.timestep / divisor, integrator=integrator)
+            if not self._reference.closures:
+                yield kind
+                continue
+            usual: dict[str, Any] = {name: getattr(EXAMPLE_CLOSED, name) for name in CONVERGED}
+            for proximal in dict.fromkeys([kind, replace(kind, **usual)]):
+                yield proximal
+                yield from (_closing(proximal, factor) for factor in GAIN_FACTORS)
+
+    def at_divisor(self, settings: PinocchioSettings, divisor: int) -> PinocchioSettings:
+        """Return settings of the same kind with the user's time step divided by `divisor`."""
+        return self._scaled(settings, self.settings.timestep / divisor)
+
+    def _scaled(self, settings: PinocchioSettings, timestep: float) -> PinocchioSettings:
+        """Return settings with another time step, s; gains close loops in the same number of steps."""
+        ratio = settings.timestep / timestep
+        settings = replace(settings, timestep=timestep)
+        if settings.kp is None or settings.kd is None:
+            return settings
+        if (settings.kp, settings.kd) == (self.settings.kp, self.settings.kd):
+            return settings
+        return replace(settings, kp=settings.kp * ratio**2, kd=settings.kd * ratio)
+
+    def _gains_of(self, settings: PinocchioSettings) -> list[tuple[float, float]]:
+        """Return the gains kp and kd of each closure."""
+        count = len(self._reference.closures)
+        own = self._gains or [(0.0, 0.0)] * count
+        return [
+            (kp if settings.kp is None else settings.kp, kd if settings.kd is None else settings.kd)
+            for kp, kd in own
+        ]
+
+    def run(self, settings: PinocchioSettings, steps: int, every: int, reduced: bool = False) -> FileRun:
+        """Simulate the model, see `FileSimulation.run`; the loop has nothing to switch off.
+
+        Runs are kept, because a judgement compares one run with several others.
+        """
+        key = settings, steps, every
+        if key not in self._runs:
+            self._runs[key] = self._run(settings, steps, every)
+        return self._runs[key]
+
+    def _run(self, settings: PinocchioSettings, steps: int, every: int) -> FileRun:
+        """Simulate the model."""
+        accelerations = self._accelerations(settings)
+        step = STEPS[settings.integrator]
+        q, v = self._start.copy(), self._velocity.copy()
+        recorder = _Recorder(self._reference)
+        wall_time, stopped = 0.0, ""
+        with np.errstate(all="ignore"):  # a diverged run is reported
+            recorder.record(0.0, q, v)
+            for output in range(1, steps // every + 1):
+                start = time.thread_time()
+                for _ in range(every):
+                    q, v = step(self._reference.model, accelerations, q, v, settings.timestep)
+                wall_time += time.thread_time() - start
+                now = output * every * settings.timestep
+                if not np.all(np.abs(v) <= MAX_VELOCITY) or not np.all(np.isfinite(q)):
+                    stopped = f"velocities are not finite or exceed {MAX_VELOCITY:g} at {now:.4g} s"
+                    break
+                recorder.record(now, q, v)
+        return recorder.run(self.scene, settings, wall_time, stopped)
+
+    def _accelerations(self, settings: PinocchioSettings) -> Acceleration:
+        """Return the function that computes accelerations with these settings."""
+        reference, model, data = self._reference, self._reference.model, self._reference.model.createData()
+        zeros = np.zeros(model.nv)
+
+        def applied(q: Array, v: Array) -> Array:
+            if not reference.has_springs_or_dampers:
+                return zeros
+            springs, dampers = reference.springs_and_dampers(q, v)
+            return springs + dampers
+
+        if self._free is not None:
+            free = self._free
+
+            def by_mass_matrix(q: Array, v: Array) -> Array:
+                upper = np.triu(pin.crba(model, data, q))
+                mass = upper + np.triu(upper, 1).T
+                force = applied(q, v) - pin.nonLinearEffects(model, data, q, v)
+                return np.asarray(free @ np.linalg.solve(free.T @ mass @ free, free.T @ force))
+
+            return by_mass_matrix
+        if not reference.closures:
+            return lambda q, v: pin.aba(model, data, q, v, applied(q, v))
+        constraints = _rigid_constraints(reference, self._gains_of(settings))
+        constraint_data = pin.StdVec_RigidConstraintData([each.createData() for each in constraints])
+        pin.initConstraintDynamics(model, data, constraints, constraint_data)
+        proximal = pin.ProximalSettings(settings.accuracy, settings.mu, settings.iterations)
+        return lambda q, v: pin.constraintDynamics(
+            model, data, q, v, applied(q, v), constraints, constraint_data, proximal
+        )
+
+
+def _closing(settings: PinocchioSettings, factor: float) -> PinocchioSettings:
+    """Return settings with gains of `closing_gains`, rounded to the digits that are printed."""
+    kp, kd = closing_gains(settings.timestep, settings.integrator, factor)
+    return replace(settings, kp=float(f"{kp:.4g}"), kd=float(f"{kd:.4g}"))
+
+
+def _text(value: object) -> str:
+    """Write a value of settings; numbers with at most six digits."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _rounded(values: Sequence[float]) -> str:
+    """Write different values with three digits, joined by "and"."""
+    return " and ".join(f"{value:g}" for value in sorted({float(f"{value:.3g}") for value in values}))
+
+
+def _rigid_constraints(reference: PinocchioReference, gains: Sequence[tuple[float, float]]) -> Any:
+    """Return `pinocchio.StdVec_RigidConstraintModel` of closures with gains kp and kd.
+
+    A hinge is two points on its axis, whose distance is the size of the mechanism.
+    """
+    model, found = reference.model, pin.StdVec_RigidConstraintModel()
+    for closure, (kp, kd) in zip(reference.closures, gains, strict=True):
+        offsets = [0.0, reference.size] if closure.kind == REVOLUTE else [0.0]
+        for offset in offsets:
+            beside = pin.SE3(np.eye(3), np.array([offset, 0.0, 0.0]))
+            first, second = (model.frames[frame] for frame in (closure.first, closure.second))
+            constraint = pin.RigidConstraintModel(
+                pin.ContactType.CONTACT_6D if closure.kind == "6d" else pin.ContactType.CONTACT_3D,
+                model,
+                first.parentJoint,
+                first.placement * beside,
+                second.parentJoint,
+                second.placement * beside,
+                pin.ReferenceFrame.LOCAL,
+            )
+            constraint.setBaumgarteCorrectorParameters(pin.BaumgarteCorrectorParameters(kp, kd))
+            found.append(constraint)
+    return found
+
+
+def _semi_implicit_step(
+    model: Any, accelerations: Acceleration, q: Array, v: Array, timestep: float
+) -> tuple[Array, Array]:
+    """Return configuration and velocities after a step: first the velocities, then the configuration."""
+    v = v + accelerations(q, v) * timestep
+    return pin.integrate(model, q, v * timestep), v
+
+
+def _explicit_step(
+    model: Any, accelerations: Acceleration, q: Array, v: Array, timestep: float
+) -> tuple[Array, Array]:
+    """Return configuration and velocities after a step from the old velocities and accelerations."""
+    return pin.integrate(model, q, v * timestep), v + accelerations(q, v) * timestep
+
+
+def _runge_kutta_step(
+    model: Any, accelerations: Acceleration, q: Array, v: Array, timestep: float
+) -> tuple[Array, Array]:
+    """Return configuration and velocities after a step of the classical method of order 4.
+
+    Stages are reached by `pinocchio.integrate` from the start of the step. Rotations in space have a lower
+    order, because velocities of different stages are added in different frames.
+    """
+    half = 0.5 * timestep
+    a1 = np.array(accelerations(q, v))
+    v2 = v + half * a1
+    a2 = np.array(accelerations(pin.integrate(model, q, half * v), v2))
+    v3 = v + half * a2
+    a3 = np.array(accelerations(pin.integrate(model, q, half * v2), v3))
+    v4 = v + timestep * a3
+    a4 = np.array(accelerations(pin.integrate(model, q, timestep * v3), v4))
+    sixth = timestep / 6.0
+    return (
+        pin.integrate(model, q, sixth * (v + 2.0 * v2 + 2.0 * v3 + v4)),
+        v + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
+    )
+
+
+STEPS = {SEMI_IMPLICIT: _semi_implicit_step, EXPLICIT: _explicit_step, RK4: _runge_kutta_step}
+"""Function of one step, by integrator."""
+
+
+class _Recorder:
+    """Poses of bodies, energies and loop errors of a run."""
+
+    def __init__(self, reference: PinocchioReference) -> None:
+        self._reference, self._data = reference, reference.model.createData()
+        self._ends = [frame for closure in reference.closures for frame in (closure.first, closure.second)]
+        self._times: list[float] = []
+        self._poses: list[list[Array]] = []
+        self._energies: list[tuple[float, float]] = []
+
+    def record(self, now: float, q: Array, v: Array) -> None:
+        """Add the state at a time, s."""
+        data = self._data
+        pin.framesForwardKinematics(self._reference.model, data, q)
+        poses = [data.oMi[k] for k in self._reference.moving_bodies] + [data.oMf[k] for k in self._ends]
+        self._times.append(now)
+        self._poses.append([pin.SE3ToXYZQUAT(pose) for pose in poses])
+        self._energies.append(self._reference.energies(q, v))
+
+    def run(self, scene: Scene, settings: PinocchioSettings, wall_time: float, stopped: str) -> FileRun:
+        """Return the motion of the scene's bodies and the errors of loops.
+
+        Args:
+            scene: imported scene.
+            settings: settings of the run.
+            wall_time: processor time of the steps, s.
+            stopped: reason why the run ended early, or "".
+        """
+        reference = self._reference
+        poses: Array = np.array(self._poses)  # (n, b + 2 c, 7): position, quaternion x y z w
+        translation, turns = poses[..., :3], np.roll(poses[..., 3:], 1, axis=-1)
+        count = len(reference.moving_bodies)
+        levers = np.array([reference.model.inertias[k].lever for k in reference.moving_bodies])
+        centers = translation[:, :count] + (rotations(turns[:, :count]) @ levers[..., None])[..., 0]
+        # bodies of the scene; those without a joint rest
+        names, state = scene.mechanism.body_names, initial_state(scene)
+        position = np.repeat(state.position[None], len(poses), axis=0)
+        quaternion = np.repeat(state.quaternion[None], len(poses), axis=0)
+        for k, name in enumerate(reference.names):
+            place = names.index(name)
+            position[:, place] = centers[:, k]
+            from_start = _products(turns[:, k], conjugate(turns[:1, k]))
+            quaternion[:, place] = _products(from_start, state.quaternion[None, place])
+        kinetic, potential = np.array(self._energies).T
+        trajectory = Trajectory(
+            PinocchioFile.engine,
+            vars(settings),
+            wall_time,
+            np.array(self._times),
+            names,
+            scene.mechanism.joint_names,
+            position,
+            continuous(quaternion, quaternion[0]),
+            kinetic_energy=kinetic,
+            potential_energy=potential,
+            mechanism=scene.mechanism,
+        )
+        opening = np.zeros(len(poses))
+        for k, closure in enumerate(reference.closures):
+            first, second = count + 2 * k, count + 2 * k + 1
+            apart = np.linalg.norm(translation[:, first] - translation[:, second], axis=1)
+            bent = _bending(closure.kind, turns[:, first], turns[:, second])
+            opening = np.max([opening, apart, bent], axis=0)
+        return FileRun(trajectory, opening, (), stopped)
+
+
+def _products(p: Array, q: Array) -> Array:
+    """Return the products (n, 4) of quaternions (n, 4)."""
+    return np.asarray(product(p.T, q.T)).T
+
+
+def _bending(kind: str, first: Array, second: Array) -> Array:
+    """Return the angular errors (n,), rad, of a closure whose frames have orientations (n, 4)."""
+    if kind == "6d":
+        return angle_between(first, second)
+    if kind == REVOLUTE:
+        axes = rotations(first)[:, :, 0], rotations(second)[:, :, 0]
+        return np.asarray(np.arcsin(np.minimum(1.0, np.linalg.norm(np.cross(*axes), axis=1))))
+    return np.zeros(len(first))

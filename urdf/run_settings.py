@@ -1,0 +1,127 @@
+"""Settings of the loop in which users of Pinocchio simulate a model, and the file that has them.
+
+A URDF and a Pinocchio model have no time step and no integrator: users write the loop that simulates them.
+The settings of this loop are a mapping in YAML, for example in a file `own_run.yaml`:
+
+    timestep: 0.001
+    integrator: semi-implicit Euler
+    kp: 10
+    kd: 6.3
+
+Missing keys have the values of the examples of Pinocchio, see `EXAMPLE_CLOSED` and `EXAMPLE_OPEN`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from newton_euler.errors import choices, plain_number, quoted
+from newton_euler.model.source_file import SourceError, path_text, read_text
+from newton_euler.model.yaml_source import parse_yaml
+
+SEMI_IMPLICIT, EXPLICIT, RK4 = "semi-implicit Euler", "explicit Euler", "RK4"
+
+INTEGRATORS = (SEMI_IMPLICIT, EXPLICIT, RK4)
+"""Integrators: velocity first, then the configuration; both from the old state; Runge-Kutta of order 4."""
+
+OwnRun = str | os.PathLike[str] | Mapping[str, object]
+"""Settings as users give them: a path of a YAML file, the YAML text of a mapping in braces, or a mapping."""
+
+MAX_TIMESTEP, MAX_ITERATIONS = 1.0, 10_000
+"""Largest time step, s, and largest number of proximal iterations that are accepted."""
+
+
+@dataclass(frozen=True)
+class PinocchioSettings:
+    """Settings of a simulation loop with Pinocchio.
+
+    Attributes:
+        timestep: s.
+        integrator: one of `INTEGRATORS`.
+        kp: 1/s^2, Baumgarte's gain of constraint errors in all closures; None for the gain of each
+            constraint of a model in memory.
+        kd: 1/s, Baumgarte's gain of constraint velocities, likewise.
+        accuracy: accuracy of `pinocchio.ProximalSettings`.
+        mu: regularization of `pinocchio.ProximalSettings`.
+        iterations: largest number of proximal iterations.
+    """
+
+    timestep: float
+    integrator: str = SEMI_IMPLICIT
+    kp: float | None = None
+    kd: float | None = None
+    accuracy: float = 1e-8
+    mu: float = 1e-10
+    iterations: int = 10
+
+
+EXAMPLE_CLOSED = PinocchioSettings(timestep=5e-3, kp=10.0, kd=2.0 * math.sqrt(10.0))
+"""Settings of Pinocchio's examples/simulation-closed-kinematic-chains.py."""
+
+EXAMPLE_OPEN = PinocchioSettings(timestep=1e-2)
+"""Settings of Pinocchio's examples/simulation-pendulum.py, whose model has no closures."""
+
+KEYS = tuple(field.name for field in fields(PinocchioSettings))
+"""Keys of the file."""
+
+
+def read_settings(given: OwnRun | None) -> dict[str, Any]:
+    """Read the settings of a user's loop.
+
+    Args:
+        given: settings of the user, some or all; None for no settings.
+
+    Returns:
+        Values of the given attributes of `PinocchioSettings`, by name.
+
+    Raises:
+        SourceError: for a file that cannot be read, an unknown key, or an invalid value.
+
+    Examples:
+        >>> read_settings("{timestep: 0.002, integrator: RK4}")
+        {'timestep': 0.002, 'integrator': 'RK4'}
+    """
+    if given is None:
+        return {}
+    where, document = _document(given)
+    if not isinstance(document, Mapping):
+        raise SourceError(where, f"{quoted(document)} is no mapping; needed: {', '.join(KEYS)} with values")
+    return {str(key): _value(where, str(key), value) for key, value in document.items()}
+
+
+def _document(given: OwnRun) -> tuple[str, Any]:
+    """Return the name of given settings, for messages, and their content."""
+    if isinstance(given, Mapping):
+        return "own_run", given
+    where = path_text(given, SourceError)
+    if where.lstrip().startswith("{"):
+        return "own_run", parse_yaml("own_run", where)
+    return where, parse_yaml(where, read_text(where, "scene_size", SourceError))
+
+
+def _value(where: str, key: str, value: object) -> float | int | str:
+    """Convert the value of a key; raises `SourceError` for an unknown key and an invalid value."""
+    if key not in KEYS:
+        raise SourceError(where, f"unknown key {quoted(key)}; {choices(key, KEYS)}")
+    if key == "integrator":
+        if value not in INTEGRATORS:
+            raise SourceError(where, f"unknown integrator {quoted(value)}; {choices(value, INTEGRATORS)}")
+        return str(value)
+    try:
+        number = plain_number(str(value))
+    except ValueError:
+        number = float("nan")
+    valid, needed = {
+        "timestep": (0.0 < number <= MAX_TIMESTEP, f"a number of seconds above 0, at most {MAX_TIMESTEP:g}"),
+        "iterations": (
+            1.0 <= number <= MAX_ITERATIONS and number == int(number),
+            f"a whole number from 1 to {MAX_ITERATIONS}",
+        ),
+    }.get(key, (number >= 0.0, "a number, 0 or more"))
+    if not valid:
+        raise SourceError(where, f"{key} is {quoted(value)}; needed: {needed}")
+    return int(number) if key == "iterations" else number
