@@ -1,5 +1,5 @@
-"""Identification: parameters of a scene fitted to measured motion; `identify` is the entry.
+"""Identification: parameters of a scene fitted to measured motion; `identify` is the public function.
 
-`measurements` reads and checks columns, `residuals` compares them with runs, `fit` minimizes the squares and
-`noise` estimates standard deviations.
+`measurements` reads and checks columns of measured numbers, `residuals` compares them with simulated runs,
+`fit` minimizes the sum of squared residuals, and `noise` estimates standard deviations of the measurements.
 """

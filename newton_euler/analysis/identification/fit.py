@@ -1,11 +1,13 @@
-"""Least-squares fit of numbers of a scene to measured motion.
+"""Least-squares fit of parameters of a scene to measured motion.
 
-A fit has two steps. Each uses the trust-region method of scipy, and is repeated with the noise estimated from
-its residuals until the noise converges (`newton_euler.analysis.identification.noise`):
+Residuals are computed minus measured numbers; each is divided by the standard deviation of its measurement
+noise. A fit has two steps. Each uses the trust-region method of scipy, and is repeated with the noise
+estimated from its residuals until the noise converges (`newton_euler.analysis.identification.noise`):
 
-1. A regularized fit of all numbers. A change of a number by its scale costs as much as a residual of one
-   standard deviation. Combinations without information in the data keep their values, and steps are bounded.
-   If a number grows beyond its scale, its scale grows, too: the initial value may be far too small.
+1. A regularized fit of all parameters. A change of a parameter by its scale, a typical magnitude, costs as
+   much as a residual of one standard deviation. Combinations of parameters without information in the data
+   therefore keep their values, and steps are bounded. If a parameter grows beyond its scale, the scale is
+   enlarged, because the initial value may be far too small.
 2. A fit of the identifiable combinations, whose effect exceeds the noise, without regularization. The other
    combinations return to their initial values.
 """
@@ -32,72 +34,84 @@ UNDETERMINED_STD = 1.0
 is not identifiable."""
 
 RANK_TOL = 1e-7
-"""Singular value of the Jacobian, divided by the largest, below which a combination has no digits left."""
+"""Singular value of the Jacobian, divided by the largest, below which the singular value is round-off and its
+combination of parameters is not identifiable."""
 
 CONVERGED_STD = 0.1
-"""Largest further step, in standard deviations, of a fit that counts as converged."""
+"""Length of the next Gauss-Newton step, in standard deviations, up to which a fit counts as converged."""
 
 REPEATED_STD = 0.01
-"""Further step, in standard deviations, above which the second step of a fit is repeated."""
+"""Length of the next Gauss-Newton step, in standard deviations, above which the second step of a fit is
+repeated."""
 
 ROUND_OFF_CHANGE = 1e-12
-"""Change of a number below which it is round-off, in units of its scale."""
+"""Change of a parameter, in units of its scale, below which the change is round-off."""
 
-SLOPE_ROUND_OFF = 1e-8
-"""Further step, in units of scales, that runs with a tolerance of 1e-10 do not distinguish from none."""
+STEP_ROUND_OFF = 1e-8
+"""Largest component of a Gauss-Newton step, in units of scales, below which the step is noise of simulations
+with a relative tolerance of 1e-10."""
 
 EDGE_DISTANCE = 1e-6
-"""Distance from an impossible value, in units of the scale, at which a number counts as at the edge."""
+"""Distance from an invalid value, in units of the scale, within which a parameter counts as at the edge."""
 
 MAX_GROWTH = 2.0
-"""Factor by which a number may exceed its scale."""
+"""Largest ratio of a parameter to its scale; beyond, the scale is enlarged."""
 
 MAX_FITS = 8
-"""Number of fits, each with the noise or the scales estimated by the one before."""
+"""Largest number of fits, each with the noise or the scales estimated from the fit before."""
 
 MAX_EVALUATIONS = 200
-"""Number of evaluations of one fit."""
+"""Largest number of evaluations of the residuals in one fit."""
 
 TOLERANCES = {"xtol": 1e-9, "ftol": 1e-10, "gtol": 1e-12}
-"""Relative tolerances of the change, the sum of squares and the slope, see `scipy.optimize.least_squares`."""
+"""Tolerances of the parameters, the sum of squares and the gradient, see `scipy.optimize.least_squares`."""
 
 INVALID_FACTOR = 1e3
-"""Residuals of impossible numbers, divided by the largest residual at the beginning of the fit."""
+"""Residual that stands for invalid parameter values, divided by the largest residual at the beginning."""
 
 
 class Fit:
-    """Numbers of a scene with the least sum of squared residuals, each divided by its noise.
+    """Least-squares fit of p parameters of a scene to n measured numbers.
 
-    A change (p,) of the numbers is in units of their scales.
+    A *change* (p,) is the difference of the parameters from their initial values, in units of their scales.
 
     Attributes:
-        before, scale: (p,) the scene's own numbers, and large changes of them.
-        units: (p,) units of the numbers.
+        before: (p,) initial values of the parameters, those of the scene.
+        scale: (p,) typical magnitudes of the parameters.
+        units: (p,) units of the parameters.
         noise: noise of the measurements.
-        stopped: reason why the last fit ended; empty before the first fit.
+        if_not_converged: message in case the result of the last fit turns out not to have converged.
     """
 
     def __init__(self, scene: Scene, names: tuple[str, ...], residuals: Residuals) -> None:
-        self._runs, self.noise = residuals, Noise(residuals.runs)
+        """Prepare a fit.
+
+        Args:
+            scene: scene with the initial values.
+            names: (p,) names of the parameters.
+            residuals: function that simulates and compares; it has the measured runs.
+        """
+        self._evaluate, self.noise = residuals, Noise(residuals.runs)
         self.before, self.scale, self.units = _scales(scene, names)
-        self.stopped, self._refused = "", ""
-        self._suspected: set[str] = set()
+        self.if_not_converged, self._invalid = "", ""
+        # columns of angles that may be in degrees instead of rad, before the fit
+        self._degree_columns: set[str] = set()
 
     def solve(self) -> Array:
-        """Return the change (p,) with the least squares of residuals."""
-        # 1. all numbers, regularized; again from the start if the noise turns out to be larger
-        change, scale = np.zeros(len(self.before)), self.scale
-        self._suspected = self._runs.like_degrees(self.residuals(change))
+        """Return the change (p,) with the least sum of squared residuals."""
+        # 1. all parameters, regularized; again from the initial values if the noise turns out to be larger
+        change, initial_scale = np.zeros(len(self.before)), self.scale
+        self._degree_columns = self._evaluate.like_degrees(self.residuals(change))
         for _ in range(MAX_FITS):
-            change = self._pulled(change)
+            change = self._fit_regularized(change)
             growth = self._estimate_noise(change)
             if np.abs(growth - 1.0).max() < ROUGH_CHANGE:
                 break
             if growth.max() > 1.0 + ROUGH_CHANGE:
-                change, self.scale = np.zeros(len(change)), scale
+                change, self.scale = np.zeros(len(change)), initial_scale
         # 2. identifiable combinations only
         for _ in range(MAX_FITS):
-            change = self._free(self._determined(change))
+            change = self._fit_identifiable(self._project(change))
             if np.abs(self._estimate_noise(change) - 1.0).max() < FINAL_CHANGE:
                 break
         return change
@@ -105,93 +119,104 @@ class Fit:
     def _estimate_noise(self, change: Array) -> Array:
         """Estimate the noise from the residuals; return the growth factors of its levels."""
         jacobian = self.jacobian(change)
-        return self.noise.estimate(self.residuals(change), jacobian @ split(jacobian).strong.T)
+        # derivatives by identifiable combinations: they show how much of the noise the fit absorbs
+        fitted = jacobian @ split(jacobian).strong.T
+        return self.noise.estimate(self.residuals(change), fitted)
 
-    def _pulled(self, change: Array) -> Array:
-        """Return the change (p,) of the regularized fit; enlarge scales that numbers exceed."""
+    def _fit_regularized(self, change: Array) -> Array:
+        """Return the change (p,) of the regularized fit; enlarge scales that parameters exceed."""
         for _ in range(MAX_FITS):
-            change = self._least(change, np.eye(len(change)), pull=1.0)
+            change = self._minimize(change, np.eye(len(change)), regularization=1.0)
             larger = np.maximum(self.scale, np.abs(self.values(change)))
             if np.all(larger <= MAX_GROWTH * self.scale):
                 break
             change, self.scale = change * self.scale / larger, larger
         return change
 
-    def _determined(self, change: Array) -> Array:
-        """Return the identifiable part of a change (p,), or the change if the scene cannot have this part."""
+    def _project(self, change: Array) -> Array:
+        """Project a change (p,) on the identifiable directions; return `change` if the result is invalid."""
         strong, weak, _ = split(self.jacobian(change))
         if not len(weak):
             return change
         directions = strong / np.linalg.norm(strong, axis=1)[:, None]
         part = np.asarray((directions @ change) @ directions)
         try:
-            self._runs(self.values(part))
+            self._evaluate(self.values(part))
         except NewtonEulerError:
             return change
         return part
 
-    def _free(self, change: Array) -> Array:
-        """Return the change (p,) with the least squares of residuals, varying identifiable combinations."""
-        unsettled = np.inf
-        while REPEATED_STD < (now := self.unsettled(change)) < 0.5 * unsettled:
-            unsettled = now
+    def _fit_identifiable(self, change: Array) -> Array:
+        """Return the change (p,) with the least squares, varying identifiable combinations only.
+
+        The fit is repeated with new directions until the next step is small or no longer halves.
+        """
+        previous, step = np.inf, self.next_step(change)
+        while REPEATED_STD < step < 0.5 * previous:
             strong = split(self.jacobian(change)).strong
-            change = self._least(change, strong.T / np.linalg.norm(strong, axis=1), pull=0.0)
+            directions = strong.T / np.linalg.norm(strong, axis=1)
+            change = self._minimize(change, directions, regularization=0.0)
+            previous, step = step, self.next_step(change)
         return change
 
-    def _least(self, begin: Array, basis: Array, pull: float) -> Array:
-        """Minimize the squares of residuals, and of the whole change times `pull`, over a subspace.
+    def _minimize(self, initial: Array, basis: Array, regularization: float) -> Array:
+        """Minimize the sum of squared residuals, and of the squared change times a weight, over a subspace.
 
         Args:
-            begin: (p,) change to start from.
-            basis: (p, k) directions of further changes.
-            pull: weight of the regularization; 0 for none.
+            initial: (p,) change to begin with.
+            basis: (p, k) directions in which the change may vary.
+            regularization: square root of the weight of the change; 0 for no regularization.
         """
         from scipy.optimize import least_squares
 
-        def changed(z: Array) -> Array:
-            return np.asarray(begin + basis @ (z - 1.0))  # z begins at 1: tolerances are relative to z
+        if not basis.size:
+            return initial
+        self._invalid = ""
+        initial_residuals = np.concatenate([self._weighted(initial), regularization * initial])
+        penalty = INVALID_FACTOR * max(1.0, float(np.abs(initial_residuals).max()))
+
+        def change_of(z: Array) -> Array:
+            return np.asarray(initial + basis @ (z - 1.0))  # z begins at 1: tolerances are relative to z
 
         def residuals(z: Array) -> Array:
-            change = changed(z)
+            change = change_of(z)
             try:
-                return np.concatenate([self._weighted(change), pull * change])
+                return np.concatenate([self._weighted(change), regularization * change])
             except NewtonEulerError as error:
-                self._refused = f"further values are impossible: {error}"
-                return np.full(len(first), far)
+                self._invalid = f"further values are impossible: {error}"
+                return np.full(len(initial_residuals), penalty)
 
         def jacobian(z: Array) -> Array:
-            return np.vstack([self.jacobian(changed(z)) @ basis, pull * basis])
+            return np.vstack([self.jacobian(change_of(z)) @ basis, regularization * basis])
 
-        if not basis.size:
-            return begin
-        self._refused = ""
-        first = np.concatenate([self._weighted(begin), pull * begin])
-        far = INVALID_FACTOR * max(1.0, float(np.abs(first).max()))
         solved = least_squares(
             residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MAX_EVALUATIONS, **TOLERANCES
         )
-        over = f"{MAX_EVALUATIONS} evaluations are used up" if solved.status == 0 else "steps are too small"
-        self.stopped = f"the fit has not converged: {self._refused or over}"
-        return changed(solved.x)
+        ended = f"{MAX_EVALUATIONS} evaluations are used up" if solved.status == 0 else "steps are too small"
+        self.if_not_converged = f"the fit has not converged: {self._invalid or ended}"
+        return change_of(solved.x)
 
-    def unsettled(self, change: Array) -> float:
-        """Compute the length of a further step of identifiable combinations, in standard deviations.
+    def next_step(self, change: Array) -> float:
+        """Compute the length of the next Gauss-Newton step in identifiable directions.
 
-        0 for a step that is round-off.
+        Args:
+            change: (p,) change from which the step starts.
+
+        Returns:
+            The length in standard deviations; 0 for a step that is round-off.
         """
         jacobian = self.jacobian(change)
         strong = split(jacobian).strong
         deviations = strong @ (jacobian.T @ self._weighted(change))
-        if np.abs(strong.T @ deviations).max() < SLOPE_ROUND_OFF:
+        if np.abs(strong.T @ deviations).max() < STEP_ROUND_OFF:
             return 0.0
         return float(np.linalg.norm(deviations))
 
     def is_at_edge(self, change: Array) -> list[bool]:
-        """True for each number if the scene cannot have a slightly larger or smaller value."""
+        """True for each parameter for which a slightly larger or smaller value is invalid."""
         steps = EDGE_DISTANCE * np.eye(len(change))
         return [
-            not all(self._runs.can_start(self.values(change + near)) for near in (step, -step))
+            not all(self._evaluate.can_start(self.values(change + small)) for small in (step, -step))
             for step in steps
         ]
 
@@ -199,7 +224,7 @@ class Fit:
         """Compute the relative change of derivatives at a distance of two standard deviations.
 
         Root mean square over the identifiable combinations (D. M. Bates and D. G. Watts, Journal of the Royal
-        Statistical Society B 42, 1980); infinite if the scene cannot have these values.
+        Statistical Society B 42, 1980); infinite if values at this distance are invalid.
         """
         jacobian = self.jacobian(change)
         strong = split(jacobian).strong
@@ -211,52 +236,53 @@ class Fit:
         return float(np.sqrt(np.mean(np.square(norms)))) if norms else 0.0
 
     def in_degrees(self, change: Array) -> tuple[str, ...]:
-        """Return the names of columns that fit as degrees instead of rad, after the fit or before it."""
+        """Return the names of measured columns that fit as degrees instead of rad."""
         residuals = self.residuals(change)
-        suspected = self._suspected | self._runs.like_degrees(residuals)
-        return tuple(sorted(suspected & self._runs.unexplained(residuals)))
+        suspected = self._degree_columns | self._evaluate.like_degrees(residuals)
+        return tuple(sorted(suspected & self._evaluate.unexplained(residuals)))
 
     def values(self, change: Array) -> Array:
-        """Return the numbers (p,) after a change."""
+        """Return the parameters (p,), SI, after a change."""
         return self.before + np.where(np.abs(change) > ROUND_OFF_CHANGE, change, 0.0) * self.scale
 
     def residuals(self, change: Array) -> Array:
         """Compute the residuals (n,), SI."""
-        return self._runs(self.values(change)).residuals
+        return self._evaluate(self.values(change)).residuals
 
     def jacobian(self, change: Array) -> Array:
-        """Compute the derivatives (n, p) of residuals in units of their noise by the change."""
-        return self._runs(self.values(change)).jacobian * self.scale / self.noise.effective[:, None]
+        """Compute the derivatives (n, p) of the weighted residuals with respect to the change."""
+        return self._evaluate(self.values(change)).jacobian * self.scale / self.noise.effective[:, None]
 
     def _weighted(self, change: Array) -> Array:
-        """Compute the residuals (n,) in units of their noise."""
+        """Compute the weighted residuals (n,): each divided by the standard deviation of its noise."""
         return self.residuals(change) / self.noise.effective
 
 
 def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return the scene's own values (p,) of numbers, large changes of them (p,), and their units.
+    """Return the initial values (p,) of parameters, their typical magnitudes (p,), and their units.
 
-    A change by the own value is large; in an array of one unit, by the largest value of the array. If the
-    value is 0, a change by the mechanism's size is large for a length, m, else a change by 1.
+    The typical magnitude is the absolute initial value; for an element of an array of one unit, it is the
+    largest absolute value in the array. For a value of 0 it is the size of the mechanism, m, for a length,
+    and 1 for other parameters.
     """
     before, units = own_numbers(scene, names), tuple(units_of(scene, names).values())
-    initial = np.isin(names, list(initial_numbers(scene, names)))
+    initial = np.isin(names, list(initial_numbers(scene, names)))  # initial coordinates and rates of joints
     before[initial & (np.abs(before) < ROUND_OFF_CHANGE)] = 0.0
     scale = np.abs(before)
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         if unit and not initial[k]:
             (place,) = places(scene, [name]).values()
-            scale[k] = np.abs(own_value(scene, place.owner)).max()
+            scale[k] = np.abs(own_value(scene, place.owner)).max()  # the whole array of the parameter
         if scale[k] == 0.0:
             scale[k] = scene.mechanism.size if unit == "m" else 1.0
     return before, scale, units
 
 
 class Split(NamedTuple):
-    """The space of parameters, in units of their scales, divided by identifiability.
+    """The space of p parameters, in units of their scales, divided by identifiability.
 
     Attributes:
-        strong: (s, p) orthogonal identifiable directions, each as long as its standard deviation.
+        strong: (s, p) orthogonal identifiable directions; the length of each is its standard deviation.
         weak: (p - s, p) a basis of the directions that are not identifiable, with many zeros.
         covariance: (p, p) of all parameters.
     """
@@ -267,21 +293,22 @@ class Split(NamedTuple):
 
 
 def split(jacobian: Array) -> Split:
-    """Divide the space of parameters into identifiable directions and others.
+    """Divide the space of parameters into identifiable directions and others, by singular values.
 
     Args:
-        jacobian: (n, p) of residuals in units of their noise, by parameters in units of their scales.
+        jacobian: (n, p) derivatives of the weighted residuals with respect to parameters in units of scales.
     """
+    # the standard deviation of a right singular vector is 1 / singular value
     _, values, right = np.linalg.svd(jacobian, full_matrices=False)
-    least = RANK_TOL * values[0]
-    known = (values > least) & (values * UNDETERMINED_STD > 1.0)
-    weak = right[~known]
-    every = right / np.maximum(values, least or 1.0)[:, None]
-    return Split(every[known], _sparse_basis(weak) if len(weak) else weak, every.T @ every)
+    smallest = RANK_TOL * values[0]
+    is_strong = (values > smallest) & (values * UNDETERMINED_STD > 1.0)
+    weak = right[~is_strong]
+    scaled = right / np.maximum(values, smallest or 1.0)[:, None]
+    return Split(scaled[is_strong], _sparse_basis(weak) if len(weak) else weak, scaled.T @ scaled)
 
 
 def _sparse_basis(rows: Array) -> Array:
-    """Return a basis of the space of rows (d, p); each row has a column in which all others are 0."""
+    """Return a basis of the row space of `rows` (d, p); each row has a column in which all others are 0."""
     from scipy.linalg import qr
 
     _, _, order = qr(rows, mode="economic", pivoting=True)

@@ -1,10 +1,10 @@
-"""Identification: parameters of a scene fitted to measured motion.
+"""Identification: fit parameters of a scene to measured motion, with uncertainties.
 
-The fit (`fit.py`) minimizes the sum of squared residuals, each divided by the standard deviation of its
-noise (`noise.py`). The derivatives are parameter sensitivities (`newton_euler.analysis.sensitivity`). With J
-the Jacobian of the scaled residuals at the solution, the covariance of the parameters is (J^T J)^-1.
-Combinations of parameters in the null space of J are not identifiable: they keep their initial values if the
-scene allows it, and are named.
+The fit (`fit.py`) minimizes the sum of squared residuals, each divided by the standard deviation of its noise
+(`noise.py`). The derivatives of the residuals are parameter sensitivities
+(`newton_euler.analysis.sensitivity`). With J the Jacobian of the scaled residuals at the solution, the
+covariance of the parameters is (J^T J)^-1. Combinations of parameters in the null space of J are not
+identifiable. They are reported, and they keep their initial values unless these are invalid.
 """
 
 from __future__ import annotations
@@ -41,18 +41,21 @@ from newton_euler.runs.variation import with_parameters
 from newton_euler.scalars import Array, Floats
 
 Given = Measurements | str | os.PathLike[str]
+"""Measurements of one run, or the path of their CSV file."""
 
 FACTOR_TOLERANCE = 0.02
-"""Largest difference of a factor of a combination from 0, 1 or -1 that is not shown."""
+"""Tolerance for describing a combination of parameters: a factor this close to 0 is not shown, and two
+factors whose magnitudes differ by less than this fraction count as equal."""
 
 MAX_CURVATURE = 0.2
-"""Curvature above which confidence ellipsoids are too small. In trials with a four-bar and the tracker
-a tenth of the 95 % ellipsoids missed the true parameters at this value, and a third at 2."""
+"""Curvature (`Identification.curvature`) above which confidence ellipsoids are too small. In trials with two
+scenes, a four-bar and a solar tracker, the true parameters were outside the 95 % ellipsoid in a tenth of the
+trials at this value, and in a third at 2."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Parameters fitted to measurements, p numbers.
+    """Result of `identify`: p parameters fitted to measurements, with uncertainties and warnings.
 
     Attributes:
         scene: the scene with the fitted parameters. If joints' `point_on_first`, `point_on_second` or
@@ -63,16 +66,16 @@ class Identification:
         units: (p,) SI units; empty for pure numbers.
         before, values: (p,) initial and fitted values.
         covariance: (p, p) of the values. A parameter that is not identifiable has an infinite variance and
-            covariances that are not a number. At the edge of possible values, and if the scene is wrong, no
-            entry is a number.
+            covariances of NaN. A parameter at the edge of valid values has NaN. If the scene is wrong
+            (`is_wrong`), all entries are NaN.
         noise: standard deviations of columns by name, for each run; given, or estimated from the residuals.
         misfits: root mean squares of the residuals of columns by name, in units of their noise.
-        misfit: reduced chi: root of the squared residuals in units of the given noise, divided by their
-            expectation. About 1 if the scene can move as measured. Not a number if no noise is given, or if
-            the fit uses up all numbers with given noise.
+        misfit: reduced chi: root of (sum of squared residuals in units of the given noise, divided by the
+            expected sum). About 1 if the scene can move as measured. NaN if no noise is given, or if the fit
+            uses up all numbers with given noise.
         degrees_of_freedom: of the misfit, see `newton_euler.analysis.identification.noise`. If all noise is
             given: the number of measured numbers minus the number of identifiable combinations.
-        probability: of this misfit or a larger one by chance alone; not a number without a misfit.
+        probability: of this misfit or a larger one by chance alone; NaN without a misfit.
         residuals: measured minus computed, (n,) by column, for each run.
         unlike: columns without given noise that a constant fits better than the scene.
         in_degrees: columns of rad or rad/s that fit as degrees.
@@ -124,28 +127,28 @@ class Identification:
 
     @property
     def standard_deviations(self) -> Floats:
-        """(p,) of the values; infinite if not identifiable, not a number at an edge or for a wrong scene."""
+        """(p,) of the values; infinite if not identifiable, NaN at an edge or for a wrong scene."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> Floats:
-        """(p, p) of the values; not a number where `covariance` is infinite or not a number."""
+        """(p, p) of the values; NaN where `covariance` is infinite or NaN."""
         deviations = self.standard_deviations
         with np.errstate(invalid="ignore"):
             return self.covariance / np.outer(deviations, deviations)
 
     def report(self) -> list[str]:
-        """Return lines: a table of parameters, the misfit, doubts and notes."""
+        """Return lines of text: a table of parameters, the misfit, doubts and notes."""
         widths = [max(map(len, column)) for column in zip(*self.table, strict=True)]
         lines = []
-        for name, unit, *figures in self.table:
-            shown = (figure.rjust(width) for figure, width in zip(figures, widths[2:], strict=True))
-            lines.append("  ".join([name.ljust(widths[0]), unit.ljust(widths[1]), *shown]))
+        for name, unit, *numbers in self.table:
+            aligned = (number.rjust(width) for number, width in zip(numbers, widths[2:], strict=True))
+            lines.append("  ".join([name.ljust(widths[0]), unit.ljust(widths[1]), *aligned]))
         return [*lines, self.fit, *self.doubts, *self.notes]
 
     @property
     def table(self) -> list[tuple[str, str, str, str, str]]:
-        """Rows of text: headings, then name, unit and numbers of each parameter."""
+        """Rows of text: headings; then name, unit, initial value, fitted value and standard deviation."""
         rows = [("parameter", "unit", "before", "fitted", "deviation")]
         for k, (name, unit) in enumerate(zip(self.parameters, self.units, strict=True)):
             deviation = self.standard_deviations[k]
@@ -157,7 +160,7 @@ class Identification:
 
     @property
     def fit(self) -> str:
-        """A line on the misfit and its probability."""
+        """One line of text on the misfit and its probability."""
         if np.isnan(self.probability):
             return "to test the scene, give the noise of columns, and more numbers than parameters"
         chance = f"{self.probability:.2g}" if self.probability >= 1e-6 else "below 1e-6"
@@ -171,7 +174,11 @@ class Identification:
 
     @property
     def doubts(self) -> list[str]:
-        """Lines on a wrong scene, columns, unidentifiable parameters, and an early end of the fit."""
+        """Lines with reasons not to trust the values.
+
+        A wrong scene, columns that do not fit or are in degrees, parameters that are not identifiable, and a
+        fit that has not converged.
+        """
         lines = []
         if self.is_wrong:
             worst = max(self.misfits, key=lambda name: self.misfits[name])
@@ -242,16 +249,17 @@ def identify(
     fit = Fit(scene, names, measured)
     change, noise = fit.solve(), fit.noise
     _, weak, covariance = split(fit.jacobian(change))
-    values, stopped = fit.values(change), fit.stopped if fit.unsettled(change) > CONVERGED_STD else ""
-    # covariance: infinite for combinations that are not identifiable, none at an edge or for a wrong scene
-    edge = fit.is_at_edge(change) if stopped else [False] * len(names)
-    is_open = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
-    for k in np.flatnonzero(is_open | edge):
+    values = fit.values(change)
+    stopped = fit.if_not_converged if fit.next_step(change) > CONVERGED_STD else ""
+    # covariance: infinite for combinations that are not identifiable, NaN at an edge or for a wrong scene
+    is_at_edge = fit.is_at_edge(change) if stopped else [False] * len(names)
+    is_weak = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
+    for k in np.flatnonzero(is_weak | is_at_edge):
         covariance[k, :] = covariance[:, k] = np.nan
-        covariance[k, k] = np.nan if edge[k] else np.inf
+        covariance[k, k] = np.nan if is_at_edge[k] else np.inf
     if noise.probability < MIN_PROBABILITY:
         covariance[:] = np.nan
-    open_noise = [
+    unknown_noise = [
         f"the noise of {name} is not identifiable from its residuals" for name in noise.undetermined
     ]
     residuals = fit.residuals(change)
@@ -273,7 +281,7 @@ def identify(
         residuals=measured.by_column(-residuals),
         unlike=measured.unlike(residuals),
         in_degrees=fit.in_degrees(change),
-        undetermined=(*_lines(names, values, fit, weak), *open_noise),
+        undetermined=(*_describe_weak(names, values, fit, weak), *unknown_noise),
         stopped=stopped,
         contradiction=measured.contradiction(values),
         curvature=fit.curvature(change),  # evaluated last: it moves to other values
@@ -288,18 +296,26 @@ def identify(
 
 
 def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) -> dict[str, Measurements]:
-    """Return the measurements of each run, by the name of its file or its number."""
-    each = list(given) if isinstance(given, list | tuple) else [given]
-    if not each:
+    """Read and check the measurements of each run.
+
+    Args:
+        scene, names: the scene and the names of its fitted parameters.
+        given: measurements of one run, or of several.
+
+    Returns:
+        Measurements by the name of their file, or by a text with the number of the run; for messages.
+    """
+    sources = list(given) if isinstance(given, list | tuple) else [given]
+    if not sources:
         raise OptionError("measurements", given, "those of a run, or of several")
     runs: dict[str, Measurements] = {}
-    for k, one in enumerate(each):
-        if isinstance(one, Measurements):
-            where, run = f"measurements of run {k}" if len(each) > 1 else "measurements", one
-        elif isinstance(one, str | os.PathLike):
-            where, run = path_text(one), measurements_from_csv(one)
+    for k, source in enumerate(sources):
+        if isinstance(source, Measurements):
+            where, run = f"measurements of run {k}" if len(sources) > 1 else "measurements", source
+        elif isinstance(source, str | os.PathLike):
+            where, run = path_text(source), measurements_from_csv(source)
         else:
-            raise OptionError("measurements", f"{quoted(one)}", "Measurements, or the path of a CSV file")
+            raise OptionError("measurements", f"{quoted(source)}", "Measurements, or the path of a CSV file")
         try:
             initial_numbers(scene, run.start)
         except NewtonEulerError as error:
@@ -318,7 +334,11 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
 
 
 def _misfits(residuals: Sequence[Mapping[str, Floats]]) -> dict[str, float]:
-    """Return root mean squares of the residuals of all runs, in units of their noise, by column."""
+    """Return the root mean square of each column over all runs.
+
+    Args:
+        residuals: for each run, residuals (n,) in units of their noise by name of the column.
+    """
     found: dict[str, list[Floats]] = {}
     for run in residuals:
         for name, column in run.items():
@@ -326,23 +346,30 @@ def _misfits(residuals: Sequence[Mapping[str, Floats]]) -> dict[str, float]:
     return {name: float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for name, each in found.items()}
 
 
-def _lines(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:
-    """Describe the combinations of parameters that are not identifiable, one line each."""
+def _describe_weak(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:
+    """Describe the combinations of parameters that are not identifiable, one line each.
+
+    Args:
+        names, values: names and fitted values (p,) of the parameters.
+        fit: gives scales, units and noise.
+        weak: (d, p) combinations, in units of scales.
+    """
     lines = []
-    beyond = "that was measured" if fit.noise.probability >= MIN_PROBABILITY else "beyond these residuals"
+    what = "that was measured" if fit.noise.probability >= MIN_PROBABILITY else "beyond these residuals"
+    # combinations with the indices of their parameters; those of few parameters first
     found = [([k for k, x in enumerate(row) if abs(x) > FACTOR_TOLERANCE], row) for row in weak]
-    for parts, row in sorted(found, key=lambda pair: (len(pair[0]), pair[0])):
-        if len(parts) == 1:
-            lines.append(f"{names[parts[0]]} is not identifiable")
+    for indices, row in sorted(found, key=lambda pair: (len(pair[0]), pair[0])):
+        if len(indices) == 1:
+            lines.append(f"{names[indices[0]]} is not identifiable")
             continue
         change = row * fit.scale
-        if len(parts) == 2 and values[parts].all():
-            x, y = change[parts] / values[parts]
+        if len(indices) == 2 and values[indices].all():
+            # equal relative changes leave the quotient unchanged, opposite ones the product
+            x, y = change[indices] / values[indices]
             if abs(abs(x) - abs(y)) < FACTOR_TOLERANCE * abs(x):
-                lines.append(
-                    f"only {names[parts[0]]} {'/' if x * y > 0.0 else '*'} {names[parts[1]]} is identifiable"
-                )
+                operator = "/" if x * y > 0.0 else "*"
+                lines.append(f"only {names[indices[0]]} {operator} {names[indices[1]]} is identifiable")
                 continue
-        changes = [f"{names[k]} {0.01 * change[k]:+.2g} {fit.units[k]}".rstrip() for k in parts]
-        lines.append(f"not identifiable: {', '.join(changes)} together change nothing {beyond}")
+        changes = [f"{names[k]} {0.01 * change[k]:+.2g} {fit.units[k]}".rstrip() for k in indices]
+        lines.append(f"not identifiable: {', '.join(changes)} together change nothing {what}")
     return lines

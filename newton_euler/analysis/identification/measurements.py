@@ -1,7 +1,7 @@
-"""Measured motion: columns of numbers over time, with the names of tables of trajectories.
+"""Measured motion: columns of numbers over time, from a CSV file or from arrays.
 
 Names of columns are `coordinate.JOINT` and `rate.JOINT`, m or rad from the initial pose and their rates. A
-joint of several coordinates has `coordinate.JOINT.0`, `coordinate.JOINT.1`. Other columns are those of
+joint of several coordinates has `coordinate.JOINT.0`, `coordinate.JOINT.1`. Other columns have the names of
 `Trajectory.to_dataframe`:
 `position.BODY.x` (m, the center of mass), `quaternion.BODY.w`, `linear_velocity.BODY.x`,
 `angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`, `actuator_force.0`,
@@ -44,8 +44,11 @@ from newton_euler.model.trajectory import QUANTITIES, column_names
 from newton_euler.runs.initial_coordinates import RATE_SUFFIX, START_PREFIX
 from newton_euler.scalars import Array, Floats
 
-NOISE, START = "noise", "start"
-"""Entries of the time column that mark the row of standard deviations and the row of the start."""
+NOISE = "noise"
+"""Entry of the time column that marks the row of standard deviations."""
+
+START = "start"
+"""Entry of the time column that marks the row of joint coordinates and rates at the start."""
 
 UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N m", "J", "1")} | {
     "ms": ("s", 1e-3),
@@ -54,10 +57,10 @@ UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N
     "deg": ("rad", np.pi / 180.0),
     "deg/s": ("rad/s", np.pi / 180.0),
 }
-"""Units of columns: the SI unit, and the factor to it."""
+"""Accepted units of columns, each with its SI unit and the factor to the SI unit."""
 
 HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")
-"""A column's name, and its unit in brackets if there is one."""
+"""Heading of a column: name, and unit in brackets if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +70,13 @@ class Measurements:
     Attributes:
         time: (n,) s from the start of the run, ascending.
         columns: (n,) each, by name, see `newton_euler.analysis.identification.measurements`.
-        noise: standard deviations of columns, by name, in the units of the columns; unknown for others.
+        noise: standard deviations of columns, by name, in the units of the columns. The noise of columns
+            without an entry is unknown.
         start: coordinates and rates at the start of the run, SI, by the names of
-            `newton_euler.runs.initial_coordinates`; others are as near to the scene's as the loops allow.
-        units: units out of `UNITS` of columns (and their noise) and of the time, by name; SI for others. All
-            numbers are converted to SI.
+            `newton_euler.runs.initial_coordinates`. Coordinates that are not given start as near to the
+            scene's initial state as the loops allow.
+        units: units (see `UNITS`) of columns with their noise, and of the time, by name. Columns without an
+            entry are in SI. All numbers are converted to SI.
 
     Raises:
         MechanismError: naming the time or column: times that do not ascend, numbers that are not finite or
@@ -94,6 +99,7 @@ class Measurements:
         for what in ("columns", "noise", "start", "units"):
             if not isinstance(given := getattr(self, what), Mapping):
                 raise MechanismError("measurements", f"{what} is {quoted(given)}", "a mapping of names")
+        # times
         factors = {name: _factor(name, unit) for name, unit in self.units.items()}
         if UNITS[self.units.get("time", "s")][0] != "s":
             raise MechanismError("measurements", f"unit of time is {self.units['time']!r}", "s or ms")
@@ -101,6 +107,7 @@ class Measurements:
         if len(time) < 2 or time[0] < 0.0 or np.any(np.diff(time) <= 0.0):
             raise MechanismError("measurements", "have no times in ascending order", "two or more, from 0 on")
         object.__setattr__(self, "time", time)
+        # columns
         if not self.columns:
             raise MechanismError("measurements", "columns are {}", "columns by name")
         columns = {
@@ -112,6 +119,7 @@ class Measurements:
                 problem = f"column {quoted(name)} has {len(column)} numbers"
                 raise MechanismError("measurements", problem, f"{len(time)}, one for each time")
         object.__setattr__(self, "columns", columns)
+        # noise, units and start
         for name, deviation in self.noise.items():
             if name not in columns:
                 raise MechanismError("measurements", f"have noise of {quoted(name)}", "columns alone")
@@ -141,7 +149,16 @@ def _factor(name: str, unit: object) -> float:
 
 
 def _numbers(what: str, given: object, factor: float) -> Floats:
-    """Return finite numbers (n,), times a factor."""
+    """Convert numbers (n,) to a read-only array, times a factor.
+
+    Args:
+        what: name of the quantity, for messages.
+        given: the numbers.
+        factor: factor to SI.
+
+    Raises:
+        MechanismError: for anything but finite numbers.
+    """
     try:
         array = real_array(given)
     except (TypeError, ValueError, OverflowError):
@@ -180,13 +197,14 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
         needed = "a column time, and at least one of measurements"
         raise SourceError(where, f"line 1 has {names:.200}; needed: {needed}")
     check_names(where, header)
-    place, data = header.index("time"), list[Row]()
+    # rows of noise and start, and rows of measurements
+    time_column, data = header.index("time"), list[Row]()
     special: dict[str, dict[str, float]] = {NOISE: {}, START: {}}
     for line, cells in rows[1:]:
-        if len(cells) == len(header) and cells[place].lower() in special:
+        if len(cells) == len(header) and cells[time_column].lower() in special:
             given = {name: cell for name, cell in zip(header, cells, strict=True) if cell and name != "time"}
             values = row_numbers(where, list(given), (line, list(given.values())))
-            special[cells[place].lower()] |= dict(zip(given, values, strict=True))
+            special[cells[time_column].lower()] |= dict(zip(given, values, strict=True))
         else:
             data.append((line, cells))
     if len(data) < 2:
@@ -208,10 +226,10 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
 
 
 def _headings(cells: list[str]) -> tuple[list[str], dict[str, str]]:
-    """Return the names in the first line, and the units in brackets by name."""
-    found = [HEADING.fullmatch(cell) for cell in cells]
+    """Return the names of columns in the first line, and the units in brackets by name."""
+    matches = [HEADING.fullmatch(cell) for cell in cells]
     pairs = [
-        (match[1], match[2]) if match else (cell, None) for cell, match in zip(cells, found, strict=True)
+        (match[1], match[2]) if match else (cell, None) for cell, match in zip(cells, matches, strict=True)
     ]
     return [name for name, _ in pairs], {name: unit for name, unit in pairs if unit is not None}
 
@@ -227,11 +245,11 @@ def initial_name(column: str) -> str:
 def column_places(
     mechanism: Mechanism, layout: Mapping[str, tuple[int, int, tuple[int, ...]]]
 ) -> dict[str, tuple[str, int]]:
-    """Find all columns that can be measured: the program that computes each, and its index in the results.
+    """Find all columns that can be measured, by name: their compiled program, and index in its results.
 
     Args:
         mechanism: gives names of bodies, joints and coordinates.
-        layout: layout of the program "output", see `newton_euler.compiled.equations.Code`.
+        layout: layout of the results of the program "output": for each quantity, first index, end and shape.
     """
     joints = list(mechanism.coordinate_labels.values())
     found = {f"coordinate.{name}": ("coordinates", k) for k, name in enumerate(joints)}
@@ -245,21 +263,34 @@ def column_places(
 
 
 class Column(NamedTuple):
-    """A compared column: the program that computes it, its indices in the results, and its SI unit."""
+    """A measured column and the computed quantity that it is compared with.
+
+    Attributes:
+        program: name of the compiled program that computes the quantity, "coordinates" or "output".
+        of_value: index in the results of the program.
+        of_derivative: index in the results of the program with derivatives.
+        unit: SI unit.
+        quaternion: number of the body if the column is a component of its quaternion; else -1.
+    """
 
     program: str
     of_value: int
     of_derivative: int
     unit: str
     quaternion: int
-    """Number of the body if the column is one of its Euler parameters; else -1."""
 
 
 Places = Mapping[str, tuple[str, int]]
+"""Program and index in its results of each column, by name; see `column_places`."""
 
 
 def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> Column:
-    """Find a column by the indices of values and derivatives.
+    """Find the computed quantity of a measured column.
+
+    Args:
+        scene: scene of the run.
+        name: name of the column.
+        values, derivatives: places of all columns in the results, and in their derivatives.
 
     Raises:
         UnknownNameError: for an unknown column.
@@ -282,17 +313,27 @@ def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> C
 def compared(
     values: Array, derivatives: Array, run: Measurements, columns: list[Column]
 ) -> tuple[Array, Array]:
-    """Return residuals (n, m), computed minus measured, and their derivatives (n, m, p).
+    """Compare computed with measured columns.
 
-    Residuals of angles are at most half a revolution. Quaternions get the sign of the measured ones.
+    Residuals of angles are at most half a revolution. A quaternion and its negative are the same orientation:
+    computed quaternions get the sign that is nearer to the measured ones.
+
+    Args:
+        values: (n, m) computed columns, SI; changed.
+        derivatives: (n, m, p) their derivatives with respect to parameters; changed.
+        run: the measurements.
+        columns: the m columns.
+
+    Returns:
+        Residuals (n, m), computed minus measured, and their derivatives (n, m, p).
     """
     measured = np.stack(list(run.columns.values()), axis=1)
     bodies = np.array([column.quaternion for column in columns])
     for body in np.unique(bodies[bodies >= 0]):
-        own = bodies == body
-        signs = np.where(np.sum(values[:, own] * measured[:, own], axis=1) < 0.0, -1.0, 1.0)
-        values[:, own] *= signs[:, None]
-        derivatives[:, own] *= signs[:, None, None]
+        of_body = bodies == body
+        signs = np.where(np.sum(values[:, of_body] * measured[:, of_body], axis=1) < 0.0, -1.0, 1.0)
+        values[:, of_body] *= signs[:, None]
+        derivatives[:, of_body] *= signs[:, None, None]
     residuals = values - measured
     angles = np.array([column.unit == "rad" for column in columns])
     residuals[:, angles] -= 2.0 * np.pi * np.round(residuals[:, angles] / (2.0 * np.pi))

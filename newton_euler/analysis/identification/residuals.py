@@ -1,4 +1,9 @@
-"""Residuals of measured motion, and their derivatives with respect to numbers of a scene."""
+"""Residuals (computed minus measured motion), and their derivatives with respect to parameters of a scene.
+
+`Residuals` simulates the measured runs with given parameter values and compares the results with the measured
+columns. It also finds columns that are likely wrong: in degrees, unlike the scene, or in contradiction to the
+start of the run.
+"""
 
 from __future__ import annotations
 
@@ -35,50 +40,55 @@ REACTIONS = "reaction_force", "reaction_torque"
 """Outputs that are not unique if constraints are redundant."""
 
 AXIS_NAMES = "x", "y", "z"
+"""Suffixes of the names of columns with components along the world's axes."""
 
 MAX_DEGREES_RESIDUAL = 0.1
-"""Largest residual of an angle after conversion from degrees, divided by the residual before, for which its
-numbers are taken as degrees. Without other errors the ratio is 1 / 57.3."""
+"""Largest residual of an angle after conversion from degrees, divided by the residual before, for which the
+measured numbers count as degrees. Without other errors the ratio is 1 / 57.3."""
 
 MAX_EXPLAINED = 0.5
-"""Largest residual of an angle, divided by the angle, for which the scene explains its motion. A scene at
-rest explains nothing."""
+"""Largest residual of an angle, divided by the angle, for which the scene explains the measured motion. A
+scene that stays at rest leaves a ratio of 1."""
 
 WORSE_THAN_CONSTANT = 1.5
-"""Residual of a column, in its standard deviations, from which on a constant fits better than the scene."""
+"""Residual of a column, divided by the column's standard deviation, above which a constant fits better than
+the scene. The threshold exceeds 1, the ratio of the best constant."""
 
 CONSTANT_STD = 1e-9
-"""Standard deviation of a constant column, SI, and divided by its largest number."""
+"""Smallest standard deviation of a column, as a fraction of (1 + largest number), SI. A column with less
+counts as constant."""
 
 CONTRADICTION_STD = 6.0
-"""Distance of the first row from the start, in standard deviations of the noise, that is no coincidence: its
-probability is 1e-9."""
+"""Distance of a measured first row from the start of the run, in standard deviations of the noise, that is no
+coincidence: its probability is 1e-9."""
 
 
 class ResidualValues(NamedTuple):
-    """Residuals (n,), computed minus measured, and their derivatives (n, p)."""
+    """Residuals (n,), computed minus measured, and their derivatives (n, p); SI."""
 
     residuals: Array
     jacobian: Array
 
 
 class AngleFit(NamedTuple):
-    """Root mean squares of a column of rad or rad/s.
+    """Root mean squares of a measured column with unit rad or rad/s, to test whether it is in degrees.
 
     Attributes:
-        left: of the residuals.
-        as_degrees: of the residuals if the measured numbers are degrees.
-        size: of the measured numbers converted from degrees; for angles at most 1, because residuals are
-            within half a revolution.
+        residual: root mean square of the residuals.
+        as_degrees: the same if the measured numbers are converted from degrees.
+        size: root mean square of the measured numbers converted from degrees; for angles at most 1, because
+            residuals are within half a revolution.
     """
 
-    left: float
+    residual: float
     as_degrees: float
     size: float
 
 
 class Residuals:
-    """Residuals of n measured numbers as a function of p numbers of a scene; run by run, column by column.
+    """Residuals of n measured numbers as a function of p parameters of a scene.
+
+    The n numbers are ordered run by run, and within a run column by column.
 
     Attributes:
         runs: measurements of each run.
@@ -97,48 +107,58 @@ class Residuals:
         """Compile a scene for its measured runs.
 
         Args:
-            scene, names: the scene and the names of its p numbers.
-            runs: measurements by the name of their file or run, for errors.
-            formulation, options: of the runs.
+            scene, names: the scene and the names of its p parameters.
+            runs: measurements by the name of their file or run; the names are used in messages.
+            formulation, options: formulation and step control of the simulated runs.
 
         Raises:
             SourceError: for an unknown column, a column that is not unique, or a wrong unit.
         """
         self.runs, self.evaluations = list(runs.values()), 0
-        self._where = [f"{where}: " * (len(runs) > 1) for where in runs]
+        # beginnings of messages: the name of the run if there are several
+        self._prefixes = [f"{where}: " * (len(runs) > 1) for where in runs]
+        # code with the outputs that the measured columns need
         kinds = {name.split(".")[0] for run in self.runs for name in run.columns}
-        wanted = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
-        wanted |= {"velocities"} if "rate" in kinds else set()
-        self.code = code = tangent_code(_asking(scene, frozenset(wanted)), names, formulation)
+        outputs = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
+        outputs |= {"velocities"} if "rate" in kinds else set()
+        self.code = code = tangent_code(_with_outputs(scene, frozenset(outputs)), names, formulation)
+        # places of the columns in the results, and in the derivatives of the results
         layouts = (code.function(name).layout for name in ("output", "output" + ALONG))
         places = [column_places(scene.mechanism, layout) for layout in layouts]
         self._columns = [_columns(scene, where, run, places) for where, run in runs.items()]
+        # for each run: function for the start, and function that simulates with derivatives
         self._models = []
         for run, columns in zip(self.runs, self._columns, strict=True):
             programs = sorted({column.program for column in columns})
             self._models.append((Starts(code, names, run.start), FollowedRun(code, options, programs)))
-        self._known: tuple[bytes, ResidualValues] | None = None
+        # parameter values of the last evaluation, as bytes, and its result
+        self._last: tuple[bytes, ResidualValues] | None = None
 
     def __call__(self, values: Array) -> ResidualValues:
-        """Compute residuals for values (p,); the last result is kept."""
-        if self._known is None or self._known[0] != values.tobytes():
+        """Compute residuals for parameter values (p,), SI; the last result is stored and reused.
+
+        Raises:
+            NewtonEulerError: for invalid values, and for runs that stop.
+        """
+        if self._last is None or self._last[0] != values.tobytes():
             self.evaluations += 1
             found = [self._of_run(k, values) for k in range(len(self.runs))]
-            together = ResidualValues(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-            self._known = values.tobytes(), together
-        return self._known[1]
+            of_all = ResidualValues(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+            self._last = values.tobytes(), of_all
+        return self._last[1]
 
     def _of_run(self, k: int, values: Array) -> ResidualValues:
-        run, columns, (starts, followed) = self.runs[k], self._columns[k], self._models[k]
+        """Simulate run k with parameter values (p,), and compare the result with the measurements."""
+        run, columns, (starts, simulate) = self.runs[k], self._columns[k], self._models[k]
         x, directions = starts(values)
-        computed, derivatives = _selected(followed(x, directions, run.time), columns)
+        computed, derivatives = _selected(simulate(x, directions, run.time), columns)
         residuals, jacobian = compared(computed, derivatives, run, columns)
         if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
             raise MechanismError("measurements", "have no finite derivatives", "other columns")
         return ResidualValues(residuals.T.ravel(), jacobian.swapaxes(0, 1).reshape(residuals.size, -1))
 
     def can_start(self, values: Array) -> bool:
-        """True if the scene can have these values (p,) at the starts of all runs."""
+        """True if parameter values (p,) are valid for the scene and for the starts of all runs."""
         try:
             for starts, _ in self._models:
                 starts(values)
@@ -147,84 +167,86 @@ class Residuals:
         return True
 
     def by_column(self, numbers: Array) -> tuple[dict[str, Floats], ...]:
-        """Split numbers (n,) by the names of columns, for each run."""
+        """Split numbers (n,) into columns: for each run, the numbers of each column by name."""
         sizes = [run.time.size for run in self.runs for _ in run.columns]
-        parts = iter(np.split(numbers, np.cumsum(sizes)[:-1]))
-        return tuple({name: next(parts) for name in run.columns} for run in self.runs)
+        columns = iter(np.split(numbers, np.cumsum(sizes)[:-1]))
+        return tuple({name: next(columns) for name in run.columns} for run in self.runs)
 
     def like_degrees(self, residuals: Array) -> set[str]:
         """Return the names of columns whose residuals nearly vanish if their numbers are degrees."""
         return {
             name
             for name, angle in self._angles(residuals)
-            if angle.as_degrees < min(MAX_DEGREES_RESIDUAL * angle.left, MAX_EXPLAINED * angle.size)
+            if angle.as_degrees < min(MAX_DEGREES_RESIDUAL * angle.residual, MAX_EXPLAINED * angle.size)
         }
 
     def unexplained(self, residuals: Array) -> set[str]:
         """Return the names of columns of rad or rad/s whose motion the scene does not explain."""
-        return {name for name, angle in self._angles(residuals) if angle.left > MAX_EXPLAINED * angle.size}
+        return {
+            name for name, angle in self._angles(residuals) if angle.residual > MAX_EXPLAINED * angle.size
+        }
 
     def unlike(self, residuals: Array) -> tuple[str, ...]:
         """Return the names of columns without given noise that a constant fits better than the scene."""
-        found = {
-            name: None
-            for run, left in zip(self.runs, self.by_column(residuals), strict=True)
-            for name, column in run.columns.items()
-            if name not in run.noise
-            and _rms(left[name])
-            > WORSE_THAN_CONSTANT * max(np.std(column), CONSTANT_STD * (1.0 + np.abs(column).max()))
-        }
+        found: dict[str, None] = {}  # names once, in order
+        for run, of_run in zip(self.runs, self.by_column(residuals), strict=True):
+            for name, column in run.columns.items():
+                deviation = max(np.std(column), CONSTANT_STD * (1.0 + np.abs(column).max()))
+                if name not in run.noise and _rms(of_run[name]) > WORSE_THAN_CONSTANT * deviation:
+                    found[name] = None
         return tuple(found)
 
     def contradiction(self, values: Array) -> str:
-        """Describe the measured coordinate or rate that contradicts the start most, relative to its noise.
+        """Describe the measured coordinate or rate that contradicts the start of its run most.
 
-        Only initial coordinates that no parameter moves are compared. Empty if all are nearer than
-        `CONTRADICTION_STD`.
+        Only initial coordinates and rates that no parameter moves are compared, relative to their noise. The
+        text is empty if all deviations are below `CONTRADICTION_STD`.
 
         Args:
-            values: (p,) of the parameters.
+            values: (p,) values of the parameters.
         """
-        # initial coordinates in the first row that no parameter moves
-        found, away = self(values), dict[str, float]()
-        moved = self.by_column(np.abs(found.jacobian).max(axis=1))
-        for k, left in enumerate(self.by_column(found.residuals)):
+        # deviation of each measured initial coordinate, in standard deviations, by a line of text
+        found, deviations = self(values), dict[str, float]()
+        largest_derivatives = self.by_column(np.abs(found.jacobian).max(axis=1))
+        for k, residuals in enumerate(self.by_column(found.residuals)):
             run = self.runs[k]
             for (name, measured), column in zip(run.columns.items(), self._columns[k], strict=True):
-                begun = initial_name(name)
-                if not begun or run.time[0] > 0.0 or moved[k][name][0] > 0.0:
+                initial = initial_name(name)
+                if not initial or run.time[0] > 0.0 or largest_derivatives[k][name][0] > 0.0:
                     continue
-                own, first = measured[0] + left[name][0], measured[0]
+                start, first = measured[0] + residuals[name][0], measured[0]
                 if column.unit == "rad":
-                    own -= 2.0 * np.pi * np.round(own / (2.0 * np.pi))
-                line = f"{name} starts at {own:.6g} {column.unit}, held, but is {first:.6g} in the first row"
-                mend = "is the line start right?" if begun in run.start else f"fit {begun}?"
-                noise = run.noise.get(name, _scatter(measured))
-                away[f"{self._where[k]}{line}: {mend}"] = abs(left[name][0]) / noise
-        worst = max(away, key=lambda line: away[line], default="")
-        return worst if worst and away[worst] > CONTRADICTION_STD else ""
+                    start -= 2.0 * np.pi * np.round(start / (2.0 * np.pi))
+                line = (
+                    f"{name} starts at {start:.6g} {column.unit}, held, but is {first:.6g} in the first row"
+                )
+                advice = "is the line start right?" if initial in run.start else f"fit {initial}?"
+                noise = run.noise.get(name, _estimated_noise(measured))
+                deviations[f"{self._prefixes[k]}{line}: {advice}"] = abs(residuals[name][0]) / noise
+        worst = max(deviations, key=lambda line: deviations[line], default="")
+        return worst if worst and deviations[worst] > CONTRADICTION_STD else ""
 
     def _angles(self, residuals: Array) -> Iterator[tuple[str, AngleFit]]:
-        """Yield the columns of rad or rad/s of each run with their names."""
-        for run, columns, left in zip(self.runs, self._columns, self.by_column(residuals), strict=True):
+        """Yield the name and the residuals of each column of rad or rad/s, for each run."""
+        for run, columns, of_run in zip(self.runs, self._columns, self.by_column(residuals), strict=True):
             for (name, measured), column in zip(run.columns.items(), columns, strict=True):
                 if column.unit not in ("rad", "rad/s"):
                     continue
                 converted = np.deg2rad(measured)
-                as_degrees, size = left[name] + measured - converted, _rms(converted)
+                as_degrees, size = of_run[name] + measured - converted, _rms(converted)
                 if column.unit == "rad":
                     as_degrees -= 2.0 * np.pi * np.round(as_degrees / (2.0 * np.pi))
                     size = min(size, 1.0)
-                yield name, AngleFit(_rms(left[name]), _rms(as_degrees), size)
+                yield name, AngleFit(_rms(of_run[name]), _rms(as_degrees), size)
 
 
 @lru_cache(maxsize=CACHED_SCENES)
-def _asking(scene: Scene, wanted: frozenset[str | None]) -> Scene:
-    """Return the scene with other outputs; the same object each time, so that its code is found again."""
+def _with_outputs(scene: Scene, wanted: frozenset[str | None]) -> Scene:
+    """Return the scene with other outputs; the same object each time, so that its compiled code is reused."""
     return replace(scene, outputs=frozenset(output for output in OUTPUTS if output in wanted))
 
 
-def _scatter(measured: Array) -> float:
+def _estimated_noise(measured: Array) -> float:
     """Estimate the noise of a column (n,) from its fourth differences, which smooth motion barely changes."""
     if len(measured) < 5:
         return np.inf
@@ -238,25 +260,36 @@ def _rms(values: Array) -> float:
 
 
 def _selected(followed: Followed, columns: list[Column]) -> tuple[Array, Array]:
-    """Return the columns (n, m) of a run and their derivatives (n, m, p)."""
+    """Return the m computed columns (n, m) of a simulated run and their derivatives (n, m, p)."""
     values, derivatives = [], []
     for column in columns:
-        along = followed.derivatives[column.program]
+        results = followed.derivatives[column.program]
         if column.program == "coordinates":
-            count = along.shape[1] // 2
-            values.append(along[:, column.of_value, 0])
-            derivatives.append(along[:, count + column.of_derivative])
+            # this program returns the coordinates, then their derivatives
+            count = results.shape[1] // 2
+            values.append(results[:, column.of_value, 0])
+            derivatives.append(results[:, count + column.of_derivative])
         else:
             values.append(followed.results[:, column.of_value])
-            derivatives.append(along[:, column.of_derivative])
+            derivatives.append(results[:, column.of_derivative])
     return np.stack(values, axis=1), np.stack(derivatives, axis=1)
 
 
 def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Places]) -> list[Column]:
-    """Find the columns of a run; raises `SourceError` for a column that cannot be compared."""
+    """Find the computed quantity of each measured column of a run.
+
+    Args:
+        scene: scene of the run.
+        where: name of the run, for messages.
+        run: the measurements.
+        places: places of all columns in the results, and in the derivatives.
+
+    Raises:
+        SourceError: for a column that cannot be compared.
+    """
     columns = []
     for name in run.columns:
-        if reason := _undetermined(scene, name):
+        if reason := _not_unique(scene, name):
             raise SourceError(where, f"column {name!r:.100}: {reason}; needed: other columns")
         try:
             column = column_of(scene, name, *places)
@@ -269,7 +302,7 @@ def _columns(scene: Scene, where: str, run: Measurements, places: Sequence[Place
     return columns
 
 
-def _undetermined(scene: Scene, name: str) -> str:
+def _not_unique(scene: Scene, name: str) -> str:
     """Return the reason why a measured reaction is not unique; empty if it is unique."""
     kind, _, rest = name.partition(".")
     joint, _, axis = rest.rpartition(".")
