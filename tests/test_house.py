@@ -45,7 +45,7 @@ CORE: dict[str, set[str]] = {
     "compare": {"support", "library", "loading", "engines", "own_run"},
     "recording": {"support", "own_run", "compare"},
     "report": {"support", "library", "loading", "engines", "own_run", "compare", "recording"},
-    "regress": {"support", "library", "loading", "engines", "compare", "report", "recording"},
+    "regress": {"support", "library", "loading", "engines", "own_run", "compare", "report", "recording"},
 }
 """Rooms of crosscheck that `crosscheck run` and `regress` need, and the rooms that each may import."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from crosscheck.engines.engine import native_method
 from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, errors_over_time, run_error
 from crosscheck.own_run.horizon import comparable_until
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import Event, FileRun, FileSimulation
@@ -138,8 +139,19 @@ class _Comparison:
     until: float | None
 
     @classmethod
-    def of(cls, simulation: FileSimulation[Any]) -> _Comparison:
-        """Choose output times that are multiples of the file's time step, and simulate the reference."""
+    def of(
+        cls,
+        simulation: FileSimulation[Any],
+        method: Mapping[str, Any] | None = None,
+        until: float | None = None,
+    ) -> _Comparison:
+        """Choose output times that are multiples of the file's time step, and simulate the reference.
+
+        Args:
+            simulation: the file in its own engine.
+            method: arguments of `newton_euler.simulate` for the reference; those of crosschecks if None.
+            until: time, s, at which the comparison ends; found from the reference if `method` is None.
+        """
         step = simulation.timestep(simulation.settings)
         scene = simulation.scene
         # a multiple of four, so that RK4 at four times the step has the same outputs
@@ -154,8 +166,9 @@ class _Comparison:
             duration=steps * step,
             outputs=frozenset({"velocities", "energy"}),
         )
-        reference = simulate(sampled, **native_method(sampled, refined=False))
-        until = comparable_until(sampled, reference)
+        reference = simulate(sampled, **(method or native_method(sampled, refined=False)))
+        if method is None:
+            until = comparable_until(sampled, reference)
         scale = MotionScale.of(reference, scene.mechanism.size)
         return cls(simulation, sampled, reference, scale, every, steps, until)
 
@@ -221,6 +234,48 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         run.trajectory,
         compared.reference,
     )
+
+
+@dataclass(frozen=True)
+class MeasuredError:
+    """Error of a file's run without causes and remedies.
+
+    Attributes:
+        error: error of the run.
+        opening: largest error of the loop constraints, m or rad.
+        scale: extent of the motion, by which errors are divided.
+    """
+
+    error: RunError
+    opening: float
+    scale: MotionScale
+
+
+def horizon(simulation: FileSimulation[Any]) -> float | None:
+    """Find the time, s, until which runs of a file can be compared; None means the whole run."""
+    return _Comparison.of(simulation).until
+
+
+def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | None) -> MeasuredError:
+    """Measure the error of a file's run with its own settings.
+
+    Elements of the file that the reference does not have are switched off, whether they act or not.
+
+    Args:
+        simulation: the file in its own engine.
+        rtol: relative tolerance of the reference solution.
+        until: time, s, at which the comparison ends; None for the whole run.
+
+    Raises:
+        CrosscheckError: if the run diverges.
+    """
+    compared = _Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, until)
+    run = compared.run(simulation.settings)
+    if run.stopped:
+        raise CrosscheckError(f"the run with the settings of the file diverges: {run.stopped}")
+    count = len(run.opening) if until is None else int(np.searchsorted(run.trajectory.time, until))
+    opening = float(np.max(run.opening[:count], initial=0.0))
+    return MeasuredError(compared.error(run), opening, compared.scale)
 
 
 def _causes(compared: _Comparison, run: FileRun) -> Iterator[MeasuredCause]:

@@ -34,7 +34,7 @@ from crosscheck.support.versions import versions
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio"]
+GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio", "own_run"]
 """Name of a group of quantities that are measured together, see `crosscheck.regress.measure.GROUPS`."""
 
 OPERATIONS_PREFIX = "operations of "
@@ -45,6 +45,10 @@ COUNT_SUFFIXES = (": steps", ": evaluations")
 
 FILE_FORMAT = 3
 """Version of the file format that `read_baseline` accepts and `Baseline.text` writes."""
+
+
+OWN_RUN_GROUP: GroupName = "own_run"
+"""Group of the errors of the run that a model file's own engine makes with the settings of the file."""
 
 
 class _Strict(BaseModel):
@@ -65,6 +69,8 @@ class StoredQuantity(_Strict):
             number has one row and one column, whose labels are empty.
         value: (rows, columns) numbers.
         tolerance: (rows,) largest allowed change of the numbers of each row, in `unit`.
+        reason: where the tolerance comes from; the file has no such field if it is empty, as for quantities
+            whose tolerance is round-off and integration error.
     """
 
     group: GroupName
@@ -74,6 +80,13 @@ class StoredQuantity(_Strict):
     columns: list[str]
     value: list[list[Number]]
     tolerance: list[Annotated[float, Field(ge=0.0, allow_inf_nan=False)]]
+    reason: str = ""
+
+    @model_serializer(mode="wrap")
+    def _omit_empty_reason(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the content of the file, without `reason` if it is empty."""
+        content: dict[str, Any] = serialize(self)
+        return content if self.reason else {name: content[name] for name in content if name != "reason"}
 
     @model_validator(mode="after")
     def _check_shape(self) -> StoredQuantity:
@@ -98,6 +111,11 @@ class StoredQuantity(_Strict):
     def is_cost(self) -> bool:
         """True for counts of operations, steps or evaluations: they may fall but not grow."""
         return self.name.startswith(OPERATIONS_PREFIX) or self.name.endswith(COUNT_SUFFIXES)
+
+    @property
+    def is_error(self) -> bool:
+        """True for errors of the run with the settings of the file: they may fall but not grow."""
+        return self.group == OWN_RUN_GROUP
 
 
 class StoredState(_Strict):
@@ -164,12 +182,23 @@ class MeasurementPlan(_Strict):
         step: s, step of runs with fixed steps.
         time: s, time of `state`.
         state: a state of the scene's own run at which all bodies that can move do move.
+        own_run_until: s, time at which the comparison of the file's own run with the reference ends, because
+            the motion is chaotic or unstable; None for the whole run, then the file has no such field.
     """
 
     rtol: dict[str, Annotated[float, Field(gt=0.0, lt=0.1)]]
     step: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     state: StoredState
+    own_run_until: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
+
+    @model_serializer(mode="wrap")
+    def _omit_no_end(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the content of the file, without `own_run_until` if it is None."""
+        content: dict[str, Any] = serialize(self)
+        if self.own_run_until is None:
+            del content["own_run_until"]
+        return content
 
     def tighter(self, factor: float) -> MeasurementPlan:
         """Return the plan with all relative tolerances multiplied by a factor."""

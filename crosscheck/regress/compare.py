@@ -1,8 +1,9 @@
 """Compare a scene with its baseline: which stored quantities changed, by how much, and from which time on.
 
 `compare` measures all quantities of a baseline again and makes one check for each. A check fails if the
-quantity changed by more than its stored tolerance. Counts of operations, steps and evaluations are costs:
-they fail only if they grow, and a cost that falls by more than its tolerance is an improvement.
+quantity changed by more than its stored tolerance. Counts of operations, steps and evaluations are costs, and
+the file's own run has errors: both fail only if they grow. If one of them falls by more than its tolerance,
+that is an improvement.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ class BaselineCheck(Check):
         was, now: stored and present number, in `unit`; None if there are no numbers to compare.
         problem: why the quantity cannot be compared; empty if it can.
         is_cost: whether the quantity counts operations, steps or evaluations.
+        is_error: whether the quantity is an error of the run with the settings of the model file.
+        reason: where the tolerance comes from; empty for round-off and integration errors.
     """
 
     unit: str = ""
@@ -54,18 +57,30 @@ class BaselineCheck(Check):
     now: float | None = None
     problem: str = ""
     is_cost: bool = False
+    is_error: bool = False
+    reason: str = ""
 
     @property
-    def cheaper(self) -> bool:
-        """True for a cost that fell by more than its tolerance."""
-        if not self.is_cost or self.was is None or self.now is None:
+    def fell(self) -> bool:
+        """True for a quantity that fell by more than its tolerance."""
+        if self.was is None or self.now is None:
             return False
         return math.isfinite(self.now) and self.now < self.was - self.tolerance
 
     @property
+    def cheaper(self) -> bool:
+        """True for a cost that fell by more than its tolerance."""
+        return self.is_cost and self.fell
+
+    @property
+    def more_accurate(self) -> bool:
+        """True for an error of the file's own run that fell by more than its tolerance."""
+        return self.is_error and self.fell
+
+    @property
     def moved(self) -> bool:
         """True if the check fails: the change exceeds the tolerance and is no improvement."""
-        return not (self.agrees or self.cheaper)
+        return not (self.agrees or self.cheaper or self.more_accurate)
 
 
 @dataclass(frozen=True)
@@ -109,6 +124,17 @@ class Comparison:
         return [check for check in self.checks if check.cheaper]
 
     @property
+    def more_accurate(self) -> list[BaselineCheck]:
+        """Checks of errors of the file's own run that fell by more than their tolerance."""
+        return [check for check in self.checks if check.more_accurate]
+
+    @property
+    def _improvements(self) -> str:
+        """Numbers of checks that are cheaper or more accurate, as text; empty if there are none."""
+        kinds = (("cheaper", self.cheaper), ("more accurate", self.more_accurate))
+        return "".join(f"; {len(checks)} {word}" for word, checks in kinds if checks)
+
+    @property
     def changed_versions(self) -> list[str]:
         """Versions that changed since the last update, such as "numpy 2.1.0 -> 2.2.0"."""
         stored = self.last_update.versions
@@ -123,15 +149,18 @@ class Comparison:
         count = len(self.checks)
         if not self.moved:
             left_out = "".join(f"; not simulated: {acted(entry)}" for entry in self.acting)
-            if self.cheaper:
-                cheaper = f"{len(self.cheaper)} of {count} checks are cheaper"
-                return f"{self.scene}: quiet: no check fails against {baseline}; {cheaper}{left_out}"
+            if better := self._improvements:
+                return (
+                    f"{self.scene}: quiet: none of {count} checks fails against {baseline}{better}{left_out}"
+                )
             return f"{self.scene}: quiet: all {count} checks match {baseline}{left_out}"
         since = ", ".join(self.changed_versions) or "no version changed"
         when = "" if self.diverges is None else f"; poses differ from {self.diverges:.6g} s on"
         moved = f"{len(self.moved)} of {count} checks fail against {baseline} ({self.last_update.reason})"
-        cheaper = f"; {len(self.cheaper)} cheaper" if self.cheaper else ""
-        return f"{self.scene}: MOVED: {moved}: {since}{when}{cheaper}"
+        settings = ""
+        if any(check.is_error for check in self.moved):
+            settings = "; the run with your settings has a larger error: crosscheck run names cause and fix"
+        return f"{self.scene}: MOVED: {moved}: {since}{when}{settings}{self._improvements}"
 
     def summary(self) -> dict[str, Any]:
         """Return the result of the comparison as an entry of `scenes` in regress.json."""
@@ -146,7 +175,9 @@ class Comparison:
             "diverges": self.diverges,
             "wall_time": self.wall_time,
             "figures": [
-                asdict(check) | {"moved": check.moved, "cheaper": check.cheaper} for check in self.checks
+                asdict(check)
+                | {"moved": check.moved, "cheaper": check.cheaper, "more_accurate": check.more_accurate}
+                for check in self.checks
             ],
         }
 
@@ -168,9 +199,10 @@ def compare(
     watched = watched_in_own_run(scene, mapping) if mapping else None
     checks = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping, watched) or [])
     diverges = None
+    simulation = mapping.simulation if mapping else None
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
-        found = measure_group(group, measured_scene, baseline.plan)
+        found = measure_group(group, measured_scene, baseline.plan, simulation)
         stored = [quantity for quantity in baseline.quantities if quantity.group == group]
         checks.extend(check_group(stored, found))
         if group == MAIN_FORMULATION and not isinstance(found, str):
@@ -236,7 +268,14 @@ def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> 
         problem: why it could not be measured.
     """
     make_check = partial(
-        BaselineCheck, stored.group, stored.name, BETWEEN, unit=stored.unit, is_cost=stored.is_cost
+        BaselineCheck,
+        stored.group,
+        stored.name,
+        BETWEEN,
+        unit=stored.unit,
+        is_cost=stored.is_cost,
+        is_error=stored.is_error,
+        reason=stored.reason,
     )
     if now is not None and (stored.rows, stored.columns) != (now.rows, now.columns):
         now, problem = None, "has other bodies, joints or times than the baseline"

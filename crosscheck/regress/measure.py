@@ -1,7 +1,8 @@
 """Measure the quantities of a scene that `crosscheck regress` compares with a baseline.
 
 The quantities come in groups (`GROUPS`): properties of the model, equations and runs of newton_euler in two
-formulations, its other integrators, and the engines MuJoCo and Pinocchio. A formulation is a choice of
+formulations, its other integrators, the engines MuJoCo and Pinocchio, and the error of the run that a model
+file's own engine makes with the settings of the file. A formulation is a choice of
 coordinates: "relative" are joint coordinates, "cartesian" are the positions and orientations of all bodies.
 
 newton_euler runs the whole scene in joint coordinates, and a tenth of its duration in Cartesian coordinates,
@@ -20,7 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +30,7 @@ from crosscheck.compare.check import OWN_ERROR, reach, round_off
 from crosscheck.compare.energy import energy_balance
 from crosscheck.compare.samples import Samples, States, admissible_basis
 from crosscheck.engines.engine import ENGINES
+from crosscheck.own_run.judge import measure_error
 from crosscheck.regress.baseline import (
     COUNT_SUFFIXES,
     OPERATIONS_PREFIX,
@@ -48,6 +50,7 @@ from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_run import FileSimulation
 from newton_euler.runs.assemble import initial_state
 from newton_euler.runs.simulate import CompiledScene
 
@@ -96,6 +99,18 @@ complete."""
 TIGHTER_FACTOR = 0.1
 """Factor of the relative tolerances in the second run, whose changes show the error of the first run."""
 
+MAX_ERROR_GROWTH, MIN_ERROR = 0.02, 1e-6
+"""Fraction by which errors of a file's own run may grow, and relative error below which growth is no change.
+
+MuJoCo repeats a run to the last digit: an error that grows by 2 % shows a change of the model, its settings
+or the engine. Below a millionth of the motion, round-off and the tolerance of MuJoCo's solver decide."""
+
+ERROR_TOLERANCE_REASON = (
+    f"{100 * MAX_ERROR_GROWTH:g} % of the error or {MIN_ERROR:g} of the motion, the larger one, plus "
+    f"{OWN_ERROR:g} times the change of the error with a reference of a tenth of the tolerance"
+)
+"""Reason of the tolerances of a file's own run, stored beside them."""
+
 RK4_EVALUATIONS = 4
 """Evaluations of the equations per step of RK4."""
 
@@ -112,25 +127,28 @@ def regress_scene(scene: Scene) -> Scene:
     return replace(scene, output_period=scene.duration / OUTPUT_COUNT, outputs=frozenset(OUTPUTS))
 
 
-def measure_group(group: GroupName, scene: Scene, plan: MeasurementPlan) -> list[StoredQuantity] | str:
+def measure_group(
+    group: GroupName, scene: Scene, plan: MeasurementPlan, simulation: FileSimulation[Any] | None = None
+) -> list[StoredQuantity] | str:
     """Measure the quantities of one group, with tolerances for round-off only.
 
     Args:
         group: name of the group.
         scene: a result of `regress_scene`.
         plan: settings of the measurement.
+        simulation: the model file in its own engine; None for scenes that are not read from such a file.
 
     Returns:
         The quantities, or the message of the first error: an error of the tested code is a result, too.
     """
     try:
-        return list(GROUPS[group](Measurement(group, scene, plan)))
+        return list(GROUPS[group](Measurement(group, scene, plan, simulation)))
     except Exception as error:
         return reason_of(error)
 
 
 def measure_group_with_errors(
-    group: GroupName, scene: Scene, plan: MeasurementPlan
+    group: GroupName, scene: Scene, plan: MeasurementPlan, simulation: FileSimulation[Any] | None = None
 ) -> list[StoredQuantity] | str:
     """Measure the quantities of one group for a new baseline.
 
@@ -141,12 +159,13 @@ def measure_group_with_errors(
         group: name of the group.
         scene: a result of `regress_scene`.
         plan: settings of the first measurement.
+        simulation: the model file in its own engine; None for scenes that are not read from such a file.
 
     Returns:
         The quantities, or the reason why the group is left out.
     """
-    found = measure_group(group, scene, plan)
-    tighter = measure_group(group, scene, plan.tighter(TIGHTER_FACTOR))
+    found = measure_group(group, scene, plan, simulation)
+    tighter = measure_group(group, scene, plan.tighter(TIGHTER_FACTOR), simulation)
     if isinstance(found, str) or isinstance(tighter, str):
         return found if isinstance(found, str) else tighter
     if wrong := [quantity.name for quantity in found if not np.all(np.isfinite(quantity.array))]:
@@ -234,11 +253,13 @@ class Measurement:
         group: name of the group.
         scene: a result of `regress_scene`.
         plan: settings of the measurement.
+        simulation: the model file in its own engine; None for scenes that are not read from such a file.
     """
 
     group: GroupName
     scene: Scene
     plan: MeasurementPlan
+    simulation: FileSimulation[Any] | None = None
 
     @cached_property
     def states(self) -> tuple[tuple[str, float, State], ...]:
@@ -505,6 +526,24 @@ def _run_fixed_steps(engine: str, scene: Scene, step: float) -> Trajectory:
     return urdf.simulate(scene, "RK4", step=step)
 
 
+def _measure_own_run(here: Measurement) -> Iterator[StoredQuantity]:
+    """Measure the errors of the run with the settings of the model file."""
+    if here.simulation is None:
+        raise CrosscheckError("the model has no run with settings of its own")
+    found = measure_error(here.simulation, here.plan.rtol[MAIN_FORMULATION], here.plan.own_run_until)
+    error, scale = found.error, found.scale
+    for name, unit, value, motion in (
+        ("relative error", "", error.relative, 1.0),
+        ("error of position", "m", error.position, scale.length),
+        ("error of rotation", "rad", error.rotation, scale.angle),
+        ("loop opening", "m or rad", found.opening, scale.length),
+        ("error of energy", "relative", error.energy, 1.0),
+    ):
+        allowed = max(MAX_ERROR_GROWTH * value, MIN_ERROR * motion)
+        quantity = here.quantity(name, unit, value, allowed)
+        yield quantity.model_copy(update={"reason": ERROR_TOLERANCE_REASON})
+
+
 GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredQuantity]]] = {
     "model": _measure_model,
     "relative": _measure_formulation,
@@ -512,5 +551,6 @@ GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredQuantity]]] = {
     "integrators": _measure_integrators,
     "mujoco": _measure_engine,
     "pinocchio": _measure_engine,
+    "own_run": _measure_own_run,
 }
 """Functions that measure all quantities of a group, by the name of the group."""

@@ -23,12 +23,16 @@ CHECK_COLUMNS = [*text_columns("quantity", "where"), *number_columns("was", "cha
 
 
 def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
-    """Make a table of failed checks and one of cheaper costs for each scene that has any.
+    """Make tables of failed checks, cheaper costs and smaller errors for each scene that has any.
 
     Each table has at most `MAX_SHOWN_CHECKS` checks, and a line with the number of the others.
     """
     for comparison in comparisons:
-        for title, checks in (("what moved", comparison.moved), ("what is cheaper", comparison.cheaper)):
+        for title, checks in (
+            ("what moved", comparison.moved),
+            ("what is cheaper", comparison.cheaper),
+            ("what is more accurate", comparison.more_accurate),
+        ):
             if checks:
                 hidden = len(checks) - MAX_SHOWN_CHECKS
                 rows = [_row(check, f"{check.level}: ") for check in checks[:MAX_SHOWN_CHECKS]]
@@ -40,12 +44,13 @@ def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
     """Format a check as a row of `CHECK_COLUMNS`, with a prefix before the name of the quantity."""
     unit = f", {check.unit}" if check.unit else ""
     name = f"{prefix}{check.quantity}{unit}"
-    verdict: Verdict = "fails" if check.moved else "improved" if check.cheaper else "holds"
+    better = "cheaper" if check.cheaper else "more accurate" if check.more_accurate else ""
+    verdict: Verdict = "fails" if check.moved else "improved" if better else "holds"
     if check.was is None or check.now is None:
         return [name, Cell(check.problem or "the same", verdict), "", "", ""]
     change = f"{check.now - check.was:+.2e}"
-    ratio = f"{check.tolerance_ratio:.3g} cheaper" if check.cheaper else f"{check.tolerance_ratio:.3g}"
-    return [name, check.where, f"{check.was:.9g}", change, Cell(ratio, verdict)]
+    ratio = f"{check.tolerance_ratio:.3g} {better}".rstrip()
+    return [name, check.where, f"{check.was:.9g}", change, Cell(ratio, verdict, check.reason)]
 
 
 def outcome(comparisons: Sequence[Comparison]) -> Outcome:
@@ -65,8 +70,11 @@ def verdict(comparisons: Sequence[Comparison], left_out: Mapping[str, str]) -> s
         left_out: reasons by name of the scenes that were not compared.
     """
     moved = [comparison.scene for comparison in comparisons if comparison.moved]
+    notes = ""
     cheaper = [comparison.scene for comparison in comparisons if comparison.cheaper]
-    notes = f"; cheaper: {', '.join(cheaper)}" if cheaper else ""
+    more_accurate = [comparison.scene for comparison in comparisons if comparison.more_accurate]
+    for word, names in (("cheaper", cheaper), ("more accurate", more_accurate)):
+        notes += f"; {word}: {', '.join(names)}" if names else ""
     notes += f"; left out: {', '.join(left_out)}" if left_out else ""
     if moved:
         return f"{Outcome.MOVED}: {len(moved)} of {len(comparisons)} scenes: {', '.join(moved)}{notes}"
@@ -139,6 +147,7 @@ def as_json(
         "quiet": not any(comparison.moved for comparison in comparisons),
         "outcome": outcome(comparisons).value,
         "cheaper": [comparison.scene for comparison in comparisons if comparison.cheaper],
+        "more_accurate": [comparison.scene for comparison in comparisons if comparison.more_accurate],
         "left_out": dict(left_out),
         "verdict": verdict(comparisons, left_out),
         "scenes": scenes,

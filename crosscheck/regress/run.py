@@ -19,7 +19,9 @@ from crosscheck.library import SCENES
 from crosscheck.library.model_files import is_model_file
 from crosscheck.library.options import titled
 from crosscheck.loading.load import load_scene, with_excitation
+from crosscheck.own_run.judge import horizon
 from crosscheck.regress.baseline import (
+    OWN_RUN_GROUP,
     Baseline,
     GroupName,
     StoredQuantity,
@@ -141,17 +143,22 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
         plan = make_plan(scene)
     except NewtonEulerError as error:
         raise CrosscheckError(f"scene {scene.name!r} cannot be run: {error}") from error
+    mapping = guarded.mapping
+    simulation = mapping.simulation if mapping else None
+    if simulation is not None:
+        plan = plan.model_copy(update={"own_run_until": horizon(simulation)})
     quantities, left_out = list[StoredQuantity](), dict[GroupName, str]()
     for group in GROUPS:
+        if group == OWN_RUN_GROUP and simulation is None:
+            continue
         progress(f"{scene.name}: {group}")
-        found = measure_group_with_errors(group, scene, plan)
+        found = measure_group_with_errors(group, scene, plan, simulation)
         if isinstance(found, str):
             left_out[group] = found
         else:
             quantities.extend(found)
     if MAIN_FORMULATION in left_out:
         raise CrosscheckError(f"scene {scene.name!r} cannot be measured: {left_out[MAIN_FORMULATION]}")
-    mapping = guarded.mapping
     watched = watched_in_own_run(guarded.scene, mapping) if mapping else None
     return Baseline(
         scene=scene.name,
