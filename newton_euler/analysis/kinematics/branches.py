@@ -18,16 +18,19 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-SAMPLES, MAX_SAMPLES = 500, 5_000
-"""Number of random configurations solved at a time, and in all."""
+SAMPLES = 500
+"""Number of random configurations that are solved at a time."""
+
+MAX_SAMPLES = 5_000
+"""Largest number of random configurations."""
 
 MIN_HITS = 5
-"""Number of times that each branch must be found. An equally likely branch is missed with probability
-exp(-5)."""
+"""Number of times that each branch must be found before the search ends. A branch that is as likely as the
+others is then missed with a probability of exp(-5)."""
 
 SAME_POSE = 1e-4
-"""Distance below which two poses are one, in sizes of the mechanism and Euler parameters. Double roots have
-half the digits."""
+"""Distance below which two poses are the same; positions in sizes of the mechanism, and quaternions. Poses at
+singular configurations (double roots) have half of all digits."""
 
 MIN_DETERMINANT = 1e-5
 """Dimensionless determinant below which a branch is at a singular configuration."""
@@ -102,7 +105,7 @@ def assembly_branches(
         ('0 +', '1 -', '2 -', '3 +') [ 0.014  0.014 -0.414 -0.414]
     """
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
-    rows = chain.goals + 2 * chain.pointing
+    rows = chain.goal_count + 2 * chain.has_axis_goal
     if rows != chain.freedoms:
         needed = f"as many as degrees of freedom, {chain.freedoms}; an axis counts as two"
         raise OptionError("number of goals", rows, needed)
@@ -166,7 +169,11 @@ def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
 
 
 def _features(at: Configurations) -> Array:
-    """Compute positions in sizes of the mechanism, and p p^T of all bodies, (n, 19 b)."""
+    """Compute vectors (n, 19 b) whose distances compare poses.
+
+    For each body: the position in sizes of the mechanism, and the products of the quaternion's components.
+    The products are the same for a quaternion and its negative.
+    """
     positions = at.position / at.chain.scene.mechanism.size
     turns = at.quaternion[..., None] * at.quaternion[..., None, :]
     bodies = positions.shape[1]
@@ -182,7 +189,7 @@ def _order(at: Configurations, begin: Configurations) -> Array:
 
 def _matrix(at: Configurations, goal: Goal) -> Array:
     """Return the square Jacobian (n, nv, nv) of independent loop equations and goals."""
-    return np.concatenate([at.jacobian[:, at.chain.independent], at.misses(goal)[1]], axis=1)
+    return np.concatenate([at.jacobian[:, at.chain.independent], at.goal_errors(goal)[1]], axis=1)
 
 
 def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, Array]]:

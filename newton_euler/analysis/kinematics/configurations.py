@@ -1,7 +1,9 @@
-"""Loops, joint coordinates and the direction of a body's axis in many configurations at once, compiled.
+"""Compiled evaluation of many configurations: loop closure, joint coordinates, direction of a body's axis.
 
-Chosen joint coordinates are driving constraints (`newton_euler.equations.driven`). Jacobians are derivatives
-with respect to velocities of the spanning tree.
+A configuration is a vector q of coordinates of the spanning tree: the mechanism without the joints that close
+loops. Chosen joint coordinates are driving constraints (`newton_euler.equations.driven`). Jacobians are
+derivatives with respect to the nv velocities of the spanning tree. All arrays begin with an axis for the n
+configurations.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ MAX_JOINT_STEP = 0.2
 """Largest motion of a joint in one step, rad or sizes of the mechanism."""
 
 PARALLEL_SINE = 1e-15
-"""Sine of the angle between two vectors below which their plane is round-off."""
+"""Sine of the angle between two vectors below which the vectors are parallel, and any perpendicular axis is
+used as the axis of rotation."""
 
 INVALID_RESULT = 1e6
 """Value of all results of a configuration that are not finite."""
@@ -46,13 +49,13 @@ def products(matrices: Array, vectors: Array) -> Array:
 
 
 def within_revolution(angles: Array) -> Array:
-    """Reduce angles to half a revolution at most, rad."""
+    """Reduce angles, rad, to the range from -pi to pi by full revolutions."""
     return np.asarray(angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
 
 
 @description
 class Axis:
-    """An axis fixed in a body, as the normal of a panel.
+    """An axis fixed in a body, such as the normal of a panel.
 
     Attributes:
         body: name of the body.
@@ -95,7 +98,7 @@ def unit_vectors(element: str, name: str, given: object) -> Array:
     return vectors
 
 
-def across(vectors: Array) -> Array:
+def perpendicular_to(vectors: Array) -> Array:
     """Compute unit vectors perpendicular to unit vectors (n, 3)."""
     found = np.cross(vectors, np.eye(3)[np.argmin(np.abs(vectors), axis=1)])
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
@@ -106,16 +109,18 @@ def smallest_turns(start: Array, end: Array) -> Array:
     sine = np.cross(start, end)
     length = np.linalg.norm(sine, axis=1, keepdims=True)
     angle = np.arctan2(length, np.sum(start * end, axis=1, keepdims=True))
-    return np.asarray(angle * np.divide(sine, length, out=across(start), where=length > PARALLEL_SINE))
+    return np.asarray(
+        angle * np.divide(sine, length, out=perpendicular_to(start), where=length > PARALLEL_SINE)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Wanted values of chosen coordinates, and directions of the axis, for n configurations.
+    """Goals for n configurations: values of joint coordinates, and directions of an axis.
 
     Attributes:
-        coordinates: (n, m) m or rad; (n, 0) for none.
-        towards: (n, 3) unit vectors, world frame; (n, 0) for none.
+        coordinates: (n, m) wanted values, m or rad; (n, 0) for none.
+        towards: (n, 3) wanted directions, unit vectors, world frame; (n, 0) for none.
     """
 
     coordinates: Array
@@ -131,30 +136,40 @@ class Goal:
 
 
 class Chain:
-    """The kinematic chain of a scene with chosen coordinates and an axis, compiled.
+    """The mechanism of a scene with m chosen joint coordinates and an axis, compiled for many configurations.
 
     Prescribed motions of the scene hold their values at time 0, except motions of chosen coordinates.
 
     Attributes:
-        keys, axis: the chosen joint coordinates, and an axis of a body or None.
-        goals, pointing: number of coordinates with goals, the first of them; True if the axis has a goal.
-        units: (m,) of the coordinates: the size of the mechanism for slides, m, 1 for angles.
-        turns: (m,) True for angles that are the same after a full revolution.
-        freedoms: degrees of freedom.
+        keys: the chosen joint coordinates.
+        axis: an axis of a body, or None.
+        goal_count: number of chosen coordinates that have goals; they come first.
+        has_axis_goal: True if the axis has a goal.
+        units: (m,) units of the coordinates: the size of the mechanism, m, for slides, 1 for angles.
+        is_periodic: (m,) True for angles that are the same after a full revolution.
+        freedoms: number of degrees of freedom.
+        driven: the scene whose motions drive the chosen coordinates.
         system: equations in joint coordinates, with driving constraints for the chosen coordinates.
-        closing, driving: rows of `phi` that close loops, and rows of the chosen coordinates minus `offsets`
-            (m,).
-        independent: rows that imply all rows of `closing`.
+        closing: numbers of the constraint rows (of the residuals phi) that close loops.
+        driving: (m,) numbers of the driving constraints. Their residual is coordinate - offset.
+        offsets: (m,) offsets of the driving constraints, m or rad.
+        independent: numbers of constraint rows that imply all rows of `closing`.
         start: q (nq,) of the initial state.
     """
 
     def __init__(
-        self, scene: Scene, keys: Sequence[Key], goals: int, axis: Axis | None, pointing: bool, state: State
+        self,
+        scene: Scene,
+        keys: Sequence[Key],
+        goal_count: int,
+        axis: Axis | None,
+        has_axis_goal: bool,
+        state: State,
     ) -> None:
         self.scene, self.keys, self.axis = scene, tuple(keys), axis
-        self.goals, self.pointing = goals, pointing
+        self.goal_count, self.has_axis_goal = goal_count, has_axis_goal
         # the mechanism: motions that are held, and driving constraints for the other chosen coordinates
-        held = tuple(motion.held() for motion in scene.motions if motion.key not in self.keys[:goals])
+        held = tuple(motion.held() for motion in scene.motions if motion.key not in self.keys[:goal_count])
         values = {motion.key: motion.function.value(0.0) for motion in held}
         chosen = {key: Polynomial((0.0,)) for key in self.keys if key not in values}
         loops = replace(scene.without_forces(), motions=held, initial_state=state)
@@ -177,7 +192,7 @@ class Chain:
         self.units = self.system.phi_units[self.driving]
         linked = {key for coupling in couplings(loops) for key in coupling.factors}
         turns = [not scene.mechanism.is_slide(*key) and key not in linked for key in self.keys]
-        self.turns = np.array(turns, dtype=bool)
+        self.is_periodic = np.array(turns, dtype=bool)
         self.start = self.system.coordinates(state)[0]
 
     @cached_property
@@ -206,7 +221,7 @@ class Chain:
         return values, places
 
     def at(self, q: Array, step: Array | None = None) -> Configurations:
-        """Evaluate the configurations q (n, nq), moved by steps (n, nv) if given."""
+        """Evaluate the configurations q (n, nq), displaced by steps (n, nv), rad or m, if given."""
         function, system = self.function, self.system
         states = np.zeros((len(q), system.nq + system.nv))
         states[:, : system.nq] = q
@@ -218,14 +233,14 @@ class Chain:
 
     def goal_at(self, at: Configurations) -> Goal:
         """Return the goals that configurations meet."""
-        return Goal(at.coordinates[:, : self.goals], at.direction[:, : 3 * self.pointing])
+        return Goal(at.coordinates[:, : self.goal_count], at.direction[:, : 3 * self.has_axis_goal])
 
     def difference(self, goal: Goal, other: Goal) -> tuple[Array, Array]:
         """Compute goal - other: coordinates (n, m), and the rotation vectors (n, 3) from other to goal."""
         x = goal.coordinates - other.coordinates
-        turns = self.turns[: self.goals]
+        turns = self.is_periodic[: self.goal_count]
         x[:, turns] = within_revolution(x[:, turns])
-        if not self.pointing:
+        if not self.has_axis_goal:
             return x, np.zeros((len(x), 0))
         return x, smallest_turns(other.towards, goal.towards)
 
@@ -233,7 +248,7 @@ class Chain:
         """Interpolate between goals: `other` at share 0, `goal` at share 1, for shares (n,)."""
         x, turn = self.difference(goal, other)
         coordinates = other.coordinates + share[:, None] * x
-        if not self.pointing:
+        if not self.has_axis_goal:
             return Goal(coordinates, goal.towards)
         angle = np.linalg.norm(turn, axis=1, keepdims=True)
         ahead = np.cross(np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0), other.towards)
@@ -241,22 +256,31 @@ class Chain:
         return Goal(coordinates, np.cos(angle) * other.towards + np.sin(angle) * ahead)
 
     def embed(self, goal: Goal) -> Array:
-        """Compute points (n, e) whose distances are the distances of goals, for goals near each other."""
-        x, turns = goal.coordinates / self.units[: self.goals], self.turns[: self.goals]
-        turned = x[:, turns]
-        return np.hstack([x[:, ~turns], np.sin(turned), np.cos(turned), goal.towards])
+        """Map goals to points (n, e) in a Euclidean space.
+
+        The distance of two points approximates the distance of nearby goals. Angles become points (sin, cos)
+        of a circle, so that angles one revolution apart coincide.
+        """
+        is_angle = self.is_periodic[: self.goal_count]
+        x = goal.coordinates / self.units[: self.goal_count]
+        angles = x[:, is_angle]
+        return np.hstack([x[:, ~is_angle], np.sin(angles), np.cos(angles), goal.towards])
 
 
 class Configurations:
-    """Evaluated configurations of a chain; rows of Jacobians are dimensionless, by dimensionless velocities.
+    """Results of the evaluation of n configurations of a chain.
+
+    Residuals, rows of Jacobians and velocities are dimensionless: lengths are divided by the size of the
+    mechanism.
 
     Attributes:
-        q: (n, nq).
-        phi: (n, k) dimensionless residuals of loops.
-        coordinates: (n, m) the chosen ones, m or rad.
-        direction: (n, 3) of the axis, world frame; (n, 0) for none.
-        position, quaternion: (n, b, 3) and (n, b, 4) of all bodies.
-        jacobian: (n, rows, nv) of the system's residuals, then three of the angular velocity of the axis.
+        chain: the chain.
+        values: (n, outputs) all results of `Chain.function`, from which the other attributes are extracted.
+        q: (n, nq) coordinates of the spanning tree.
+        phi: (n, k) residuals of the loops.
+        coordinates: (n, m) chosen coordinates, m or rad.
+        direction: (n, 3) direction of the axis, world frame; (n, 0) for none.
+        position, quaternion: (n, b, 3) and (n, b, 4) poses of all bodies.
     """
 
     def __init__(self, chain: Chain, values: Array) -> None:
@@ -283,6 +307,7 @@ class Configurations:
 
     @cached_property
     def jacobian(self) -> Array:
+        """The Jacobian (n, rows, nv) of all residuals, then three rows of the axis' angular velocity."""
         system = self.chain.system
         units = np.concatenate([system.phi_units, np.ones(3 * (self.chain.axis is not None))])
         found = np.zeros((len(self), len(units), system.nv))
@@ -301,13 +326,13 @@ class Configurations:
         return self.jacobian[:, self.chain.driving]
 
     @property
-    def turning(self) -> Array:
+    def axis_jacobian(self) -> Array:
         """The angular velocity (n, 3, nv) of the body with the axis; (n, 0, nv) for none."""
         return self.jacobian[:, len(self.chain.system.phi_units) :]
 
     @cached_property
     def spaces(self) -> tuple[Array, Array]:
-        """`back` and `tangent`."""
+        """Pair of `loop_inverse` and `tangent`, from one singular value decomposition."""
         system = self.chain.system
         rank = system.nv - self.chain.freedoms
         if rank == 0:
@@ -320,7 +345,7 @@ class Configurations:
         return back, vt[:, rank:]
 
     @property
-    def back(self) -> Array:
+    def loop_inverse(self) -> Array:
         """The pseudo-inverse (n, nv, k) of the Jacobian of the loops."""
         return self.spaces[0]
 
@@ -329,25 +354,28 @@ class Configurations:
         """Orthonormal velocities (n, f, nv) that leave the loops closed."""
         return self.spaces[1]
 
-    def misses(self, goal: Goal) -> tuple[Array, Array]:
-        """Compute dimensionless distances (n, t) to goals, and their Jacobian (n, t, nv).
+    def goal_errors(self, goal: Goal) -> tuple[Array, Array]:
+        """Compute the dimensionless errors (n, t) of goals, and their Jacobian (n, t, nv).
 
-        Those of the axis are rotations: about the axis that turns it to its goal, less the angle that is
-        missing, and about the one perpendicular to it.
+        The direction of the axis has two errors, rotations about two perpendicular vectors: minus the angle
+        to the goal about the vector that rotates the axis to the goal, and 0 about the other vector.
         """
         chain = self.chain
         x, turn = chain.difference(goal, chain.goal_at(self))
-        misses, rows = -x / chain.units[: chain.goals], self.driving[:, : chain.goals]
-        if not chain.pointing:
-            return misses, rows
+        errors, rows = -x / chain.units[: chain.goal_count], self.driving[:, : chain.goal_count]
+        if not chain.has_axis_goal:
+            return errors, rows
         angle = np.linalg.norm(turn, axis=1, keepdims=True)
-        first = np.divide(turn, angle, out=across(self.direction), where=angle > 0.0)
+        first = np.divide(turn, angle, out=perpendicular_to(self.direction), where=angle > 0.0)
         second = np.cross(self.direction, first)
-        two = np.stack([first, second], axis=1) @ self.turning
-        return np.hstack([misses, -angle, np.zeros_like(angle)]), np.concatenate([rows, two], axis=1)
+        two = np.stack([first, second], axis=1) @ self.axis_jacobian
+        return np.hstack([errors, -angle, np.zeros_like(angle)]), np.concatenate([rows, two], axis=1)
 
-    def moved(self, step: Array) -> Configurations:
-        """Evaluate the configurations moved by dimensionless steps (n, nv), long ones shortened."""
+    def step_by(self, step: Array) -> Configurations:
+        """Evaluate the configurations after dimensionless steps (n, nv).
+
+        A step whose largest component exceeds `MAX_JOINT_STEP` is shortened.
+        """
         largest = np.max(np.abs(step), axis=1, keepdims=True, initial=0.0)
         step = step * np.minimum(1.0, MAX_JOINT_STEP / np.maximum(largest, MAX_JOINT_STEP))
         return self.chain.at(self.q, step * self.chain.system.velocity_units)

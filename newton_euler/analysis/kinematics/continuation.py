@@ -1,9 +1,10 @@
-"""Configurations moved to goals: Newton's method by continuation, and descent to the nearest where it fails.
+"""Find configurations that meet goals, or come nearest to goals out of reach.
 
-Newton's method takes steps of least length, from the nearest configuration that is solved already. Goals that
-it does not reach are approached: their distance is minimized over all closed configurations by Newton's
-method in the tangent space (J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed., 2006, sections 3.4
-and 15.4), from the nearest of many configurations.
+Goals are values of joint coordinates and directions of an axis. `follow` moves from the start to all goals by
+continuation: Newton's method with steps of least length begins at the nearest configuration that is solved
+already. For goals that `follow` does not reach, `approach` minimizes the distance to the goal over all
+configurations with closed loops. It uses Newton's method in the tangent space (J. Nocedal, S. J. Wright,
+Numerical Optimization, 2nd ed., 2006, sections 3.4 and 15.4), from the nearest of many configurations.
 """
 
 from __future__ import annotations
@@ -24,25 +25,30 @@ MAX_STRIDE = 0.25
 """Largest distance between a goal and the solved pose from which Newton's method starts, rad or sizes."""
 
 MAX_STRIDES = 1000
-"""Number of strides from the start to a goal. Farther goals get longer strides."""
+"""Largest number of strides (solved intermediate goals) from the start to a goal. Farther goals get longer
+strides."""
 
-GOAL_STEPS, RANDOM_STEPS = 12, 60
-"""Number of Newton's steps from a solved pose near the goal, and from a random configuration."""
+GOAL_STEPS = 12
+"""Largest number of Newton steps from a solved pose near the goal."""
+
+RANDOM_STEPS = 60
+"""Largest number of Newton steps from a random configuration."""
 
 RESIDUAL_ROUND_OFF = 16.0 * np.finfo(float).eps
-"""Dimensionless residual below which the evaluation of residuals has no digits."""
+"""Dimensionless residual below which residuals are round-off."""
 
 MAX_RESIDUAL = 1e-11
-"""Largest dimensionless residual of a pose that is reached. Larger residuals at least halve in each step."""
+"""Largest dimensionless residual of a pose that meets its goal. Newton's method continues below this residual
+only while each step at least halves the residual."""
 
 MAX_APPROACH_STEPS = 60
 """Number of steps to the pose nearest to a goal out of reach."""
 
 DIFFERENCE_STEP = 1e-5
-"""Dimensionless step of central differences: its square and round-off divided by it are equally small."""
+"""Dimensionless step h of central differences: the errors h^2 and (round-off / h) are about equal."""
 
 MIN_CURVATURE = 1e-9
-"""Curvature below which a direction counts as straight."""
+"""Smallest curvature by which a gradient is divided in a Newton step."""
 
 MAX_HALVINGS = 8
 """Number of times that a step is halved until it reduces the distance to the goal."""
@@ -53,15 +59,23 @@ MAX_CHORD_STEPS = 15
 DISTANCE_ROUND_OFF = 1e-12
 """Relative change of a squared distance that is round-off."""
 
-PATHS, PATH_STEPS = 64, 20
-"""Number of random paths that sample a branch, and of steps along each."""
+PATHS = 64
+"""Number of random paths that sample an assembly branch."""
+
+PATH_STEPS = 20
+"""Number of steps along each random path."""
 
 
 def newton(at: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Configurations, Array]:
-    """Move n configurations to goals by Newton's steps of least length.
+    """Move n configurations to goals by Newton steps of least length.
 
-    A step closes the loops and reaches the goals in first order: the shortest step that closes the loops, and
-    the shortest further step in their tangent space that makes up for the rest of the goals.
+    A step has two parts: the shortest step that closes the loops in first order; and the shortest step in the
+    tangent space of the loops that then meets the goals in first order.
+
+    Args:
+        at: configurations to begin with.
+        goal: one goal for each configuration.
+        steps: largest number of steps.
 
     Returns:
         The configurations, and True (n,) for those that meet their goals with closed loops.
@@ -69,19 +83,21 @@ def newton(at: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Con
     values, error = at.values.copy(), np.full(len(at), np.inf)
     active, here = np.arange(len(at)), at
     for _ in range(steps):
-        # keep configurations that improve; stop those that are solved to round-off
-        misses, rows = here.misses(goal[active])
-        left = largest(here.phi, misses)
-        on = (left >= RESIDUAL_ROUND_OFF) & ((left >= MAX_RESIDUAL) | (left < 0.5 * error[active]))
-        values[active], error[active] = here.values, left
-        if not on.any():
+        # store the configurations; select those that need another step
+        goal_errors, rows = here.goal_errors(goal[active])
+        new_error = largest(here.phi, goal_errors)
+        improves = (new_error >= MAX_RESIDUAL) | (new_error < 0.5 * error[active])
+        goes_on = (new_error >= RESIDUAL_ROUND_OFF) & improves
+        values[active], error[active] = here.values, new_error
+        if not goes_on.any():
             break
-        # one step of the others
-        active, here, misses, rows = active[on], here[on], misses[on], rows[on]
-        back = products(here.back, -here.phi)
+        active, here = active[goes_on], here[goes_on]
+        goal_errors, rows = goal_errors[goes_on], rows[goes_on]
+        # one step of these
+        closing = products(here.loop_inverse, -here.phi)
         reduced = rows @ np.swapaxes(here.tangent, 1, 2)
-        along = products(np.linalg.pinv(reduced, RANK_TOLERANCE), -misses - products(rows, back))
-        here = here.moved(back + products(np.swapaxes(here.tangent, 1, 2), along))
+        along = products(np.linalg.pinv(reduced, RANK_TOLERANCE), -goal_errors - products(rows, closing))
+        here = here.step_by(closing + products(np.swapaxes(here.tangent, 1, 2), along))
     return Configurations(at.chain, values), error < MAX_RESIDUAL
 
 
@@ -103,9 +119,9 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
     chain = before.chain
     turned = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
     found = np.ones((len(before), 2))
-    first, last = (at.misses(chain.goal_at(at))[1] for at in (before, after))
+    first, last = (at.goal_errors(chain.goal_at(at))[1] for at in (before, after))
     pairs = [(first, last)]
-    if chain.pointing or chain.goals < len(chain.keys):
+    if chain.has_axis_goal or chain.goal_count < len(chain.keys):
         pairs.append((before.driving, after.driving))
     for column, (one, other) in enumerate(pairs):
         if one.shape[1] == chain.freedoms:
@@ -128,31 +144,32 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
     from scipy.spatial import cKDTree
 
     chain, count = start.chain, len(goal.coordinates)
+    # solved configurations and the goals that they meet, at first the start alone
     solved, at = start.values, chain.goal_at(start)
     found = np.repeat(start.values, count, axis=0)
+    # tried: number of the solved goal from which a goal was last tried
     points, tried, reached = chain.embed(goal), np.full(count, -1), np.zeros(count, dtype=bool)
     stride = np.maximum(MAX_STRIDE, np.linalg.norm(points - chain.embed(at), axis=1) / MAX_STRIDES)
     while not reached.all():
         # goals whose nearest solved goal is new; those within one stride first
         waiting = np.flatnonzero(~reached)
         distance, nearest = cKDTree(chain.embed(at)).query(points[waiting])
-        take = fresh = nearest != tried[waiting]
-        near = fresh & (distance <= stride[waiting])
-        if near.any():
-            take = near
-        if not take.any():
+        has_new_source = nearest != tried[waiting]
+        is_near = has_new_source & (distance <= stride[waiting])
+        selected = is_near if is_near.any() else has_new_source
+        if not selected.any():
             break
         # a stride from the nearest solved goal towards each of these goals
-        own, source, distance = waiting[take], nearest[take], distance[take]
-        share = np.minimum(1.0, stride[own] / np.maximum(distance, stride[own]))
-        towards = chain.between(goal[own], at[source], share)
+        numbers, source, distance = waiting[selected], nearest[selected], distance[selected]
+        fraction = np.minimum(1.0, stride[numbers] / np.maximum(distance, stride[numbers]))
+        towards = chain.between(goal[numbers], at[source], fraction)
         before = Configurations(chain, solved[source])
         after, met = newton(before, towards)
         met &= np.all(crossing_signs(before, after) > 0.0, axis=1)
         # the ends of strides are solved goals from now on
-        tried[own] = source
-        found[own] = np.where(met[:, None], after.values, before.values)
-        reached[own] = met & (share == 1.0)
+        tried[numbers] = source
+        found[numbers] = np.where(met[:, None], after.values, before.values)
+        reached[numbers] = met & (fraction == 1.0)
         solved = np.concatenate([solved, after.values[met]])
         at = at.with_others(towards[met])
     return Configurations(chain, found), reached
@@ -211,8 +228,8 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
         # a Newton step of the distance in the tangent space
         if not active.size or not chain.freedoms:
             break
-        here, own = Configurations(chain, values[active]), goal[active]
-        along = _descent(here, own)
+        here, active_goal = Configurations(chain, values[active]), goal[active]
+        along = _newton_step(here, active_goal)
         # halve the step until the closed configuration is nearer to the goal
         better = np.zeros(len(here), dtype=bool)
         for k in range(MAX_HALVINGS):
@@ -221,10 +238,10 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
                 break
             before = here[rest]
             after = moved_closed(before, 0.5**k * products(np.swapaxes(before.tangent, 1, 2), along[rest]))
-            good = _is_better(after, before, own[rest])
-            moved = active[rest[good]]
-            passed[moved] *= crossing_signs(before[good], after[good])
-            values[moved] = after.values[good]
+            good = _is_better(after, before, active_goal[rest])
+            improved = active[rest[good]]
+            passed[improved] *= crossing_signs(before[good], after[good])
+            values[improved] = after.values[good]
             better[rest[good]] = True
         active = active[better]
     return Configurations(chain, values), passed
@@ -232,29 +249,29 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
 
 def half_square(at: Configurations, goal: Goal) -> Array:
     """Compute half the squared dimensionless distances (n,) to goals."""
-    return 0.5 * np.sum(at.misses(goal)[0] ** 2, axis=1)
+    return 0.5 * np.sum(at.goal_errors(goal)[0] ** 2, axis=1)
 
 
 def gradient(at: Configurations, goal: Goal) -> Array:
     """Compute the gradients (n, nv) of half the squared distances to goals."""
-    misses, rows = at.misses(goal)
-    return products(np.swapaxes(rows, 1, 2), misses)
+    goal_errors, rows = at.goal_errors(goal)
+    return products(np.swapaxes(rows, 1, 2), goal_errors)
 
 
-def _descent(at: Configurations, goal: Goal) -> Array:
-    """Compute Newton's step (n, f) of half the squared distance in the tangent space.
+def _newton_step(at: Configurations, goal: Goal) -> Array:
+    """Compute the Newton step (n, f) that minimizes half the squared distance in the tangent space.
 
-    The Hessian of the Lagrange function is a central difference of gradients. Its eigenvalues are taken
-    positive, so that the step goes downhill in every direction.
+    The Hessian of the Lagrange function is a central difference of gradients. The step divides by the
+    absolute values of its eigenvalues, so that the step goes downhill in every direction.
     """
     uphill = gradient(at, goal)
-    multipliers = -products(np.swapaxes(at.back, 1, 2), uphill)
+    multipliers = -products(np.swapaxes(at.loop_inverse, 1, 2), uphill)
     tangent = at.tangent
     columns = []
     for k in range(tangent.shape[1]):
         ends = []
         for sign in (1.0, -1.0):
-            other = at.moved(sign * DIFFERENCE_STEP * tangent[:, k])
+            other = at.step_by(sign * DIFFERENCE_STEP * tangent[:, k])
             ends.append(gradient(other, goal) + products(np.swapaxes(other.loops, 1, 2), multipliers))
         columns.append(products(tangent, ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
     hessian = np.stack(columns, axis=2)
@@ -265,11 +282,11 @@ def _descent(at: Configurations, goal: Goal) -> Array:
 
 def moved_closed(at: Configurations, step: Array) -> Configurations:
     """Move configurations by dimensionless steps (n, nv) and close the loops by the chord method."""
-    after = at.moved(step)
+    after = at.step_by(step)
     for _ in range(MAX_CHORD_STEPS):
         if np.all(largest(after.phi) < RESIDUAL_ROUND_OFF):
             break
-        after = after.moved(products(at.back, -after.phi))
+        after = after.step_by(products(at.loop_inverse, -after.phi))
     return after
 
 

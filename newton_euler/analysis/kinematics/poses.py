@@ -60,8 +60,8 @@ class Poses:
             measured coordinates, do not determine the motion.
         missing: (n,) value minus goal of each chosen joint coordinate, m or rad.
         angle: (n,) angle between the axis and its goal, rad; zeros without a goal.
-        slope: (n,) decrease of the dimensionless distance to the goals per dimensionless motion. 0 where no
-            pose nearby is nearer, as for goals that are out of reach.
+        slope: (n,) decrease of the dimensionless distance to the goals per dimensionless motion. 0 at a local
+            minimum of the distance, for example for goals that are out of reach.
         closed: (n,) True if all loops are closed.
 
     Examples:
@@ -175,7 +175,7 @@ class Poses:
         chain, rows, units = self._at.chain, [], []
         for each in quantities:
             if isinstance(each, Axis) and chain.axis is each:
-                rows.append(np.cross(self._at.turning, self._at.direction[:, :, None], axis=1))
+                rows.append(np.cross(self._at.axis_jacobian, self._at.direction[:, :, None], axis=1))
                 units += [1.0, 1.0, 1.0]
             elif not isinstance(each, Axis) and each in self._names:
                 k = self._names.index(each)
@@ -235,7 +235,7 @@ def solve_poses(
     beyond = np.zeros(len(reached), dtype=bool)
     if left.size:
         near, passed = approach(at[left], sample_branch(begin), goal[left])
-        met = largest(near.phi, near.misses(goal[left])[0]) < MAX_RESIDUAL
+        met = largest(near.phi, near.goal_errors(goal[left])[0]) < MAX_RESIDUAL
         # a goal at the limit of reach is met without a change of sign
         reached[left], beyond[left] = met & np.all(passed > 0.0, axis=1), passed[:, 1] < 0.0
         beyond[left] |= met & (passed[:, 0] < 0.0)
@@ -252,8 +252,8 @@ def poses_of(
     chain = at.chain
     x, turn = chain.difference(chain.goal_at(at), goal)
     measured = at.coordinates.copy()
-    measured[:, chain.turns] = within_revolution(measured[:, chain.turns])
-    measured[:, : chain.goals] = goal.coordinates + x
+    measured[:, chain.is_periodic] = within_revolution(measured[:, chain.is_periodic])
+    measured[:, : chain.goal_count] = goal.coordinates + x
     distance = np.sqrt(2.0 * half_square(at, goal))
     slope = np.linalg.norm(products(at.tangent, gradient(at, goal)), axis=1) / np.maximum(
         distance, MAX_RESIDUAL
@@ -299,16 +299,25 @@ def goals_of(
 def chain_of(
     scene: Scene,
     names: Sequence[str | Key],
-    goals: int,
+    goal_count: int,
     axis: Axis | None,
-    pointing: bool,
+    has_axis_goal: bool,
     start: State | None,
 ) -> Chain:
-    """Return the chain with joint coordinates of these names; the first `goals` of them have goals."""
+    """Make the chain of a scene with chosen joint coordinates.
+
+    Args:
+        scene: gives the mechanism and the start.
+        names: joint coordinates.
+        goal_count: number of the coordinates that have goals; they come first.
+        axis: axis of a body, or None.
+        has_axis_goal: True if the axis has a goal.
+        start: state at which the motion begins; the scene's initial state if None.
+    """
     keys = [scene.mechanism.coordinate(name) for name in names]
     if len(set(keys)) < len(keys):
         raise OptionError("coordinates", names, "each joint coordinate once")
-    return Chain(scene, keys, goals, axis, pointing, _start(scene, start))
+    return Chain(scene, keys, goal_count, axis, has_axis_goal, _start(scene, start))
 
 
 def coordinate_values(scene: Scene, name: str | Key, given: object) -> Array:

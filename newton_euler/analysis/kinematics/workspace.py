@@ -161,9 +161,9 @@ def singular_poses(
     # Newton's steps to a determinant of zero
     for _ in range(SINGULAR_STEPS):
         value, slope = _determinant(at)
-        there = (np.abs(value) < MAX_RESIDUAL) & (largest(at.phi) < MAX_RESIDUAL)
-        met.append(at.values[there])
-        at, value, slope = at[~there], value[~there], slope[~there]
+        is_singular = (np.abs(value) < MAX_RESIDUAL) & (largest(at.phi) < MAX_RESIDUAL)
+        met.append(at.values[is_singular])
+        at, value, slope = at[~is_singular], value[~is_singular], slope[~is_singular]
         along = -value[:, None] * slope / np.maximum(np.sum(slope**2, axis=1, keepdims=True), MIN_CURVATURE)
         at = moved_closed(at, products(np.swapaxes(at.tangent, 1, 2), along))
     found = Configurations(chain, np.concatenate(met))
@@ -179,6 +179,7 @@ def _check_count(chain: Chain) -> None:
 
 
 def _no_goals(count: int) -> Goal:
+    """Return empty goals for a number of configurations."""
     return Goal(np.zeros((count, 0)), np.zeros((count, 0)))
 
 
@@ -191,7 +192,7 @@ def _determinant(at: Configurations) -> tuple[Array, Array]:
     for k in range(at.chain.freedoms):
         ends = []
         for sign in (1.0, -1.0):
-            other = at.moved(sign * DIFFERENCE_STEP * at.tangent[:, k])
+            other = at.step_by(sign * DIFFERENCE_STEP * at.tangent[:, k])
             turned = np.sign(np.linalg.det(other.tangent @ np.swapaxes(at.tangent, 1, 2)))
             ends.append(turned * np.linalg.det(other.driving @ np.swapaxes(other.tangent, 1, 2)))
         columns.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))

@@ -1,4 +1,7 @@
-"""Linear models and their modes."""
+"""Results of a linearization: the linear model (matrices A, B, C, D) and its modes.
+
+`newton_euler.linearize` makes these records.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,11 @@ from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats
 
 RIGID_MODE = 1e-7
-"""Eigenvalue, divided by the largest, below which it is zero: the root of round-off."""
+"""Magnitude of an eigenvalue, divided by the largest, below which the eigenvalue is zero: about the square
+root of round-off, because zero eigenvalues are double."""
 
 STILL_RATE = 1e-9
-"""Rate, in units per period of the fastest mode, below which it is round-off."""
+"""Rate of a coordinate, in units per time constant of the fastest mode, below which the rate is round-off."""
 
 
 def label(name: str | Key) -> str:
@@ -34,7 +38,7 @@ class Modes:
 
     Attributes:
         eigenvalues: (m,) 1/s.
-        shapes: (m, d) of the coordinates, complex, in the scale of `twists`.
+        shapes: (m, d) amplitudes of the coordinates, complex, in the scale of `twists`.
         twists: (m, b, 6) displacement of the centers of mass, m, and small rotation, rad, of all bodies,
             world frame; the largest component is 1 rad, or one size of the mechanism, and real.
 
@@ -78,12 +82,14 @@ class LinearModel:
     Attributes:
         scene: name of the scene.
         state: state of the linearization.
-        coordinates, inputs, outputs: names of x, u and y.
+        coordinates: (d,) names of the coordinates; x has these and then their rates.
+        inputs, outputs: names of the entries of u and y.
         units: (d,) units of the coordinates: the size of the mechanism for slides, m, else 1.
-        size: of the mechanism, m.
+        size: size of the mechanism, m.
         A, B, C, D: (2 d, 2 d), (2 d, m), (p, 2 d) and (p, m).
         f: (2 d,) rates of coordinates and their accelerations at the state itself; zero at an equilibrium.
-        twists: (b, 6, d) velocities and angular velocities of all bodies for the rates of coordinates.
+        twists: (b, 6, d) Jacobian of linear and angular velocities of all bodies with respect to the rates of
+            the coordinates, world frame.
 
     Examples:
         >>> model = linearize(load("tracker"))
@@ -111,7 +117,7 @@ class LinearModel:
 
     @property
     def is_equilibrium(self) -> bool:
-        """True if the mechanism stays at the state; else the model describes motions near a moving one."""
+        """True if the mechanism stays at rest at the state; False if the state moves or accelerates."""
         size = np.tile(self.units, 2)
         fastest = max(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1.0)
         rates, accelerations = np.split(np.abs(self.f / size), 2)
@@ -121,24 +127,27 @@ class LinearModel:
 
     def modes(self) -> Modes:
         """Compute eigenvalues and mode shapes; for a moving state they hold at that instant."""
+        # eigenvalues of the dimensionless system that are not zero, one of each conjugate pair, slowest first
         d, size = len(self.units), np.tile(self.units, 2)
         matrix = self.A * size / size[:, None]
         values, vectors = np.linalg.eig(matrix)
         fastest = np.abs(values).max(initial=0.0)
-        swings = (np.abs(values) > RIGID_MODE * fastest) & (values.imag >= 0.0)
-        order = np.flatnonzero(swings)[np.argsort(np.abs(values[swings]), kind="stable")]
-        _, strengths, directions = np.linalg.svd(matrix[d:, :d]) if d else (0, np.zeros(0), np.zeros((0, 0)))
-        still = directions[strengths <= RIGID_MODE**2 * fastest**2]
-        found = np.concatenate([np.zeros(len(still)), values[order]]).astype(complex)
-        shapes = np.concatenate([still, vectors[:d, order].T]).astype(complex) * self.units
+        is_mode = (np.abs(values) > RIGID_MODE * fastest) & (values.imag >= 0.0)
+        order = np.flatnonzero(is_mode)[np.argsort(np.abs(values[is_mode]), kind="stable")]
+        # motions without a restoring force: null space of the stiffness block of the matrix
+        _, stiffness, directions = np.linalg.svd(matrix[d:, :d]) if d else (0, np.zeros(0), np.zeros((0, 0)))
+        rigid = directions[stiffness <= RIGID_MODE**2 * fastest**2]
+        eigenvalues = np.concatenate([np.zeros(len(rigid)), values[order]]).astype(complex)
+        shapes = np.concatenate([rigid, vectors[:d, order].T]).astype(complex) * self.units
+        # scale each mode: the largest displacement of a body is 1 rad or 1 size, and real
         twists = np.einsum("bid,md->mbi", self.twists, shapes)
         scales = np.repeat([self.size, 1.0], 3)
         for shape, twist in zip(shapes, twists, strict=True):
-            moves = (twist / scales).ravel()
-            most = moves[np.argmax(np.abs(moves).round(9))]
-            shape /= most
-            twist /= most
-        return Modes(found, shapes, twists)
+            displacements = (twist / scales).ravel()
+            largest = displacements[np.argmax(np.abs(displacements).round(9))]
+            shape /= largest
+            twist /= largest
+        return Modes(eigenvalues, shapes, twists)
 
     def to_scipy(self) -> Any:
         """Return a `scipy.signal.StateSpace` of A, B, C and D."""

@@ -62,7 +62,7 @@ def lqr(
     from scipy.linalg import solve_continuous_are
 
     # the linear model about the state, with the actuators' holding forces
-    mechanism, acting = scene.mechanism, _acting(scene, actuators)
+    mechanism, acting = scene.mechanism, _actuated(scene, actuators)
     if not acting:
         raise OptionError("actuators", (), "one joint coordinate or more")
     start = initial_state(scene) if state is None else state
@@ -98,8 +98,8 @@ def lqr(
     return tuple(found)
 
 
-def _acting(scene: Scene, actuators: Sequence[str | Key] | None) -> tuple[Key, ...]:
-    """Return the joint coordinates that forces act on."""
+def _actuated(scene: Scene, actuators: Sequence[str | Key] | None) -> tuple[Key, ...]:
+    """Return the joint coordinates that forces act on, see `actuators` of `lqr`."""
     mechanism = scene.mechanism
     if actuators is not None:
         return tuple(mechanism.coordinate(name) for name in actuators)
@@ -108,7 +108,7 @@ def _acting(scene: Scene, actuators: Sequence[str | Key] | None) -> tuple[Key, .
 
 
 def _coordinate(scene: Scene, name: str | Key) -> Key:
-    """Return the joint coordinate of a freedom; raises `MechanismError` for a rotation of a ball."""
+    """Return the joint coordinate with a name; raises `MechanismError` for a rotation of a ball."""
     if isinstance(name, str) and name not in scene.mechanism.joint_names:
         needed = "joint coordinates alone, which laws can read"
         raise MechanismError(f"scene {scene.name!r}", f"moves along {name}, a rotation of a ball", needed)

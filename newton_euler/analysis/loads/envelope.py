@@ -1,4 +1,8 @@
-"""Load envelopes for design: ranges of joint and actuator loads over runs and load cases."""
+"""Load envelopes for design: ranges of joint and actuator loads over several runs (load cases).
+
+`load_envelope` takes trajectories with reactions, computes loads at all output times, and returns their
+smallest and largest values with the time and the load case.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +27,11 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Floats
 
 REQUIRED_ARRAYS = ("linear_velocity", "angular_velocity", "reaction_force", "reaction_torque")
-"""Arrays of runs that loads are computed from."""
+"""Attributes of trajectories that loads are computed from."""
 
 
 class Load(NamedTuple):
-    """A load: the joint or joint coordinate, the quantity and its unit."""
+    """Identity of a load: name of the joint or joint coordinate, quantity (see `load_envelope`), and unit."""
 
     element: str
     quantity: str
@@ -43,8 +47,8 @@ class LoadRange:
         quantity: see `load_envelope`.
         unit: unit of the values.
         least, most: smallest and largest value.
-        least_time, most_time: s, at which they are first reached.
-        least_case, most_case: names of their cases.
+        least_time, most_time: times, s, at which these values are first reached.
+        least_case, most_case: names of the cases with these values.
         rms: root of the mean square over time, in the case in which it is largest.
         rms_case: name of this case.
 
@@ -216,6 +220,7 @@ def rest_case(scene: Scene) -> Trajectory:
 
 
 def _check_run(scene: Scene, case: str, run: Trajectory) -> None:
+    """Raise `MechanismError` for a run of another mechanism, or without the arrays that loads need."""
     where = f"case {case!r}"
     mechanism = scene.mechanism
     if (run.body_names, run.joint_names) != (mechanism.body_names, mechanism.joint_names):
@@ -237,17 +242,27 @@ def joint_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
             ("force", "N", "shear force", run.reaction_force[:, k]),
             ("torque", "N m", "bending torque", run.reaction_torque[:, k]),
         ):
-            parts = dict(zip((f"{what} x", f"{what} y", f"{what} z"), vectors.T, strict=True))
-            parts[what] = np.linalg.norm(vectors, axis=1)
+            components = dict(zip((f"{what} x", f"{what} y", f"{what} z"), vectors.T, strict=True))
+            components[what] = np.linalg.norm(vectors, axis=1)
             if axes is not None:
                 u, w, axial = np.einsum("nij,ni->jn", axes, vectors)
-                parts |= {f"axial {what}": axial, across: np.hypot(u, w), f"{what} u": u, f"{what} w": w}
-            found |= {Load(joint.name, quantity, unit): values for quantity, values in parts.items()}
+                components |= {
+                    f"axial {what}": axial,
+                    across: np.hypot(u, w),
+                    f"{what} u": u,
+                    f"{what} w": w,
+                }
+            found |= {Load(joint.name, quantity, unit): values for quantity, values in components.items()}
     return found
 
 
 def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
-    """Return axes u, w and the joint's own at all outputs, (n, 3, 3) columns; None without a single axis."""
+    """Return the axes along which loads of a joint are resolved, at all output times.
+
+    Returns:
+        (n, 3, 3), with the unit vectors u, w and the axis of the joint as columns, world frame; None for a
+        joint without an axis or with axes of different directions.
+    """
     axes = [motion.axis for motion in joint.motions if motion.kind != "ball"]
     if joint.axis_names == ("axis",):
         axes = [getattr(joint, "axis")]  # noqa: B009 (kinds with one axis)
@@ -288,20 +303,27 @@ def work_and_energy(force: Array, coordinate: Array) -> tuple[Array, Array]:
     The energy is the positive mechanical work. Negative work (braking) is neither recovered nor consumed.
 
     Args:
-        force: (n,) N or N m; coordinate: (n,) m or rad.
+        force: (n,) N or N m.
+        coordinate: (n,) m or rad.
     """
-    steps = _steps(force, coordinate)
+    steps = _trapezoids(force, coordinate)
     work, energy = (np.concatenate([[0.0], np.cumsum(each)]) for each in (steps, np.maximum(steps, 0.0)))
     return work, energy
 
 
-def _steps(values: Array, over: Array) -> Array:
-    """Compute the parts (n - 1,) of an integral by the trapezoidal rule."""
-    return 0.5 * (values[1:] + values[:-1]) * np.diff(over)
+def _trapezoids(values: Array, x: Array) -> Array:
+    """Compute the integral of values (n,) over each interval of x (n,), by the trapezoidal rule: (n - 1,)."""
+    return 0.5 * (values[1:] + values[:-1]) * np.diff(x)
 
 
 def _range(load: Load, cases: Mapping[str, Trajectory], found: list[dict[Load, Array]]) -> LoadRange:
-    """Compute the range of a load over all cases."""
+    """Compute the range of a load over all cases.
+
+    Args:
+        load: the load.
+        cases: runs by names of cases.
+        found: for each case, values (n,) of all loads.
+    """
     extremes = [
         (float(values[k]), float(run.time[k]), case)
         for (case, run), loads in zip(cases.items(), found, strict=True)
@@ -321,4 +343,4 @@ def _mean(values: Array, time: Array) -> float:
     """Average values (n,) over time; a single output is its own average."""
     if len(time) == 1:
         return float(values[0])
-    return float(np.cumsum(_steps(values, time))[-1] / (time[-1] - time[0]))
+    return float(np.cumsum(_trapezoids(values, time))[-1] / (time[-1] - time[0]))

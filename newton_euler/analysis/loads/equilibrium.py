@@ -22,10 +22,11 @@ MAX_EQUILIBRIUM_STEP = 0.2
 """Longest step towards an equilibrium, rad or sizes of the mechanism."""
 
 MAX_ITERATIONS = 100
-"""Number of steps towards an equilibrium."""
+"""Largest number of steps towards an equilibrium."""
 
 CONVERGED_STEP = 1e-10
-"""Step at which an equilibrium is found, rad or sizes of the mechanism. The error left is its square."""
+"""Length of a step, rad or sizes of the mechanism, below which an equilibrium is found. Newton's method
+converges quadratically: the remaining error is about the square of the step."""
 
 
 def at_rest(scene: Scene) -> Scene:
@@ -66,14 +67,15 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
     system, model = Relative(scene), linearize(scene, state, names, [], [])
     for _ in range(MAX_ITERATIONS):
-        # in each mode the acceleration divided by the eigenvalue's magnitude: Newton's step of a stable mode
+        # In each mode, the acceleration divided by the magnitude of the eigenvalue. This is Newton's step for
+        # a stable mode; for an unstable mode it leads away from the equilibrium along the force.
         stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
         values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
         along = least_squares(vectors, accelerations / model.units)
         step = (vectors @ (along / np.maximum(np.abs(values), RIGID_MODE))).real
         if model.is_equilibrium and largest(step) < CONVERGED_STEP:
             return state
-        # move along it and close the loops
+        # take the step with limited length, and close the loops
         step *= min(1.0, MAX_EQUILIBRIUM_STEP / max(largest(step), MAX_EQUILIBRIUM_STEP))
         q, _ = system.coordinates(state)
         motion = model.twists.reshape(-1, len(names)) @ (model.units * step)

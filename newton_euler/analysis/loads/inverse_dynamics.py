@@ -1,6 +1,7 @@
-"""Inverse dynamics: forces of actuators and reactions of joints for wanted accelerations.
+"""Inverse dynamics: forces of actuators and reactions of joints for given states and accelerations.
 
-See `newton_euler.compiled.inverse_dynamics` for the method.
+`inverse_dynamics` checks its arguments, calls compiled equations and names the results. The method is
+described in `newton_euler.compiled.inverse_dynamics`.
 """
 
 from __future__ import annotations
@@ -132,12 +133,24 @@ def inverse_dynamics(
 def compiled_dynamics(
     scene: Scene, coordinates: tuple[Key, ...], actuators: tuple[Key, ...]
 ) -> InverseDynamics:
-    """Return the compiled inverse dynamics of a scene, the same object each time."""
+    """Return the compiled inverse dynamics of a scene, from a cache if it was compiled before.
+
+    Args:
+        scene: the scene.
+        coordinates: joint coordinates with given accelerations.
+        actuators: joint coordinates that the unknown forces act on.
+    """
     return InverseDynamics(scene, coordinates, actuators)
 
 
 def loads_of(compiled: InverseDynamics, solved: SolvedStates, is_single: bool) -> Loads:
-    """Return the loads of solved states, without their first axis if a single state was given."""
+    """Return the loads of solved states as a record.
+
+    Args:
+        compiled: compiled inverse dynamics; gives names.
+        solved: results for n states.
+        is_single: True if a single state was given; the arrays then lose their first axis.
+    """
     mechanism = compiled.scene.mechanism
     arrays = [array[0] if is_single else array for array in solved[:3]]
     names = tuple(map(mechanism.coordinate_name, compiled.servos.actuators))

@@ -1,4 +1,4 @@
-"""States for inverse dynamics: one state, a trajectory, or solved poses, checked and as arrays."""
+"""Input states of inverse dynamics and statics: a state, a trajectory or solved poses, as arrays."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class States:
     Attributes:
         position, quaternion: (n, b, 3) and (n, b, 4).
         velocities: linear and angular velocities (n, b, 3); None at rest.
-        angles: (n,) rad with their revolutions, by joint coordinate, for the angles that were given.
+        angles: angles (n,) with full revolutions, rad, by joint coordinate, for the angles that were given.
         is_single: True if one state was given alone, not a sequence.
     """
 
@@ -47,11 +47,12 @@ class States:
             raise MechanismError(
                 where, f"is {quoted(given)}", "a State, a Trajectory or other poses of bodies"
             )
-        moving = [getattr(given, name, None) for name in ("linear_velocity", "angular_velocity")]
-        arrays += [each for each in moving if each is not None]
+        velocities = [getattr(given, name, None) for name in ("linear_velocity", "angular_velocity")]
+        arrays += [each for each in velocities if each is not None]
+        # a single state gets a first axis of length 1
         self.is_single = arrays[0].ndim == 2
-        self.position, self.quaternion, *both = (a[None] for a in arrays) if self.is_single else arrays
-        self.velocities = both if len(both) == len(moving) else None
+        self.position, self.quaternion, *rest = (a[None] for a in arrays) if self.is_single else arrays
+        self.velocities = rest if len(rest) == len(velocities) else None
         self._solved = given if isinstance(given, Poses) else None
         self.angles: Mapping[Key, Array] = {}
         if self._solved is None:
@@ -66,14 +67,20 @@ class States:
         return len(self.position)
 
     def state(self, row: int) -> State:
-        """Return the state with a number."""
-        still = np.zeros_like(self.position[row])
-        moving = (still, still) if self.velocities is None else (each[row] for each in self.velocities)
+        """Return one of the n states as a `State`."""
+        zero = np.zeros_like(self.position[row])
+        velocities = (zero, zero) if self.velocities is None else (each[row] for each in self.velocities)
         angles = {key: float(angle[row]) for key, angle in self.angles.items()}
-        return State(self.position[row], self.quaternion[row], *moving, angles=angles)
+        return State(self.position[row], self.quaternion[row], *velocities, angles=angles)
 
     def coordinates(self, system: Relative, times: Array) -> tuple[Array, Array]:
-        """Compute q (n, nq) and v (n, nv) of a system of the scene at times (n,), s."""
+        """Compute the coordinates q (n, nq) and velocities v (n, nv) of the states.
+
+        Args:
+            system: equations of motion of the scene, which define q and v.
+            times: (n,) s, for prescribed motions.
+        """
+        # solved poses have the coordinates already, apart from full revolutions of angles
         if self._solved is not None and system.nq == system.tree.nq:
             q = self._solved.tree_coordinates.copy()
             for key, place in system.angles.items():
@@ -84,11 +91,11 @@ class States:
         return np.array([q for q, _ in found]), np.array([v for _, v in found])
 
     def column(self, name: str, value: Any) -> Array:
-        """Return a number for each state, (n,).
+        """Convert values of a quantity to one number for each state, (n,).
 
         Args:
-            name: of the quantity, for errors.
-            value: one number, or (n,).
+            name: name of the quantity, for messages.
+            value: one number for all states, or (n,).
 
         Raises:
             MechanismError: for another number of values, or values that are not finite.
@@ -98,10 +105,10 @@ class States:
 
 
 def _angles(scene: Scene, given: Any) -> Mapping[Key, Array]:
-    """Return the given angles (n,) with their revolutions, rad, by joint coordinate.
+    """Return the given angles (n,) with full revolutions, rad, by joint coordinate.
 
-    A trajectory has no angles if no force of its scene depends on them. They are then integrated from their
-    rates.
+    A trajectory stores angles only if a force of its scene depends on them. Otherwise the trajectory counts
+    revolutions by integrating the rates of the angles.
     """
     if isinstance(given, State):
         return {key: np.array([angle]) for key, angle in given.angles.items()}

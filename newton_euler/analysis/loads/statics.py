@@ -1,4 +1,7 @@
-"""Statics: forces of actuators that hold a mechanism at rest, and reactions of its joints."""
+"""Statics: forces of actuators that hold a mechanism at rest, and reactions of its joints.
+
+Statics is inverse dynamics with zero velocities and accelerations, and a check that no body accelerates.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 MAX_UNBALANCED = 1e-7
-"""Fraction of the forces on a body that may be unbalanced in statics: round-off."""
+"""Largest force on a body that may stay unbalanced, as a fraction of all forces on the body: round-off."""
 
 
 @checked
@@ -72,7 +75,7 @@ def statics(
 
 
 def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key, ...]:
-    """Choose as many of these coordinates as are independent at a state, in their order."""
+    """Choose as many of these joint coordinates as are independent at a state; return them in their order."""
     count = mobility(scene).degrees_of_freedom
     system = Relative(measuring(scene, keys))
     q, _ = system.coordinates(state)
@@ -88,15 +91,17 @@ def _check_at_rest(compiled: InverseDynamics, given: States, solved: SolvedState
     inertia = np.array([np.linalg.norm(body.inertia, 2) for body in mechanism.bodies])
     linear = np.linalg.norm(solved.linear_acceleration, axis=-1)
     angular = np.linalg.norm(solved.angular_acceleration, axis=-1)
-    left = mass * linear + inertia * angular / size
+    # unbalanced force on each body (n, b), N: mass times acceleration
+    unbalanced = mass * linear + inertia * angular / size
     known = _forces_on_bodies(compiled, solved)
-    for row in np.flatnonzero(np.any(left > MAX_UNBALANCED * _scale(mechanism, known), axis=1)):
+    for row in np.flatnonzero(np.any(unbalanced > MAX_UNBALANCED * _scale(mechanism, known), axis=1)):
         # springs, wrenches and wind are only added where the other forces do not explain the acceleration
-        applied = _applied(compiled.scene, given.state(int(row)))
-        moved = np.flatnonzero(left[row] > MAX_UNBALANCED * _scale(mechanism, known[row] + applied))
-        if len(moved):
-            body = moved[np.argmax(left[row, moved])]
-            problem = f"is left with a force of {left[row, body]:.3g} N at state {row}"
+        applied = _applied_forces(compiled.scene, given.state(int(row)))
+        limits = MAX_UNBALANCED * _scale(mechanism, known[row] + applied)
+        accelerated = np.flatnonzero(unbalanced[row] > limits)
+        if len(accelerated):
+            body = accelerated[np.argmax(unbalanced[row, accelerated])]
+            problem = f"is left with a force of {unbalanced[row, body]:.3g} N at state {row}"
             raise MechanismError(f"body {mechanism.body_names[body]!r}", problem, "actuators that hold it")
 
 
@@ -118,7 +123,7 @@ def _forces_on_bodies(compiled: InverseDynamics, solved: SolvedStates) -> Array:
     return found
 
 
-def _applied(scene: Scene, state: State) -> Array:
+def _applied_forces(scene: Scene, state: State) -> Array:
     """Add up the magnitudes, N, of springs, wrenches and wind at each body (b,)."""
     mechanism, at = scene.mechanism, surroundings(scene, state)
     found = np.zeros(len(mechanism.bodies))
@@ -133,10 +138,10 @@ def _applied(scene: Scene, state: State) -> Array:
 
 
 def _scale(mechanism: Mechanism, forces: Array) -> Array:
-    """Return the forces (..., b), N, that unbalanced forces on bodies are compared with.
+    """Return the forces (..., b), N, with which unbalanced forces on bodies are compared.
 
-    A body with small forces of its own still has the round-off of its neighbors' accelerations. Its scale is
-    at least its mass times the acceleration that all forces together give to all masses.
+    A body on which small forces act still has the round-off of its neighbors' accelerations. The scale of a
+    body is at least its mass times (sum of all forces, divided by the sum of all masses).
     """
     mass = np.array([body.mass for body in mechanism.bodies])
     return np.maximum(forces, mass * forces.sum(axis=-1, keepdims=True) / mass.sum())
