@@ -7,9 +7,13 @@ changes the velocities by dv_i,
     dv_i = -[J; J_z]^-1 (d[J; J_z]/dz_i) v
     d zddot / dz_i = (d zddot / dq) qdot(T_i) + (d zddot / dv) dv_i,    d zddot / dzdot_i = (d zddot / dv) T_i
 
-The partial derivatives come from the traced equations, in one sweep for each direction. The model is exact
-wherever loops are closed, in motion, too. The rotation of a ball has no coordinates. Small rotations dtheta
-about axes of the body that it moves stand for them, with rates omega: d/dt dtheta = domega - omega x dtheta.
+Here q and v are the coordinates and velocities of the spanning tree, and J the Jacobian of the constraints.
+J_z has the rates of z as rows, and the columns of T are motions that leave loops closed.
+
+The partial derivatives are exact: the equations are traced and differentiated in compiled code, with one
+evaluation for each direction. The model holds at every state with closed loops, also in motion. The rotation
+of a ball joint has no coordinates. Small rotations dtheta of the joint's second body about its axes replace
+them, with the angular velocity omega: d/dt dtheta = domega - omega x dtheta.
 """
 
 from __future__ import annotations
@@ -66,8 +70,8 @@ MIN_SINGULAR_VALUE = 1e-9
 """Singular value of [J; J_z] below which the coordinates do not determine the motion."""
 
 MAX_OPEN = 1e-6
-"""Largest loop-closure error of a state, sizes of the mechanism or rad, and its largest increase in the time
-in which the fastest joint moves by 1: more than any engine leaves."""
+"""Largest loop-closure error of a state, sizes of the mechanism or rad, and its largest rate, 1/s. Both are
+multiplied by the largest velocity if it exceeds 1. The errors in runs of all engines are smaller."""
 
 
 @checked
@@ -207,7 +211,7 @@ class Linearization:
 
     @cached_property
     def function(self) -> NativeFunction:
-        """Function of (q, v, inputs, a direction of all three, time), see `_trace`."""
+        """Compiled function of (q, v, inputs, a direction of these three, time), see `_trace`."""
         begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         inputs = parameter_layout(self.scene, self.values)
         names = tuple(label(freedom.name) for freedom in self.freedoms)
@@ -219,7 +223,7 @@ class Linearization:
 
     @property
     def _count(self) -> int:
-        """Number of (q, v, inputs)."""
+        """Number of entries of (q, v, inputs)."""
         return self.system.nq + self.system.nv + sum(value.size for value in self.values.values())
 
     def _trace(self, variables: Array) -> tuple[list[Scalar], None]:

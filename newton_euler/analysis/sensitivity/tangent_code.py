@@ -1,4 +1,10 @@
-"""The equations of a scene with their derivatives along a direction, traced and compiled."""
+"""Equations of a scene with directional derivatives, traced and compiled.
+
+The programs have an input vector x: the state (q, v), time, flags that select constraint rows, and
+parameters. A second input, a direction, is a change of x; the programs return the derivatives of their
+results along the direction (forward-mode differentiation). A direction that is integrated along a run is a
+*tangent*.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +30,22 @@ from newton_euler.runs.simulate import CompiledScene
 from newton_euler.scalars import Array, Scalar, minimum, objects, zeros
 
 ALONG = " along"
+"""End of the names of programs with derivatives along a direction."""
+
 UNREFINED, RATES, PROJECTED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
-"""Names of programs whose inputs are x and a direction."""
+"""Names of programs: state rates without and with iterative refinement, and the projected direction."""
 
 SIGN_CHANGES = "reversing"
-"""Name of the program of vectors that reverse where forces jump."""
+"""Name of the program that returns, for each force that may jump, a vector that reverses at the jump."""
 
 
 @lru_cache(maxsize=CACHED_SCENES)
 def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationName | None) -> TangentCode:
-    """Return the code of a scene with derivatives with respect to numbers; the same object each time.
+    """Return the code of a scene with derivatives with respect to parameters, from a cache if possible.
 
     Args:
         scene: the scene to run.
-        names: names of numbers, see `newton_euler.analysis.sensitivity.tangent_starts.components`. Their
+        names: names of parameters, see `newton_euler.analysis.sensitivity.tangent_starts.components`. Their
             values are inputs of the code.
         formulation: see `newton_euler.simulate`.
     """
@@ -51,7 +59,7 @@ class TangentCode(CompiledScene):
     """A compiled scene with derivatives along a direction of (q, v, parameters).
 
     Inputs of programs whose names end with `ALONG` are x and a direction of the same length. Several
-    directions are evaluated side by side.
+    directions are evaluated at once in the lanes (elements) of vector registers.
     """
 
     alone = False
@@ -59,12 +67,19 @@ class TangentCode(CompiledScene):
 
     @property
     def rates(self) -> tuple[str, ...]:
-        """Names of programs of rates: the quick one first, then the one for small pivot ratios."""
+        """Names of the programs of rates of state and tangent, in the order in which they are tried.
+
+        The first is faster. The last is accurate also for nearly dependent constraints, which have small
+        pivot ratios (smallest ratio of a pivot to its usual magnitude).
+        """
         return (RATES,) if self.formulation == "relative" else (UNREFINED, RATES)
 
     @cached_property
     def moves_loops(self) -> bool:
-        """True if parameters move closed configurations: near a singular one without bound."""
+        """True if parameters change the configurations in which loops close, such as a joint point.
+
+        Near a singular configuration derivatives with respect to such parameters grow without bound.
+        """
         if not (SpanningTree(self.scene.mechanism).cuts or self.system.couplings):
             return False
         found = places(self.scene, self._named).values()
@@ -103,9 +118,15 @@ class TangentCode(CompiledScene):
     def _rates_along(self, system: Formulation, x: Array, along: Array, refined: bool) -> list[Scalar]:
         """Return (qdot, vdot), their derivatives, and the pivot ratio.
 
-        Accelerations are differentiated implicitly. The residuals of their equations are differentiated with
-        accelerations and multipliers held; the equations with this right side and the same factors give the
-        derivatives. Without refinement their relative error is round-off divided by the pivot ratio.
+        Accelerations are differentiated implicitly. Let r(x, a) = 0 be the equations for the accelerations
+        and multipliers a. The derivative da along the direction solves (dr/da) da = -(dr/dx) dx, with the
+        factors that are known from the solution for a. Without refinement the relative error of da is
+        round-off divided by the pivot ratio.
+
+        Args:
+            system: equations of motion at x.
+            x, along: (inputs,) symbolic inputs and direction.
+            refined: True for iterative refinement of the solutions.
         """
         # accelerations and multipliers at x
         q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
@@ -129,11 +150,11 @@ class TangentCode(CompiledScene):
         force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
         free = equations.factor.lower(force)
         found = solve_constrained(equations._replace(free=free, gamma=gamma)).acceleration
-        moved = [found.get(k, 0.0) for k in range(count)]
+        acceleration_changes = [found.get(k, 0.0) for k in range(count)]
         of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
         # derivatives of qdot and vdot
         vdot = system.sparse_vdot(q, v, of_held).tolist()
-        changes = differentiate_along(graph, vdot, [*x, *accelerations], [*along, *moved])
+        changes = differentiate_along(graph, vdot, [*x, *accelerations], [*along, *acceleration_changes])
         rates = [*system.rate(q, v), *system.sparse_vdot(q, v, solution)]
         changes = differentiated(rates[: system.nq], x, along) + substitute(graph, changes, held, values)
         return [*rates, *changes, minimum(solution.pivot_ratio, 1.0)]
@@ -141,8 +162,9 @@ class TangentCode(CompiledScene):
     def _projected(self, system: Formulation, x: Array, along: Array) -> list[Scalar]:
         """Project a direction at a closed state onto the linearized constraints; return its (q, v).
 
-        Coordinates are projected first, then velocities, by steps of least length. Near dependent constraints
-        the steps have no digits and are faded out: the direction then keeps the error of its integration.
+        Coordinates are projected first, then velocities, by steps of least length. Where constraints are
+        nearly dependent, the steps are round-off. A factor then reduces them to zero, and the direction keeps
+        the error of its integration.
         """
         on_q, on_v = slice(system.nq), slice(system.nq, self.size)
         q, v, moved = x[on_q], x[on_v], along.copy()
@@ -155,9 +177,10 @@ class TangentCode(CompiledScene):
             """Compute the shortest step (nv,) for the derivatives of residuals (k,) along the direction."""
             right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
             least, pivot_ratio = least_squares(rows, right, used_by(system))
-            known = minimum(pivot_ratio * (1.0 / UNSAFE_PIVOT_RATIO), 1.0)
-            share = known * known * (known * known)
-            return np.array([share * units[k] * least.get(k, 0.0) for k in range(system.nv)])
+            # the factor falls from 1 to 0 with the fourth power of small pivot ratios
+            ratio = minimum(pivot_ratio * (1.0 / UNSAFE_PIVOT_RATIO), 1.0)
+            factor = ratio * ratio * (ratio * ratio)
+            return np.array([factor * units[k] * least.get(k, 0.0) for k in range(system.nv)])
 
         used = self.rows.numbers
         change = system.rate(q, step(phi[used].tolist()))

@@ -1,7 +1,8 @@
-"""Runs with derivatives along directions of the start and of the parameters.
+"""Runs of a scene with derivatives along directions of the initial state and of the parameters.
 
-Traced derivatives of the equations of motion are integrated along the recorded steps of a run
-(`newton_euler.integrators.tangent_steps`), on the linearized constraints.
+A run is integrated first, and its steps are recorded. The derivatives, called tangents, satisfy the
+linearized equations of motion. They are integrated along the recorded steps
+(`newton_euler.integrators.tangent_steps`) and projected onto the linearized constraints.
 """
 
 from __future__ import annotations
@@ -31,16 +32,18 @@ NEAR_SINGULAR = "the run comes too near to a singular configuration"
 MASS_RATIO = "masses differ too much: beside heavy bodies, light ones amplify the errors of derivatives"
 
 PIVOT_SPACING = 0.1
-"""Distance between states of a run whose pivot ratios are evaluated, rad or sizes of the mechanism."""
+"""Largest motion, rad or sizes of the mechanism, between two states of a run at which pivot ratios are
+evaluated. A pivot ratio is the smallest ratio of a pivot of the constraint equations to its usual magnitude;
+it vanishes at a singular configuration."""
 
 PIVOT_REFINEMENT = 20
-"""Number of pivot ratios between the neighbors of the smallest, twice in a row."""
+"""Number of points on each side of a minimum at which pivot ratios are evaluated again, twice in a row."""
 
 TOLERANCE_FACTOR = 100.0
-"""Tolerance of derivatives divided by `rtol`. At this value steps of a moving scene are rarely divided."""
+"""Tolerance of derivatives, divided by `rtol`. At this value steps of a moving scene are rarely divided."""
 
 RECORDED_STEPS = 2048
-"""Number of steps of a run that are recorded. A longer run is repeated with more room."""
+"""Number of steps of a run for which memory is allocated. A longer run is repeated with more memory."""
 
 
 def tangent_options(control: Mapping[str, Any]) -> Options:
@@ -70,10 +73,10 @@ class Followed(NamedTuple):
 
 
 class _Path:
-    """Motion between the steps of a run: cubics through the states and rates at the ends of each step.
+    """Motion within the steps of a run, interpolated by cubics through states and rates at the ends.
 
-    Pivot ratios are those of the dimensionless Phi_q Phi_q^T, without masses. With masses they would vanish,
-    too, where a light body is at a dead center.
+    Pivot ratios are those of Phi_q Phi_q^T with the dimensionless constraint Jacobian Phi_q, without masses.
+    Pivot ratios with masses would also vanish where a light body is at a dead center.
     """
 
     def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
@@ -95,9 +98,10 @@ class _Path:
         self._counts = 1 + (moved / PIVOT_SPACING).astype(int)
 
     def least_pivot_ratio(self) -> float:
-        """Find the smallest pivot ratio divided by the largest, whatever the steps of the run.
+        """Find the smallest pivot ratio of the run, divided by the largest.
 
-        Small minima are refined twice. A ratio that is not a number counts as 0.
+        The result does not depend on the length of steps: the ratio is evaluated within steps, too, and small
+        minima are refined twice. A ratio of NaN counts as 0.
         """
         places = self._places()
         ratios = self._pivot_ratios(self._ends if len(places) == len(self._ends) else self._states(places))
@@ -173,10 +177,15 @@ class _Path:
 
 
 class FollowedRun:
-    """Runs of a compiled scene with derivatives along directions."""
+    """Function that runs a compiled scene with derivatives along directions."""
 
     def __init__(self, code: TangentCode, options: Options, programs: Sequence[str]) -> None:
-        """Prepare derivatives of the results of programs.
+        """Prepare the run.
+
+        Args:
+            code: compiled scene with derivatives.
+            options: step control.
+            programs: names of the programs whose results are differentiated, "output" or "coordinates".
 
         Raises:
             SensitivityError: for a sampled controller, naming its joint.
@@ -190,7 +199,7 @@ class FollowedRun:
         """Run from x (inputs,) with derivatives along directions (inputs, p).
 
         Args:
-            x, directions: at the start; changed to their values at the end.
+            x, directions: input vector and directions at the start; changed to their values at the end.
             times: output times, s; those of the scene if None.
 
         Raises:
@@ -199,12 +208,13 @@ class FollowedRun:
         """
         parts: dict[str, list[Array]] = {name: [] for name in self._programs}
 
-        def carry(integrator: Integrator, begun: Array, interval: Interval) -> None:
+        def differentiate(integrator: Integrator, begun: Array, interval: Interval) -> None:
+            """Integrate the directions through an interval between jumps, after its run."""
             for name, part in self._along(integrator, begun, interval, directions).items():
                 parts[name].append(part if interval.wanted.all() else part[interval.wanted])
 
         run = integrate_intervals(
-            self._code, x, self._options, room=RECORDED_STEPS, after_interval=carry, times=times
+            self._code, x, self._options, room=RECORDED_STEPS, after_interval=differentiate, times=times
         )
         if run.stopped:
             raise run.stopped

@@ -1,4 +1,10 @@
-"""Starts of runs, and their derivatives with respect to numbers of the scene."""
+"""Initial states of runs, and their derivatives with respect to parameters of the scene.
+
+A parameter such as a joint point changes the pose in which loops close, and so the initial state. `Starts`
+assembles the initial state for given parameter values and differentiates the assembly by finite differences.
+A parameter that is an array, such as a matrix of inertia, has several numbers; each number is one of the p
+parameters here.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +23,14 @@ from newton_euler.runs.variation import of_single_run, own_values, run_values, u
 from newton_euler.scalars import Array
 
 RELATIVE_STEP = 1e-4
-"""Step of difference quotients of starts, divided by the size of the number, see `_sizes`; divided by its
-value if that is larger than 1."""
+"""Step of difference quotients of initial states, as a fraction of the size of the parameter (see `_sizes`)
+times the larger of 1 and the parameter's magnitude."""
 
 SIXTH_ORDER = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
-"""Weights of the central difference of order 6, by the number of steps."""
+"""Weights of the central difference of order 6, by the offset in steps."""
 
 FOURTH_ORDER = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
-"""Weights of the central difference of order 4, at the same steps."""
+"""Weights of the central difference of order 4, at the same six offsets."""
 
 MAX_ORDER_DIFFERENCE = 5e-6
 """Largest relative difference between the two orders at which the derivative of order 6 is good to 1e-8.
@@ -34,16 +40,18 @@ distance.
 """
 
 DIRECTION_ATTRIBUTES = frozenset({"axis", "axis_on_first", "axis_on_second", "quaternion"})
+"""Attributes of elements that are directions or orientations, without a unit."""
 
 MIN_COMPARED = 1e-3
-"""Least size of the numbers that derivatives are compared with, SI."""
+"""Smallest scale by which the difference of two derivatives is divided, SI."""
 
 
 def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Find the p numbers of parameters; a symmetric matrix has each number once.
+    """Find the p numbers of parameters that may be arrays; a symmetric matrix has each number once.
 
     Returns:
-        The parameter and the index in it, by the name of each number.
+        For each number, by its name such as `gravity.z`: the name of the parameter, and the index in its
+        value.
     """
     found: dict[str, tuple[str, tuple[int, ...]]] = {}
     for name, value in own_values(scene, names).items():
@@ -62,24 +70,27 @@ def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
 
 
 def _sizes(scene: Scene, names: Sequence[str]) -> Array:
-    """Return the sizes (p,) of numbers that move starts.
+    """Return the typical sizes (p,) of parameters, for steps of difference quotients.
 
     1 for angles, their rates and directions of axes. The size of the mechanism, m, at most 1, for lengths and
     for numbers of mixed units, for example of functions of time.
     """
     units, initial = units_of(scene, names), initial_numbers(scene, names)
     found = places(scene, [name for name in names if name not in initial])
-    turning = {name for name in names if units[name].startswith("rad")}
-    turning |= {name for name, place in found.items() if {*place.owner[2].split(".")} & DIRECTION_ATTRIBUTES}
-    return np.array([1.0 if name in turning else min(1.0, scene.mechanism.size) for name in names])
+    angular = {name for name in names if units[name].startswith("rad")}
+    for name, place in found.items():
+        _, _, attribute = place.owner
+        if {*attribute.split(".")} & DIRECTION_ATTRIBUTES:
+            angular.add(name)
+    return np.array([1.0 if name in angular else min(1.0, scene.mechanism.size) for name in names])
 
 
 class Starts:
-    """Starts of a scene for values of p numbers, and their derivatives.
+    """Function that computes the initial state of a scene for values of p parameters, and its derivatives.
 
-    Starts are assembled to round-off. Their derivatives are difference quotients of order 6, good to 1e-11;
-    they are refused if quotients of order 4 differ. Later they are projected onto the linearized constraints
-    like all directions.
+    Loops are closed to round-off. The derivatives are difference quotients of order 6 with an error of about
+    1e-11. They are refused if difference quotients of order 4 deviate too much. The caller projects the
+    derivatives onto the linearized constraints.
     """
 
     def __init__(
@@ -88,9 +99,9 @@ class Starts:
         """Prepare the assembly.
 
         Args:
-            code: compiled scene.
-            names: names of the p numbers.
-            held: initial coordinates and rates that are not among the p numbers.
+            code: compiled scene; its input vector x has the state and the parameters.
+            names: names of the p parameters.
+            held: values of initial coordinates and rates that are given, but are not among the p parameters.
         """
         self._code, self._held = code, np.array(list((held or {}).values()))
         self._names = (*names, *(held or {}))
@@ -100,13 +111,13 @@ class Starts:
         self._moving = [k for k, name in enumerate(names) if name in moving]
 
     def __call__(self, numbers: Array) -> tuple[Array, Array]:
-        """Compute x (inputs,) of the start with these numbers (p,), and its derivatives (inputs, p).
+        """Compute the initial input vector x (inputs,) and its derivatives (inputs, p) for values (p,).
 
         Raises:
-            MechanismError: for impossible numbers, and if a loop stays open.
-            SensitivityError: for derivatives that do not exist or are not known.
+            MechanismError: for invalid values, and if a loop stays open.
+            SensitivityError: for derivatives that do not exist or cannot be computed.
         """
-        # numbers that are inputs of the equations
+        # parameters that are inputs of the equations
         code, steps = self._code, RELATIVE_STEP * self._sizes * np.maximum(1.0, np.abs(numbers))
         count, numbers = len(numbers), np.concatenate([numbers, self._held])
         x, directions = code.start.copy(), np.zeros((code.inputs, count))
@@ -114,7 +125,7 @@ class Starts:
             if name in code.parameters:
                 x[code.place(name)] = numbers[k]
                 directions[code.place(name), k] = 1.0
-        # starts with each moving number changed by some steps
+        # initial states with each parameter that moves them changed by -3, ..., 3 steps
         rows = [numbers]
         for k in self._moving:
             for number in SIXTH_ORDER:
@@ -128,12 +139,13 @@ class Starts:
             states = self._assembly.starts(code, found)
             x[: code.size] = states[0]
             weights, system = np.array(list(SIXTH_ORDER.values())), code.system
-            angles = [*system.angles.values(), *system.uncounted_angles]  # within a revolution
+            # indices of angles, of which differences of full revolutions are removed
+            angles = [*system.angles.values(), *system.uncounted_angles]
             # difference quotients of both orders, compared
             for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
-                apart = moved - states[0]
-                apart[:, angles] -= 2.0 * np.pi * np.round(apart[:, angles] / (2.0 * np.pi))
-                fine, coarse = weights @ apart / steps[k], FOURTH_ORDER @ apart / steps[k]
+                changes = moved - states[0]
+                changes[:, angles] -= 2.0 * np.pi * np.round(changes[:, angles] / (2.0 * np.pi))
+                fine, coarse = weights @ changes / steps[k], FOURTH_ORDER @ changes / steps[k]
                 for part in (slice(system.nq), slice(system.nq, code.size)):
                     largest = np.abs([fine[part], states[0, part]]).max(initial=MIN_COMPARED)
                     if not np.abs(fine - coarse)[part].max(initial=0.0) <= MAX_ORDER_DIFFERENCE * largest:
@@ -143,7 +155,7 @@ class Starts:
         return x, directions
 
     def _refuse(self, errors: Mapping[int, MechanismError]) -> None:
-        """Raise the first error of the start itself, or of a start with one changed number."""
+        """Raise the first error: of the start itself (row 0), or of a start with one changed parameter."""
         for row, error in sorted(errors.items()):
             if row == 0:
                 raise of_single_run(self._code.scene, error)
