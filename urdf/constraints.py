@@ -33,8 +33,8 @@ class Closures:
     weld also has the rotation vector from the first frame to the second, rad, in the first frame.
 
     Attributes:
-        units: (k,) units of the rows: `length` (m) for lengths, 1 for angles.
-        pairs: numbers of the two frames of each constraint, and True for a weld.
+        units: (k,) scales of the rows: `length` for rows in m, 1 for angles. Callers divide residuals by
+        them. pairs: numbers of the two frames of each constraint, and True for a weld.
     """
 
     def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, length: float) -> None:
@@ -42,8 +42,8 @@ class Closures:
 
         Args:
             closed: Pinocchio's model with its loop closures.
-            map: map of velocities for the columns of the Jacobian.
-            length: unit of lengths, m.
+            map: order of the joint coordinates in the scene's spanning tree and in Pinocchio's model.
+            length: characteristic length of the mechanism, m.
         """
         self._model, self._map = closed.model, map
         is_weld = [constraint.type == pin.ContactType.CONTACT_6D for constraint in closed.constraints]
@@ -139,7 +139,8 @@ class Rows:
     """Constraint rows that `constraintDynamics` does not support: rods, prescribed motions, screws, gears.
 
     Attributes:
-        units: (r,) units of the rows: `length` (m) for lengths, 1 for angles.
+        units: (r,) scales of the rows: `length` for rows in m, 1 for angles. Callers divide residuals by
+        them.
     """
 
     def __init__(
@@ -152,10 +153,12 @@ class Rows:
         """Prepare the rows: rods, prescribed motions, then screws, gears and other couplings.
 
         Args:
-            closed: Pinocchio's model with rods and couplings of the loop file.
-            map: map between tree coordinates and Pinocchio's.
+            closed: Pinocchio's model, with the rods and couplings of the loop file: the file next to the URDF
+            that
+                lists what a URDF cannot express.
+            map: order of the joint coordinates in the scene's spanning tree and in Pinocchio's model.
             couplings: couplings of the scene, prescribed motions first.
-            length: unit of lengths, m.
+            length: characteristic length of the mechanism, m.
         """
         self._model, self._rods, self._map, self._couplings = closed.model, closed.rods, map, couplings
         data = self._model.createData()
@@ -191,7 +194,8 @@ class Rows:
             rows.append(self._map.v_from_pinocchio(rate_of_length))
         if self._motion_count:
             rows.append(self._couplings.jacobian(q)[: self._motion_count])
-        return np.concatenate([*rows, power_sums(self._powers, self._map.displacements(q), 1)])
+        x = self._map.displacements(q)  # (nv,) coordinates of hinges and slides, 0 for balls
+        return np.concatenate([*rows, power_sums(self._powers, x, 1)])
 
     def gamma(self, data: Any, q: Array, v: Array, time: float) -> Array:
         """Return gamma (r,) of Phi_q qddot = gamma; `data` needs `forwardKinematics` at qddot = 0."""

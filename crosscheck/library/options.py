@@ -50,7 +50,14 @@ class Text(NamedTuple):
 
 
 class OnlyWith(NamedTuple):
-    """Condition of an option: another option must have a value; if None, any value but its default."""
+    """Condition under which an option has an effect, printed after "only with".
+
+    Attributes:
+        option: name of another option.
+        value: value that the other option must have; "" if it must not be given, None if it must differ from
+        its
+            default.
+    """
 
     option: str
     value: str | None = None
@@ -123,7 +130,11 @@ def options_of(scene: Callable[..., Any]) -> dict[str, Option]:
 
 
 def _option(hint: Any, default: str | float) -> Option:
-    """Make an option of the annotation and the default of an argument."""
+    """Make an option of the annotation and the default of an argument.
+
+    The annotation is a `Literal` of the allowed texts, or `Annotated` with a range of numbers or a `Text`
+    and, in any order, an `OnlyWith` and a unit.
+    """
     arguments = get_args(hint)
     numbers = next((each for each in arguments if isinstance(each, range | Between | Text)), None)
     only_with = next((each for each in arguments if isinstance(each, OnlyWith)), None)

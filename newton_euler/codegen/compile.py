@@ -34,8 +34,9 @@ MIN_ROLLED_SIZE = 9_500
 as long to compile."""
 
 MIN_ROLLED_SIZE_IN_LANES = 6 * MIN_ROLLED_SIZE
-"""Larger limit, for some programs that take several inputs at once. Straight-line code of this size compiles
-in 8 s."""
+"""Number of operations below which callers set `Traced.straight` for programs that take several inputs at
+once,
+such as the equations of motion. Straight-line code of this size compiles in 8 s."""
 
 CODE_LEVEL, ROLLED_CODE_LEVEL = 1, 0
 """LLVM's code generation levels for straight-line code and for rolled code.
@@ -66,9 +67,10 @@ def llvm_binding() -> Any:
 
 @cache
 def lane_count() -> int:
-    """Return the number of runs that are integrated at once: the number of doubles in a vector register.
+    """Return the number of runs that are integrated at once: the doubles in the processor's vector register.
 
-    More lanes would not be faster: the code would no longer fit into the processor's instruction cache.
+    `REGISTER_DOUBLES` is the number for 256-bit registers; AVX-512 has registers of twice the size. More
+    lanes would not be faster: the code would no longer fit into the processor's instruction cache.
     """
     return 2 * REGISTER_DOUBLES if llvm_binding().get_host_cpu_features().get("avx512f") else REGISTER_DOUBLES
 
@@ -148,8 +150,9 @@ class Traced(NamedTuple):
         program: operations, from `Graph.prune`.
         many: True for code that takes several x at once, one in each lane.
         layout: description of the results for callers, anything that JSON can hold.
-        straight: True for straight-line code even if the program is `MIN_ROLLED_SIZE`. Results are the same
-            bit by bit.
+        straight: True for straight-line code even if the program has `MIN_ROLLED_SIZE` operations. Results
+        are
+            bitwise those of rolled code, which fuses no multiplications and additions.
         lanes: number of lanes if `many` is True.
     """
 
