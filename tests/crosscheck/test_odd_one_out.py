@@ -81,12 +81,12 @@ def heavier_pull(scene):
 
 
 def oblique(scene):
-    return injection.tilted(scene.mechanism.joint("wrist"), 1e-3)["about u"](scene)
+    return injection.tilted_axes(scene.mechanism.joint("wrist"), 1e-3)["about u"](scene)
 
 
 def more_damping(scene):
     at_elbow = next(k for k, force in enumerate(scene.forces) if force.joint == "elbow")
-    return injection.entry("forces", at_elbow, damping=0.015)(scene)
+    return injection.entry_values("forces", at_elbow, damping=0.015)(scene)
 
 
 def more_dampers(scene):

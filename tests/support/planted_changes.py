@@ -114,14 +114,14 @@ def _changes(scene: Scene) -> Iterator[tuple[str, list[Injection]]]:
         push = law.feedforward
         changed = {name: more * getattr(law, name) for name in ("stiffness", "damping")}
         changed["feedforward"] = _more(push) if isinstance(push, TimeFunction) else more * push
-        yield f"actuator {law.where}", [injection.entry("control", k, **changed)]
+        yield f"actuator {law.where}", [injection.entry_values("control", k, **changed)]
     for field in ("forces", "armatures"):
         for k, acting in enumerate(getattr(scene, field)):
             for what, attributes in acting.strengths.items():
                 values = {attribute: getattr(acting, attribute) for attribute in attributes}
                 if any(np.any(value) for value in values.values()):
                     larger = {attribute: more * value for attribute, value in values.items()}
-                    yield f"{what} {acting.where}", [injection.entry(field, k, **larger)]
+                    yield f"{what} {acting.where}", [injection.entry_values(field, k, **larger)]
     yield from _constraints(scene)
 
 
@@ -134,7 +134,7 @@ def _constraints(scene: Scene) -> Iterator[tuple[str, list[Injection]]]:
         if joint.kind != "fixed" and (mechanism.equations[number].count or joint.name in loaded):
             shifts = SIZE * mechanism.longest * np.eye(3)
             plants = [injection.joint_point(joint.name, shift) for shift in shifts]
-            plants += injection.tilted(joint, SIZE).values()
+            plants += injection.tilted_axes(joint, SIZE).values()
             if isinstance(joint, Compound):
                 plants += [_tilted_row(joint, axis) for axis in np.eye(3)]
             yield f"{'loop' if number in cuts else 'joint'} {joint.name!r}", plants
@@ -144,7 +144,7 @@ def _constraints(scene: Scene) -> Iterator[tuple[str, list[Injection]]]:
         start = Polynomial((-SIZE * float(motion.function.value(0.0)),))
         farther = Sum((_more(motion.function), start))
         where = motion.where
-        yield f"motion {where}", [injection.entry("motions", number, function=farther)]
+        yield f"motion {where}", [injection.entry_values("motions", number, function=farther)]
 
 
 def _tilted_row(joint: Compound, about: Array) -> Injection:

@@ -35,9 +35,11 @@ def geared(tmp_path: Path) -> Path:
 def test_faults_in_the_reading_of_a_urdf_are_found_and_named(geared: Path) -> None:
     report = read(geared).report
     found = find_in_reading(report, lambda _: None).found
-    assert not [outcome.fault.name for outcome in found if outcome.counts and not outcome.seen]
+    assert not [outcome.fault.name for outcome in found if outcome.is_detectable and not outcome.detection]
     assert not [
-        (outcome.fault.name, outcome.seen.where) for outcome in found if outcome.seen and not outcome.located
+        (outcome.fault.name, outcome.detection.where)
+        for outcome in found
+        if outcome.detection and not outcome.located
     ]
     kinds = {outcome.fault.kind for outcome in found}
     assert kinds >= {"mass", "axis direction", "gear", "damping of JointSpring"}

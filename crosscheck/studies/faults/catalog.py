@@ -1,4 +1,8 @@
-"""Catalog of the faults of a scene that are injected into an engine's model, one at a time."""
+"""Catalog of the faults that are injected into an engine's model of a scene, one at a time.
+
+Faults with a size change a number by a relative size, for example the mass of a body by 1e-3. Faults without
+a size are confusions, such as a reversed axis, a missing body or another joint type.
+"""
 
 from __future__ import annotations
 
@@ -21,20 +25,23 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 
 FAULT_SIZES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-"""Relative sizes of faults. Lengths are relative to the mechanism's size; directions are in rad."""
+"""Relative sizes of faults. Shifts are relative to the mechanism's size; changes of direction are in rad."""
 
-MAX_FAULTS_OF_KIND, MAX_BODIES_FOR_ALL = 36, 8
-"""Largest number of faults of one kind and size, and the largest number of bodies for which it holds.
+MAX_FAULTS_OF_KIND = 36
+"""Largest number of faults of one kind and size; if there are more, evenly spaced ones are taken."""
 
-If there are more faults of a kind, evenly spaced ones are taken. In larger mechanisms the number falls with
-the square of the number of bodies, since more kinds reach it and each comparison takes longer.
+MAX_BODIES_FOR_ALL = 8
+"""Largest number of bodies with which `MAX_FAULTS_OF_KIND` holds.
+
+In larger mechanisms the number falls with the square of the number of bodies, since more kinds reach the
+limit and each comparison takes longer.
 """
 
 REFERENCE_GRAVITY = 9.81
-"""m/s^2, gravity to which faults are relative in a scene without gravity."""
+"""Gravity, m/s^2, to which faults of gravity are relative in a scene without gravity."""
 
 VALUE_FAULTS = {"stiffness": "gain", "damping": "damping", "target": "actuator reference"}
-"""Kinds of faults in the values of controllers and joint springs, by the name of the value."""
+"""Kind of fault by the attribute of a controller or joint spring that has the wrong value."""
 
 SKEW_AXIS = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
 """Unit vector that is no principal axis; faulty inertias are rotated about it."""
@@ -42,19 +49,20 @@ SKEW_AXIS = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault.
+    """One fault that can be injected.
 
     Attributes:
         kind: kind of fault, for example "mass" or "axis sign".
-        element: body, joint or term at fault.
-        detail: entry, direction or value at fault.
+        element: name of the body or joint at fault, or "gravity".
+        detail: entry, direction or value at fault; may be empty.
         size: relative size, see `FAULT_SIZES`; None for a fault without a size.
-        inject: returns the scene with the fault.
-        right: names of bodies, joints and terms that a correct diagnosis may name.
-        near: further names that a diagnosis from motion alone may name: the bodies that a joint connects.
-        shift: (3,) m, shift of the point that MuJoCo's model holds on the second body of a closure.
-        hinge: name of the hinge whose velocity term is dropped from an engine's equations, see
-            `velocity_terms`; `inject` changes nothing then.
+        inject: function that returns the scene with the fault.
+        expected: names of bodies, joints and terms that a correct diagnosis may name.
+        neighbors: further names that a diagnosis from motion alone may name: the bodies at a joint.
+        closure_shift: for a wrong point of a loop-closing joint, the shift (3,) of the point on the second
+            body, m; else None.
+        hinge: for a dropped velocity term, the name of its hinge, see `velocity_terms`; else None. The fault
+            is then in an engine's equations, and `inject` changes nothing.
     """
 
     kind: str
@@ -62,14 +70,14 @@ class Fault:
     detail: str
     size: float | None
     inject: Injection
-    right: frozenset[str]
-    near: frozenset[str] = frozenset()
-    shift: Array | None = None
+    expected: frozenset[str]
+    neighbors: frozenset[str] = frozenset()
+    closure_shift: Array | None = None
     hinge: str | None = None
 
     @property
-    def alike(self) -> tuple[str, str, str]:
-        """Kind, element and detail: the same for faults that differ in size only."""
+    def identity(self) -> tuple[str, str, str]:
+        """Kind, element and detail, which are equal for faults that differ in size only."""
         return self.kind, self.element, self.detail
 
     @property
@@ -80,73 +88,84 @@ class Fault:
 
 
 def catalog(scene: Scene, sizes: Sequence[float] = FAULT_SIZES) -> list[Fault]:
-    """List the faults of a scene: first those with a size, at each of the sizes, then those without."""
-    most = most_of(len(scene.mechanism.bodies))
-    of_sizes = [[*of_numbers(scene, size), *_of_forces(scene, size)] for size in sizes]
-    mistakes = [*mistaken(scene), *_dropped_terms(scene)]
-    return [fault for faults in (*of_sizes, mistakes) for fault in _spread(faults, most)]
+    """List the faults of a scene: the faults with a size, at each of the sizes, then those without a size."""
+    maximum = max_faults_of_kind(len(scene.mechanism.bodies))
+    faults = list[Fault]()
+    for size in sizes:
+        of_size = [*number_faults(scene, size), *_force_faults(scene, size)]
+        faults += _evenly_spaced(of_size, maximum)
+    without_size = [*confusion_faults(scene), *_velocity_term_faults(scene)]
+    return faults + _evenly_spaced(without_size, maximum)
 
 
-def most_of(bodies: int) -> int:
-    """Return the largest number of faults of a kind for a mechanism with this number of bodies."""
+def max_faults_of_kind(bodies: int) -> int:
+    """Return the largest number of faults of one kind and size for a mechanism with this number of bodies."""
     return max(1, min(MAX_FAULTS_OF_KIND, MAX_FAULTS_OF_KIND * MAX_BODIES_FOR_ALL**2 // bodies**2))
 
 
-def _spread(faults: list[Fault], most: int) -> list[Fault]:
-    """Keep at most `most` evenly spaced faults of each kind."""
+def _evenly_spaced(faults: list[Fault], maximum: int) -> list[Fault]:
+    """Keep at most `maximum` faults of each kind, evenly spaced in the list."""
     kept = []
     for kind in dict.fromkeys(fault.kind for fault in faults):
         of_kind = [fault for fault in faults if fault.kind == kind]
-        count = min(most, len(of_kind))
+        count = min(maximum, len(of_kind))
         kept += [of_kind[round(k)] for k in np.linspace(0, len(of_kind) - 1, count)]
     return kept
 
 
-def of_numbers(scene: Scene, size: float) -> Iterator[Fault]:
-    """Yield faults of a size in the numbers of bodies, joints and gravity."""
-    yield from _of_bodies(scene, size)
-    yield from _of_joints(scene, size)
-    for detail, vector in _other_gravities(scene.gravity, size).items():
+def number_faults(scene: Scene, size: float) -> Iterator[Fault]:
+    """Yield the faults of a size in the numbers of bodies and joints, and in gravity."""
+    yield from _body_faults(scene, size)
+    yield from _joint_faults(scene, size)
+    for detail, vector in _faulty_gravities(scene.gravity, size).items():
         yield Fault("gravity", "gravity", detail, size, injection.gravity(vector), frozenset({"gravity"}))
 
 
-def mistaken(scene: Scene) -> Iterator[Fault]:
-    """Yield faults without a size: bodies and joints that are confused with others, or missing."""
-    yield from _body_mistakes(scene)
-    yield from _joint_mistakes(scene)
+def confusion_faults(scene: Scene) -> Iterator[Fault]:
+    """Yield the faults without a size: bodies and joints that are missing or confused with others."""
+    yield from _body_confusions(scene)
+    yield from _joint_confusions(scene)
 
 
-def _of_bodies(scene: Scene, size: float) -> Iterator[Fault]:
+def _body_faults(scene: Scene, size: float) -> Iterator[Fault]:
+    """Yield faults of a size in mass, center of mass and inertia of each body."""
     length = scene.mechanism.size
     for body in scene.mechanism.body_names[1:]:
-        right = frozenset({body})
-        yield Fault("mass", body, "", size, injection.mass(body, size), right)
+        expected = frozenset({body})
+        yield Fault("mass", body, "", size, injection.mass(body, size), expected)
         for label, axis in zip("xyz", np.eye(3), strict=True):
             shifted = injection.center_of_mass(body, size * length * axis)
-            yield Fault("center of mass", body, label, size, shifted, right)
+            yield Fault("center of mass", body, label, size, shifted, expected)
         for i in range(3):
             for j in range(i, 3):
                 entry = injection.inertia_entry(body, i, j, size)
-                yield Fault("inertia entry", body, "xyz"[i] + "xyz"[j], size, entry, right)
-        yield Fault("frame of inertia", body, "", size, injection.inertia_frame(body, SKEW_AXIS, size), right)
+                yield Fault("inertia entry", body, "xyz"[i] + "xyz"[j], size, entry, expected)
+        yield Fault(
+            "frame of inertia", body, "", size, injection.inertia_frame(body, SKEW_AXIS, size), expected
+        )
 
 
-def _of_joints(scene: Scene, size: float) -> Iterator[Fault]:
+def _joint_faults(scene: Scene, size: float) -> Iterator[Fault]:
+    """Yield faults of a size in points and axes of each joint.
+
+    Joints outside the spanning tree (cuts) close loops. A wrong point on one of their bodies opens a loop.
+    """
     length, cuts = scene.mechanism.size, SpanningTree(scene.mechanism).cuts
     for index, joint in enumerate(scene.mechanism.joints):
-        right, near = frozenset({joint.name}), bodies_at(joint)
+        expected, neighbors = frozenset({joint.name}), connected_bodies(joint)
         for label, axis in zip("xyz", np.eye(3), strict=True):
             shift = size * length * axis
             moved = injection.joint_point(joint.name, shift)
-            yield Fault("joint point", joint.name, label, size, moved, right, near)
+            yield Fault("joint point", joint.name, label, size, moved, expected, neighbors)
             if index in cuts:
                 opened = injection.closure_point(joint.name, shift)
-                yield Fault("closure point", joint.name, label, size, opened, right, near, shift)
-        for label, tilted in injection.tilted(joint, size).items():
-            yield Fault("axis direction", joint.name, label, size, tilted, right, near)
+                yield Fault("closure point", joint.name, label, size, opened, expected, neighbors, shift)
+        for label, tilted in injection.tilted_axes(joint, size).items():
+            yield Fault("axis direction", joint.name, label, size, tilted, expected, neighbors)
 
 
-def _of_forces(scene: Scene, size: float) -> Iterator[Fault]:
+def _force_faults(scene: Scene, size: float) -> Iterator[Fault]:
+    """Yield faults of a size in the values of controllers, joint springs and armatures (rotor inertias)."""
     for field in ("control", "forces"):
         for index, force in enumerate(getattr(scene, field)):
             if isinstance(force, OnBodies | HeldLaw):
@@ -154,29 +173,34 @@ def _of_forces(scene: Scene, size: float) -> Iterator[Fault]:
             detail = "" if field == "control" else "spring of its ball" if force.on_ball else "spring"
             for name, kind in VALUE_FAULTS.items():
                 value = getattr(force, name, None)
+                # a stiffness or damping of 0 has no relative fault, a target of 0 has an absolute one
                 if value or (name == "target" and value is not None):
                     if isinstance(value, TimeFunction):
                         value = scaled(value, 1.0 + size)
                     else:
-                        value = (1.0 + size) * value if value else size * _unit(scene, force)
-                    changed = injection.entry(field, index, **{name: value})
+                        value = (1.0 + size) * value if value else size * _target_unit(scene, force)
+                    changed = injection.entry_values(field, index, **{name: value})
                     yield Fault(kind, force.joint, detail, size, changed, frozenset({force.joint}))
-    for index, rotor in enumerate(scene.armatures):
-        other = injection.entry("armatures", index, inertia=(1.0 + size) * rotor.inertia)
-        joint = scene.mechanism.joint(rotor.joint)
-        right = bodies_at(joint) | {rotor.joint}  # a body with more inertia moves in the same way
-        detail = "of its ball" if rotor.on_ball else ""
-        yield Fault("armature", rotor.joint, detail, size, other, right)
+    for index, armature in enumerate(scene.armatures):
+        other = injection.entry_values("armatures", index, inertia=(1.0 + size) * armature.inertia)
+        joint = scene.mechanism.joint(armature.joint)
+        # a body with more inertia moves in the same way
+        expected = connected_bodies(joint) | {armature.joint}
+        detail = "of its ball" if armature.on_ball else ""
+        yield Fault("armature", armature.joint, detail, size, other, expected)
 
 
-def _unit(scene: Scene, law: PD) -> float:
-    """Return the length or angle to which the fault of a target of 0 is relative: the mechanism's size or 1
-    rad."""
+def _target_unit(scene: Scene, law: PD) -> float:
+    """Return the unit of a controller's target: the mechanism's size, m, for a slide, 1 rad for a hinge."""
     joint = scene.mechanism.joint(law.joint)
     return scene.mechanism.size if joint.coordinate_kinds[law.coordinate] == "slide" else 1.0
 
 
-def _other_gravities(gravity: Array, size: float) -> dict[str, Array]:
+def _faulty_gravities(gravity: Array, size: float) -> dict[str, Array]:
+    """Return vectors (3,) of gravity with another strength or direction, m/s^2, by description of the fault.
+
+    If there is no gravity, the faults add a small one.
+    """
     strength = float(np.linalg.norm(gravity))
     if not strength:
         x, _, z = np.eye(3)
@@ -186,54 +210,60 @@ def _other_gravities(gravity: Array, size: float) -> dict[str, Array]:
     return {"strength": (1.0 + size) * gravity, **turned}
 
 
-def bodies_at(joint: Joint) -> frozenset[str]:
+def connected_bodies(joint: Joint) -> frozenset[str]:
     """Return the names of the two bodies that a joint connects."""
     return frozenset({joint.first, joint.second})
 
 
-def _body_mistakes(scene: Scene) -> Iterator[Fault]:
+def _body_confusions(scene: Scene) -> Iterator[Fault]:
+    """Yield faults without a size of bodies: wrong order of the quaternion, missing, swapped."""
     bodies = scene.mechanism.bodies
     for body in bodies[1:]:
-        right = frozenset({body.name})
-        yield Fault("quaternion order", body.name, "", None, injection.quaternion_order(body.name), right)
-        yield Fault("missing body", body.name, "", None, injection.missing_body(body.name), right)
+        expected = frozenset({body.name})
+        yield Fault("quaternion order", body.name, "", None, injection.quaternion_order(body.name), expected)
+        yield Fault("missing body", body.name, "", None, injection.missing_body(body.name), expected)
     for first, second in pairwise(bodies[1:]):
-        swapped, right = injection.swapped_bodies(first, second), frozenset({first.name, second.name})
-        yield Fault("swapped bodies", first.name, f"with {second.name}", None, swapped, right)
+        swapped, expected = injection.swapped_bodies(first, second), frozenset({first.name, second.name})
+        yield Fault("swapped bodies", first.name, f"with {second.name}", None, swapped, expected)
 
 
-def _joint_mistakes(scene: Scene) -> Iterator[Fault]:
+def _joint_confusions(scene: Scene) -> Iterator[Fault]:
+    """Yield faults without a size of joints: reversed axis, another joint type, missing loop closure."""
     cuts = SpanningTree(scene.mechanism).cuts
     for index, joint in enumerate(scene.mechanism.joints):
         fault = Fault("", joint.name, "", None, injection.missing_joint(joint.name), frozenset({joint.name}))
-        fault = replace(fault, near=bodies_at(joint))
+        fault = replace(fault, neighbors=connected_bodies(joint))
         for name in joint.axis_names:
             turned = injection.joint_axes(joint.name, {name: -getattr(joint, name)})
             yield replace(fault, kind="axis sign", detail=name, inject=turned)
-        for kind, axes in other_kinds(scene, joint).items():
+        for kind, axes in confused_kinds(scene, joint).items():
             other = injection.joint_kind(joint, kind, **axes)
             yield replace(fault, kind="joint type", detail=f"{joint.kind} as {kind}", inject=other)
         if index in cuts:
             yield replace(fault, kind="missing closure")
 
 
-def _dropped_terms(scene: Scene) -> Iterator[Fault]:
+def _velocity_term_faults(scene: Scene) -> Iterator[Fault]:
+    """Yield a dropped velocity term for each joint of the spanning tree whose last motion is a hinge."""
     tree = SpanningTree(scene.mechanism)
-    for kept in tree.joints:
-        joint = tree.joint(kept.joint)
-        if kept.motions and kept.motions[-1].kind == "hinge":
-            right = frozenset({joint.name})
-            term = Fault("velocity term", joint.name, "", None, injection.nothing, right, bodies_at(joint))
+    for tree_joint in tree.joints:
+        joint = tree.joint(tree_joint.joint)
+        if tree_joint.motions and tree_joint.motions[-1].kind == "hinge":
+            expected = frozenset({joint.name})
+            term = Fault(
+                "velocity term", joint.name, "", None, injection.no_change, expected, connected_bodies(joint)
+            )
             yield replace(term, hinge=joint.name)
 
 
-def other_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
-    """Return the kind of joint that a joint is easily confused with, with its axes.
+def confused_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
+    """Return the kind of joint with which a joint is easily confused, and its axes; empty if there is none.
 
-    The first coordinates of both kinds are the same.
+    The first coordinates of both kinds are the same, so that elements that act on them remain valid.
     """
-    names = {key[0] for coupling in couplings(scene) for key in coupling.factors}
-    driven = {law.joint for law in scene.joint_forces} | {a.joint for a in scene.armatures} | names
+    # Joints with elements that act on their coordinates
+    driven = {key[0] for coupling in couplings(scene) for key in coupling.factors}
+    driven |= {law.joint for law in scene.joint_forces} | {a.joint for a in scene.armatures}
     driven |= scene.loaded_balls
     driven |= {motion.joint for motion in scene.motions}
     match joint.kind:

@@ -1,4 +1,8 @@
-"""Injection of single faults: each function returns an `Injection`, which makes a scene with the fault."""
+"""Functions that make scenes with a single fault, such as a wrong mass or a missing joint.
+
+A function such as `mass("rod", 1e-3)` does not change a scene. It returns an `Injection`: a function that
+takes a scene and returns the scene with the fault.
+"""
 
 from __future__ import annotations
 
@@ -18,26 +22,29 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 Injection = Callable[[Scene], Scene]
-
-"""A function that returns a scene with a fault."""
+"""Function that takes a scene and returns the scene with a fault."""
 
 MISSING_BODY_FRACTION = 1e-6
-"""Fraction of mass and inertia that remains of a missing body; no engine accepts a body without mass."""
+"""Fraction of mass and inertia that a missing body keeps, since no engine accepts a body without mass."""
 
 
-def nothing(scene: Scene) -> Scene:
-    """Return the scene itself: the fault is in an engine's equations."""
+def no_change(scene: Scene) -> Scene:
+    """Return the scene unchanged; for faults in an engine's equations."""
     return scene
 
 
 def with_mechanism(scene: Scene, bodies: Iterable[Body], joints: Iterable[Joint]) -> Scene:
-    """Replace bodies and joints; the initial state is computed again."""
+    """Return the scene with other bodies and joints; the initial state is computed again."""
     mechanism = Mechanism(bodies, joints, scene.mechanism.couplings)
     return replace(scene, mechanism=mechanism, initial_state=None)
 
 
 def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Injection:
-    """Replace values of the named bodies. Unrealizable inertias are allowed, as typing errors cause them."""
+    """Replace attributes of bodies. Inertias that no real body has are allowed, as typing errors cause them.
+
+    Args:
+        change: for each body to change, by name, a function that returns the new values of its attributes.
+    """
 
     def inject(scene: Scene) -> Scene:
         bodies = [
@@ -52,7 +59,7 @@ def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Inject
 
 
 def change_joint(name: str, change: Callable[[Joint], Joint]) -> Injection:
-    """Replace the named joint."""
+    """Replace a joint, given by name, by the result of `change`."""
 
     def inject(scene: Scene) -> Scene:
         joints = [change(joint) if joint.name == name else joint for joint in scene.mechanism.joints]
@@ -62,17 +69,17 @@ def change_joint(name: str, change: Callable[[Joint], Joint]) -> Injection:
 
 
 def mass(body: str, size: float) -> Injection:
-    """Multiply the mass by 1 + size."""
+    """Multiply the mass of a body by 1 + size."""
     return change_bodies({body: lambda b: {"mass": (1.0 + size) * b.mass}})
 
 
 def center_of_mass(body: str, shift: Array) -> Injection:
-    """Shift the center of mass by `shift` (3,), m, body frame."""
+    """Shift the center of mass of a body by `shift` (3,), m, in the body frame."""
     return change_bodies({body: lambda b: {"center_of_mass": b.center_of_mass + shift}})
 
 
 def inertia_entry(body: str, i: int, j: int, size: float) -> Injection:
-    """Add size * sqrt(J_ii J_jj) to the inertia entries J_ij and J_ji."""
+    """Add size * sqrt(J_ii J_jj) to the entries J_ij and J_ji of a body's inertia matrix."""
 
     def changed(b: Body) -> dict[str, Any]:
         inertia = np.array(b.inertia)
@@ -84,7 +91,7 @@ def inertia_entry(body: str, i: int, j: int, size: float) -> Injection:
 
 
 def inertia_frame(body: str, axis: Array, angle: float) -> Injection:
-    """Rotate the inertia about an axis of the body frame by an angle, rad."""
+    """Rotate the inertia of a body about a unit axis (3,) of the body frame by an angle, rad."""
     turn = turned_about(axis, angle)
 
     def changed(b: Body) -> dict[str, Any]:
@@ -95,7 +102,7 @@ def inertia_frame(body: str, axis: Array, angle: float) -> Injection:
 
 
 def quaternion_order(body: str) -> Injection:
-    """Misread the quaternion (w, x, y, z) as (x, y, z, w)."""
+    """Misread the quaternion of a body: (w, x, y, z) as (x, y, z, w)."""
     return change_bodies({body: lambda b: {"quaternion": np.roll(b.quaternion, 1)}})
 
 
@@ -114,31 +121,39 @@ def missing_body(body: str) -> Injection:
 def swapped_bodies(first: Body, second: Body) -> Injection:
     """Exchange mass and inertia of two bodies."""
 
-    def like(other: Body) -> Callable[[Body], dict[str, Any]]:
+    def values_of(other: Body) -> Callable[[Body], dict[str, Any]]:
         return lambda _: {"mass": other.mass, "inertia": other.inertia}
 
-    return change_bodies({first.name: like(second), second.name: like(first)})
+    return change_bodies({first.name: values_of(second), second.name: values_of(first)})
 
 
 def joint_point(joint: str, shift: Array) -> Injection:
-    """Shift a joint on both bodies by `shift` (3,), m, so that it still closes at the initial pose."""
+    """Shift the points of a joint on both bodies by `shift` (3,), m, so that they still coincide at first."""
     return change_joint(
         joint, lambda j: replace(j, point=j.point + shift, point_on_second=j.reaction_point + shift)
     )
 
 
 def closure_point(joint: str, shift: Array) -> Injection:
-    """Shift a joint on its second body only, so that its loop does not close at the initial pose."""
+    """Shift the point of a joint on the second body only, by `shift` (3,), m, which opens the loop."""
     return change_joint(joint, lambda j: replace(j, point_on_second=j.reaction_point + shift))
 
 
 def joint_axes(joint: str, axes: dict[str, Array]) -> Injection:
-    """Replace axes or points of a joint, by the name of its attribute."""
+    """Replace axes (3,) or points (3,) of a joint; the keys of `axes` are names of the joint's attributes."""
     return change_joint(joint, lambda j: replace(j, **axes))  # type: ignore[arg-type]
 
 
-def row_of(joint: Joint, name: str, number: int, change: Callable[[Array], Array]) -> Injection:
-    """Replace a row of an array of a joint: an axis, or an offset together with all that follows it."""
+def joint_row(joint: Joint, name: str, number: int, change: Callable[[Array], Array]) -> Injection:
+    """Replace one row of an array of a joint by the result of `change`.
+
+    Args:
+        joint: the joint.
+        name: name of the array: "slides", "hinges" or "offsets". With an offset, the point on the second body
+            moves too, so that the joint still closes.
+        number: index of the row.
+        change: function of the row (3,) that returns the new row.
+    """
 
     def changed(j: Joint) -> Joint:
         rows = np.array(getattr(j, name))
@@ -151,7 +166,7 @@ def row_of(joint: Joint, name: str, number: int, change: Callable[[Array], Array
 
 
 def joint_kind(joint: Joint, kind: str, **axes: Array) -> Injection:
-    """Replace a joint by one of another kind."""
+    """Replace a joint by one of another kind at the same points, with the given axes."""
     other = JOINT_KINDS[kind](
         joint.name,
         joint.first,
@@ -165,7 +180,7 @@ def joint_kind(joint: Joint, kind: str, **axes: Array) -> Injection:
 
 
 def missing_joint(joint: str) -> Injection:
-    """Remove a joint, which opens its loop."""
+    """Remove a joint that closes a loop."""
 
     def inject(scene: Scene) -> Scene:
         joints = [kept for kept in scene.mechanism.joints if kept.name != joint]
@@ -175,12 +190,18 @@ def missing_joint(joint: str) -> Injection:
 
 
 def gravity(vector: Array) -> Injection:
-    """Replace gravity by a vector (3,), m/s^2, world frame."""
+    """Replace gravity by a vector (3,), m/s^2, in the world frame."""
     return lambda scene: replace(scene, gravity=vector)
 
 
-def entry(field: str, index: int, **values: Any) -> Injection:
-    """Replace values of one entry of the scene's control, forces, armatures or motions."""
+def entry_values(field: str, index: int, **values: Any) -> Injection:
+    """Replace attributes of one element in a list of the scene.
+
+    Args:
+        field: name of the list: "control", "forces", "armatures" or "motions".
+        index: index of the element in the list.
+        **values: new values of the element's attributes.
+    """
 
     def inject(scene: Scene) -> Scene:
         entries = list(getattr(scene, field))
@@ -191,8 +212,8 @@ def entry(field: str, index: int, **values: Any) -> Injection:
     return inject
 
 
-def without(field: str, index: int) -> Injection:
-    """Remove one entry of the scene's control, forces, armatures or motions."""
+def missing_entry(field: str, index: int) -> Injection:
+    """Remove one element from a list of the scene; arguments are as for `entry_values`."""
 
     def inject(scene: Scene) -> Scene:
         entries = getattr(scene, field)
@@ -203,7 +224,7 @@ def without(field: str, index: int) -> Injection:
 
 
 def coupling(index: int, other: JointCoupling | None) -> Injection:
-    """Replace a coupling of joint coordinates, or remove it if `other` is None."""
+    """Replace the coupling with an index by another one, or remove the coupling if `other` is None."""
 
     def inject(scene: Scene) -> Scene:
         mechanism, found = scene.mechanism, list(scene.mechanism.couplings)
@@ -215,16 +236,18 @@ def coupling(index: int, other: JointCoupling | None) -> Injection:
 
 
 def turned_about(axis: Array, angle: float) -> Array:
-    """Return the (3, 3) rotation about a unit axis by an angle, rad."""
+    """Return the rotation matrix (3, 3) about a unit axis (3,) by an angle, rad."""
     return rotation(from_rotation_vector(angle * axis))
 
 
-def tilted(joint: Joint, angle: float) -> dict[str, Injection]:
-    """Ways to tilt the axes of a joint by an angle, rad, each by name.
+def tilted_axes(joint: Joint, angle: float) -> dict[str, Injection]:
+    """Return injections that tilt the axes of a joint by an angle, rad, by description of the tilt.
 
-    A single axis about two directions across it, and with it the line that the second body's point is on.
-    The two axes of a universal joint, which have to stay perpendicular, each about the other and both about
-    their common normal. Each of the slides and hinges in a row about two directions across it.
+    - Joint with one axis: the axis is tilted about two perpendicular directions across it. The point on the
+      second body, which may lie on the axis, is rotated too.
+    - Universal joint: its axes have to stay perpendicular. Each axis is tilted about the other one, and both
+      axes about their common normal.
+    - Compound joint: each slide and each hinge is tilted about two perpendicular directions across it.
     """
     names = joint.axis_names
     if isinstance(joint, Compound):
@@ -233,25 +256,31 @@ def tilted(joint: Joint, angle: float) -> dict[str, Injection]:
             for k, axis in enumerate(getattr(joint, name)):
                 for label, about in zip("uw", perpendicular_pair(axis), strict=True):
                     tilt = turned_about(about, angle).__matmul__
-                    found[f"{name}[{k}] about {label}"] = row_of(joint, name, k, tilt)
+                    found[f"{name}[{k}] about {label}"] = joint_row(joint, name, k, tilt)
         return found
     values = [np.asarray(getattr(joint, name)) for name in names]
     if len(values) == 1:
         across = zip("uw", perpendicular_pair(values[0]), strict=True)
         turns = {f"about {label}": turned_about(about, angle) for label, about in across}
-        return {label: _turned(joint, turn, names) for label, turn in turns.items()}
+        return {label: _turned_axes(joint, turn, names) for label, turn in turns.items()}
     if not values:
         return {}
     a, b = values
     return {
-        f"{names[0]} about the other": _turned(joint, turned_about(b, angle), names[:1]),
-        f"{names[1]} about the other": _turned(joint, turned_about(a, angle), names[1:]),
-        "both about their normal": _turned(joint, turned_about(np.cross(a, b), angle), names),
+        f"{names[0]} about the other": _turned_axes(joint, turned_about(b, angle), names[:1]),
+        f"{names[1]} about the other": _turned_axes(joint, turned_about(a, angle), names[1:]),
+        "both about their normal": _turned_axes(joint, turned_about(np.cross(a, b), angle), names),
     }
 
 
-def _turned(joint: Joint, turn: Array, names: Iterable[str]) -> Injection:
-    """Some axes of a joint turned, and its second point about its first."""
+def _turned_axes(joint: Joint, turn: Array, names: Iterable[str]) -> Injection:
+    """Rotate axes of a joint, and its point on the second body about its point on the first body.
+
+    Args:
+        joint: the joint.
+        turn: rotation matrix (3, 3).
+        names: names of the axes to rotate.
+    """
     axes = {name: turn @ getattr(joint, name) for name in names}
     second = joint.point + turn @ (joint.reaction_point - joint.point)
     return joint_axes(joint.name, {**axes, "point_on_second": second})

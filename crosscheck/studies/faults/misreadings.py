@@ -1,8 +1,9 @@
-"""Catalog of the faults of a reading: a reader of model files makes one mistake.
+"""Catalog of misreadings: single mistakes that a reader of model files could make.
 
 Numbers of bodies and joints, and points of forces, have relative errors of 1e-1 and 1e-6. Strengths of forces
-are doubled, halved, dropped, negated, or have a relative error of 1e-6. Joints are confused with other kinds
-or read as rigid. Loops stay open or are closed at another point.
+are doubled, halved, set to zero, negated, or have a relative error of 1e-6. Joints are confused with other
+kinds or read as rigid. Loops stay open or are closed at another point. Each mistake is a `Fault`: a function
+that makes the scene with the mistake, and the names of the elements that a correct diagnosis may name.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ from typing import Any
 import numpy as np
 
 from crosscheck.studies.faults import injection
-from crosscheck.studies.faults.catalog import SKEW_AXIS, Fault, bodies_at, mistaken, of_numbers
+from crosscheck.studies.faults.catalog import (
+    SKEW_AXIS,
+    Fault,
+    confusion_faults,
+    connected_bodies,
+    number_faults,
+)
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
@@ -30,60 +37,70 @@ from newton_euler.model.scene import Scene
 from newton_euler.runs.assemble import initial_state
 
 FACTORS = {"doubled": 2.0, "halved": 0.5, "dropped": 0.0, "negated": -1.0, "times 1 + 1e-6": 1.0 + 1e-6}
+"""Factors of misread numbers, by description of the mistake."""
 
 SMALL_SHIFT, LARGE_SHIFT = 1e-6, 0.1
-"""Sizes of shifts, relative to the mechanism's size or in rad."""
+"""Sizes of misread positions, relative to the mechanism's size, and of misread angles, rad."""
 
 PERMUTED_AXES = [1, 2, 0]
-"""Order of the components of permuted vectors and inertias."""
+"""Order of the components of a vector that is read in a wrong order."""
 
 EVERYTHING = "all bodies"
+"""Element of a fault that is in all bodies, such as wrong initial velocities."""
 
 SHIFTED_ATTRIBUTES = ("rest", "target", "point", "point_on_first", "point_on_second")
-"""Attributes of forces and controllers that are coordinates or points. They are shifted: no factor changes
-0."""
+"""Attributes of forces and controllers that are coordinates or points. They get shifts in addition to
+factors, since no factor changes 0."""
 
 
 def misreadings(scene: Scene) -> Iterator[Fault]:
-    """Yield the faults of a reading that a scene can contain."""
+    """Yield all misreadings that are possible for a scene."""
+    # Faults that do not depend on a reader, and faults of joints. If a joint is coupled to others, a correct
+    # diagnosis may name the coupling.
     of_joints = [
-        replace(fault, near=bodies_at(joint))
+        replace(fault, neighbors=connected_bodies(joint))
         for joint in scene.mechanism.joints
-        for fault in _of_joint(scene, joint)
+        for fault in _joint_faults(scene, joint)
     ]
-    numbers = *of_numbers(scene, SMALL_SHIFT), *of_numbers(scene, LARGE_SHIFT)
-    for fault in (*numbers, *mistaken(scene), *of_joints):
-        coupled = (c.name for c in scene.mechanism.couplings if fault.element in _joints_of(c))
+    numbers = *number_faults(scene, SMALL_SHIFT), *number_faults(scene, LARGE_SHIFT)
+    for fault in (*numbers, *confusion_faults(scene), *of_joints):
+        coupled = (c.name for c in scene.mechanism.couplings if fault.element in _coupled_joints(c))
         if fault.kind != "quaternion order":  # a reader is free to choose the frames of bodies
-            yield replace(fault, right=fault.right.union(coupled))
+            yield replace(fault, expected=fault.expected.union(coupled))
+    # Controllers and forces
     for field in ("control", "forces"):
         for index, force in enumerate(getattr(scene, field)):
-            yield from _of_force(scene, field, index, force)
-    for index, rotor in enumerate(scene.armatures):
+            yield from _force_faults(scene, field, index, force)
+    # Armatures (rotor inertias)
+    for index, armature in enumerate(scene.armatures):
         for what, factor in FACTORS.items():
             if factor > 0.0:
-                other = injection.entry("armatures", index, inertia=factor * rotor.inertia)
-                yield _fault("armature", rotor.joint, what, other)
-        yield _fault("armature", rotor.joint, "dropped", injection.without("armatures", index))
-        if isinstance(rotor, OnCoordinate):
-            for k in _others(scene, rotor.joint, rotor.coordinate):
-                moved = injection.entry("armatures", index, coordinate=k)
-                yield _fault("armature", rotor.joint, f"on coordinate {k}", moved)
+                other = injection.entry_values("armatures", index, inertia=factor * armature.inertia)
+                yield _fault("armature", armature.joint, what, other)
+        yield _fault("armature", armature.joint, "dropped", injection.missing_entry("armatures", index))
+        if isinstance(armature, OnCoordinate):
+            for k in _other_coordinates(scene, armature.joint, armature.coordinate):
+                moved = injection.entry_values("armatures", index, coordinate=k)
+                yield _fault("armature", armature.joint, f"on coordinate {k}", moved)
+    # Prescribed motions, couplings and initial velocities
     for index, motion in enumerate(scene.motions):
-        yield _fault("equality", motion.joint, "dropped", injection.without("motions", index))
+        yield _fault("equality", motion.joint, "dropped", injection.missing_entry("motions", index))
     for index, coupling in enumerate(scene.mechanism.couplings):
-        for what, changed in _other_couplings(scene, coupling):
+        for what, changed in _faulty_couplings(scene, coupling):
             yield _fault("gear", coupling.name, what, injection.coupling(index, changed))
     if np.any(initial_state(scene).linear_velocity) or np.any(initial_state(scene).angular_velocity):
         for what, factor in FACTORS.items():
-            yield _fault("velocity", EVERYTHING, what, _faster(factor))
+            yield _fault("velocity", EVERYTHING, what, _scaled_velocities(factor))
 
 
-def _joints_of(coupling: JointCoupling) -> set[str]:
+def _coupled_joints(coupling: JointCoupling) -> set[str]:
+    """Return the names of the joints whose coordinates a coupling relates."""
     return {key[0] for key in coupling.factors()}
 
 
-def _faster(factor: float) -> injection.Injection:
+def _scaled_velocities(factor: float) -> injection.Injection:
+    """Multiply all initial velocities by a factor."""
+
     def injected(scene: Scene) -> Scene:
         start = initial_state(scene)
         linear, angular = factor * start.linear_velocity, factor * start.angular_velocity
@@ -95,35 +112,40 @@ def _faster(factor: float) -> injection.Injection:
 # Joints
 
 
-def _of_joint(scene: Scene, joint: Joint) -> Iterator[Fault]:
-    """Yield faults of a joint: wrong offsets and order of its hinges, a rigid joint, a missing joint."""
+def _joint_faults(scene: Scene, joint: Joint) -> Iterator[Fault]:
+    """Yield faults of a joint: wrong offsets or order of its hinges, read as rigid, missing."""
     name, offsets = joint.name, getattr(joint, "offsets", ())
     for k, offset in enumerate(offsets):
         for angle in (SMALL_SHIFT, LARGE_SHIFT):
             shift = angle * scene.mechanism.size * SKEW_AXIS
-            moved = injection.row_of(joint, "offsets", k, lambda row, shift=shift: row + shift)  # type: ignore[misc]
+            moved = injection.joint_row(joint, "offsets", k, lambda row, shift=shift: row + shift)  # type: ignore[misc]
             yield _fault("offset", name, f"{k} moved by {angle:g}", moved)
         for what, factor in FACTORS.items() if np.any(offset) else ():
-            other = injection.row_of(joint, "offsets", k, lambda row, factor=factor: factor * row)  # type: ignore[misc]
+            other = injection.joint_row(joint, "offsets", k, lambda row, factor=factor: factor * row)  # type: ignore[misc]
             yield _fault("offset", name, f"{k} {what}", other)
     if isinstance(joint, Compound) and len(joint.hinges) > 1:
         turned = injection.joint_axes(name, {"hinges": joint.hinges[::-1]})
         yield _fault("axis", name, "hinges in the other order", turned)
     if not isinstance(joint, Fixed):
-        yield _fault("joint", name, "read as rigid", _welded(joint))
+        yield _fault("joint", name, "read as rigid", _read_as_rigid(joint))
     with suppress(NewtonEulerError):  # raised for a joint that alone connects a body
-        injection.missing_joint(name)(_bare(scene, name))
-        yield _fault("equality", name, "dropped", lambda s: injection.missing_joint(name)(_bare(s, name)))
+        injection.missing_joint(name)(_without_joint_elements(scene, name))
+        yield _fault(
+            "equality",
+            name,
+            "dropped",
+            lambda s: injection.missing_joint(name)(_without_joint_elements(s, name)),
+        )
 
 
-def _bare(scene: Scene, joint: str) -> Scene:
-    """Return the scene without forces, motions and couplings that act on a joint's coordinates."""
+def _without_joint_elements(scene: Scene, joint: str) -> Scene:
+    """Return the scene without the controllers, forces, armatures, motions and couplings of a joint."""
 
     def kept(entries: Any) -> Any:
         return tuple(entry for entry in entries if getattr(entry, "joint", None) != joint)
 
     mechanism = scene.mechanism
-    couplings = [c for c in mechanism.couplings if joint not in _joints_of(c)]
+    couplings = [c for c in mechanism.couplings if joint not in _coupled_joints(c)]
     return replace(
         scene,
         mechanism=type(mechanism)(mechanism.bodies, mechanism.joints, couplings),
@@ -135,15 +157,24 @@ def _bare(scene: Scene, joint: str) -> Scene:
     )
 
 
-def _welded(joint: Joint) -> injection.Injection:
-    return lambda scene: injection.joint_kind(joint, "fixed")(_bare(scene, joint.name))
+def _read_as_rigid(joint: Joint) -> injection.Injection:
+    """Replace a joint by a fixed joint, and remove the elements that act on the joint's coordinates."""
+    return lambda scene: injection.joint_kind(joint, "fixed")(_without_joint_elements(scene, joint.name))
 
 
-# Forces, laws and couplings
+# Forces, controllers and couplings
 
 
-def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Iterator[Fault]:
-    """Yield faults in the values, points and frames of a force or a controller."""
+def _force_faults(scene: Scene, field: str, index: int, force: Law | Force) -> Iterator[Fault]:
+    """Yield faults in the values, points and frames of a force or a controller.
+
+    Args:
+        scene: the scene.
+        field: list of the scene that contains the element: "control" or "forces".
+        index: index of the element in the list.
+        force: the force or controller.
+    """
+    # Numbers that are multiplied by a factor, and vectors whose components are permuted
     for name in force.parameters:
         value = getattr(force, name)
         if isinstance(value, Mapping):
@@ -153,9 +184,10 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
         for what, factor in FACTORS.items() if np.any(value) else ():
             if factor >= 0.0 or isinstance(force, PD | Wrench):
                 other = scaled(value, factor) if isinstance(value, TimeFunction) else factor * value
-                yield _of_value(field, index, force, name, what, other)
+                yield _value_fault(field, index, force, name, what, other)
         if isinstance(value, np.ndarray) and np.ptp(value):
-            yield _of_value(field, index, force, name, "permuted", value[PERMUTED_AXES])
+            yield _value_fault(field, index, force, name, "permuted", value[PERMUTED_AXES])
+    # Points and coordinates that are shifted
     if not _is_slack(force):
         for name in SHIFTED_ATTRIBUTES:
             for angle in (SMALL_SHIFT, LARGE_SHIFT) if hasattr(force, name) else ():
@@ -164,14 +196,15 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
                     continue  # functions of time do not occur in model files
                 unit = scene.mechanism.size if _is_length(scene, force) else 1.0
                 moved = value + angle * unit * (SKEW_AXIS if isinstance(value, np.ndarray) else 1.0)
-                yield _of_value(field, index, force, name, f"moved by {angle:g}", moved)
+                yield _value_fault(field, index, force, name, f"moved by {angle:g}", moved)
+    # The frame of a wrench, the coordinate of a joint, and a missing element
     if isinstance(force, Wrench):
         other = "body" if force.frame == "world" else "world"
-        yield _of_value(field, index, force, "frame", f"taken for that of the {other}", other)
+        yield _value_fault(field, index, force, "frame", f"taken for that of the {other}", other)
     if isinstance(force, OnCoordinate):
-        for k in _others(scene, force.joint, force.coordinate):
-            yield _of_value(field, index, force, "coordinate", f"taken for {k}", k)
-    yield _fault(type(force).__name__, _element(force), "dropped", injection.without(field, index))
+        for k in _other_coordinates(scene, force.joint, force.coordinate):
+            yield _value_fault(field, index, force, "coordinate", f"taken for {k}", k)
+    yield _fault(type(force).__name__, _element_name(force), "dropped", injection.missing_entry(field, index))
 
 
 def _is_slack(force: Law | Force) -> bool:
@@ -179,56 +212,62 @@ def _is_slack(force: Law | Force) -> bool:
     return isinstance(force, PD | JointSpring | BallSpring) and not force.stiffness
 
 
-def _of_value(field: str, index: int, force: Law | Force, name: str, what: str, value: object) -> Fault:
-    injected = injection.entry(field, index, **{name: value})
-    return _fault(f"{name} of {type(force).__name__}", _element(force), what, injected)
+def _value_fault(field: str, index: int, force: Law | Force, name: str, what: str, value: object) -> Fault:
+    injected = injection.entry_values(field, index, **{name: value})
+    return _fault(f"{name} of {type(force).__name__}", _element_name(force), what, injected)
 
 
 def _is_length(scene: Scene, force: Law | Force) -> bool:
+    """Return True if the rest position, target or point of an element is in m, not in rad."""
     if isinstance(force, OnCoordinate):
         joint = scene.mechanism.joint(force.joint)
         return joint.coordinate_kinds[force.coordinate] == "slide"
     return not force.on_ball
 
 
-def _others(scene: Scene, joint: str, coordinate: int) -> Iterator[int]:
+def _other_coordinates(scene: Scene, joint: str, coordinate: int) -> Iterator[int]:
     """Yield the other coordinates of a joint."""
     kinds = scene.mechanism.joint(joint).coordinate_kinds
     yield from (k for k in range(len(kinds)) if k != coordinate)
 
 
-def _element(force: Law | Force) -> str:
+def _element_name(force: Law | Force) -> str:
+    """Return the name of a force on bodies, or of the joint on which a force or controller acts."""
     return force.name if isinstance(force, OnBodies) else force.joint
 
 
-def _other_couplings(scene: Scene, coupling: JointCoupling) -> Iterator[tuple[str, JointCoupling | None]]:
-    """Yield a coupling with one changed factor (except the first), on another coordinate, and None for
-    dropped."""
+def _faulty_couplings(scene: Scene, coupling: JointCoupling) -> Iterator[tuple[str, JointCoupling | None]]:
+    """Yield faulty variants of a coupling, each with its description; None stands for no coupling.
+
+    The variants have one wrong factor, or act on another coordinate of a joint.
+    """
     yield "dropped", None
     factors = {what: factor for what, factor in FACTORS.items() if factor}
     if isinstance(coupling, PolynomialCoupling):
-        for power, own in enumerate(coupling.coefficients, start=1):
-            for what, factor in factors.items() if own else ():
+        for power, coefficient in enumerate(coupling.coefficients, start=1):
+            for what, factor in factors.items() if coefficient else ():
                 coefficients = [*coupling.coefficients]
-                coefficients[power - 1] = factor * own
+                coefficients[power - 1] = factor * coefficient
                 yield f"power {power} {what}", replace(coupling, coefficients=tuple(coefficients))
     if isinstance(coupling, Gear):
         for what, factor in factors.items():
             yield what, replace(coupling, ratio=factor * coupling.ratio)
     if isinstance(coupling, Gear | PolynomialCoupling):
-        for k in _others(scene, coupling.driver, coupling.driver_coordinate):
+        for k in _other_coordinates(scene, coupling.driver, coupling.driver_coordinate):
             if (coupling.driver, k) != (coupling.follower, coupling.follower_coordinate):
                 yield f"driven by coordinate {k}", replace(coupling, driver_coordinate=k)
         return
     assert isinstance(coupling, LinearCoupling)
-    for n, (joint, coordinate, own) in enumerate(coupling.terms):
+    for n, (joint, coordinate, coefficient) in enumerate(coupling.terms):
+        # a wrong first factor is equivalent to wrong factors of all other terms
         for what, factor in factors.items() if n else ():
             terms = [*coupling.terms]
-            terms[n] = joint, coordinate, factor * own
+            terms[n] = joint, coordinate, factor * coefficient
             yield f"term {n} {what}", replace(coupling, terms=tuple(terms))
         if len(coupling.terms) > 2:
             yield f"term {n} dropped", replace(coupling, terms=coupling.terms[:n] + coupling.terms[n + 1 :])
 
 
 def _fault(kind: str, element: str, detail: str, inject: injection.Injection) -> Fault:
+    """Return a fault without a size, which a correct diagnosis locates at `element`."""
     return Fault(kind, element, detail, None, inject, frozenset({element}))

@@ -17,50 +17,57 @@ from crosscheck.studies.faults.find import (
 )
 
 REQUIRED_LOCATION_RATE = 0.95
-"""Fraction of the faults that must be detected that must also be located at the right body, joint or term."""
+"""Smallest fraction of the required faults that must be located at the right body, joint or term."""
 
 NO_CHANGE = (
     "with and without the fault newton_euler has the same poses, velocities, energies, accelerations and "
     f"reactions at {RANDOM_STATES + 1} states, to round-off"
 )
+"""Explanation of unobservable faults in the report."""
 
 
 class Count(NamedTuple):
     """Numbers of faults.
 
     Attributes:
-        of: all faults.
-        found: detected faults.
-        located: faults that were located correctly.
+        total: number of faults that can be detected.
+        detected: number of detected faults.
+        located: number of faults that were located correctly.
     """
 
-    of: int
-    found: int
+    total: int
+    detected: int
     located: int
 
     def __str__(self) -> str:
-        if not self.of:
+        if not self.total:
             return "none"
-        shares = f"{100 * self.found / self.of:.3g}%, {100 * self.located / self.of:.3g}%"
-        return f"{self.found}, {self.located} of {self.of} ({shares})"
+        percentages = f"{100 * self.detected / self.total:.3g}%, {100 * self.located / self.total:.3g}%"
+        return f"{self.detected}, {self.located} of {self.total} ({percentages})"
 
 
-def in_all(faults: Iterable[FaultResult]) -> Count:
-    """Count faults that can be detected, by all levels of equations or by the verification of a reading."""
-    counted = [found for found in faults if found.counts]
-    seen = sum(found.seen is not None for found in counted)
+def count_detected(faults: Iterable[FaultResult]) -> Count:
+    """Count the detectable faults, and those that all levels of equations or a verification detect."""
+    counted = [found for found in faults if found.is_detectable]
+    seen = sum(found.detection is not None for found in counted)
     return Count(len(counted), seen, sum(found.located for found in counted))
 
 
-def by_motion(faults: Iterable[FaultResult]) -> Count:
-    """Count faults that change the motion, by the levels after the model."""
+def count_detected_by_motion(faults: Iterable[FaultResult]) -> Count:
+    """Count the faults that change the motion, and those that comparisons of the motion alone detect."""
     counted = [found for found in faults if found.observable]
-    seen = sum(found.moves is not None for found in counted)
+    seen = sum(found.detection_by_motion is not None for found in counted)
     return Count(len(counted), seen, sum(found.located_by_motion for found in counted))
 
 
 def report(title: str, search: FaultSearch, wall_time: float) -> Report:
-    """Make the report: rates, missed faults with reasons, and (with `-v`) all faults."""
+    """Make the report: detection and location rates, missed faults with reasons, and a table of all faults.
+
+    Args:
+        title: name of the scene or model file.
+        search: results of the search.
+        wall_time: duration of the search, s.
+    """
     unable = [
         f"no fault injected into {engine}, which cannot express the scene: {why}"
         for engine, why in search.left_out.items()
@@ -70,20 +77,20 @@ def report(title: str, search: FaultSearch, wall_time: float) -> Report:
             found.fault.name,
             found.engine,
             "yes" if found.observable else "no",
-            _judged(found.seen, found.located),
-            _judged(found.moves, found.located_by_motion),
+            _judged(found.detection, found.located),
+            _judged(found.detection_by_motion, found.located_by_motion),
         ]
         for found in search.found
     ]
     heads = text_columns("fault", "engine", "observable", "found", "by motion alone")
     parts: list[Part] = [
         table(search),
-        Lines("", [*unable, *lines(search)]),
+        Lines("", [*unable, *finding_lines(search)]),
         Table(f"all {len(rows)} faults", heads, rows, folded=True),
     ]
     word = Cell("FOUND", "holds") if holds(search) else Cell("MISSED", "fails")
     title_line = f"{len(search.found)} faults injected into {', '.join(search.engines)}, in {wall_time:.0f} s"
-    few: list[Part] = [table(search, every=False), Lines("", [*unable, *lines(search, every=False)])]
+    few: list[Part] = [table(search, every=False), Lines("", [*unable, *finding_lines(search, every=False)])]
     return Report(title_line, verdict(title, search), word, parts, wall_time, few)
 
 
@@ -116,28 +123,31 @@ def table(search: FaultSearch, every: bool = True) -> Table:
 
 
 def _row(name: str, faults: Sequence[FaultResult], search: FaultSearch) -> list[str | Cell]:
-    counts = [in_all(faults)] if search.engines == (READING,) else [in_all(faults), by_motion(faults)]
+    """Format a row of `table`: the numbers of faults of a kind or size."""
+    counts = [count_detected(faults)]
+    if search.engines != (READING,):
+        counts.append(count_detected_by_motion(faults))
     return [name, *(str(number) for count in counts for number in count)]
 
 
 def _judged(detection: Detection | None, right: bool) -> str | Cell:
-    """Format the detection of a fault; a wrong location is shown as doubtful."""
+    """Format the detection of a fault, empty if there is none; a wrong location is shown as doubtful."""
     if detection is None:
         return ""
     text = f"level {detection.level!r}, {detection.quantity}, at {detection.where}"
     return Cell(text, "holds" if right else "doubtful")
 
 
-def lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
-    """Yield lines on missed and wrongly located faults, and on unobservable faults.
+def finding_lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
+    """Yield one line for each missed or wrongly located fault, and one line on unobservable faults.
 
     Args:
         search: results of the search.
         every: True to name all unobservable faults, False to count them.
     """
     yield from _misses(search.found, search)
-    hidden = [found for found in search.found if not found.observable and found.lost is None]
-    names = dict.fromkeys(" ".join(filter(None, found.fault.alike)) for found in hidden)
+    hidden = [found for found in search.found if not found.observable and found.model_difference is None]
+    names = dict.fromkeys(" ".join(filter(None, found.fault.identity)) for found in hidden)
     if names and every:
         yield f"unobservable, {NO_CHANGE}: {'; '.join(names)}"
     elif names:
@@ -145,24 +155,32 @@ def lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
 
 
 def _misses(faults: Sequence[FaultResult], search: FaultSearch) -> Iterator[str]:
-    """Yield lines on missed and wrongly located faults."""
+    """Yield one line for each missed or wrongly located fault."""
     for found in faults:
-        if (found.counts and not found.located) or found.lost:
-            yield _outcome(found, found.seen)
+        if (found.is_detectable and not found.located) or found.model_difference:
+            yield _outcome(found, found.detection)
     if search.engines != (READING,):
         blurred = {
-            x.fault.alike: x for x in faults[::-1] if x.observable and not x.located_by_motion and not x.lost
+            x.fault.identity: x
+            for x in faults[::-1]
+            if x.observable and not x.located_by_motion and not x.model_difference
         }
         for found in blurred.values():  # one line for the largest fault of a kind, which comes first
-            yield f"by motion alone, {_outcome(found, found.moves)}"
+            yield f"by motion alone, {_outcome(found, found.detection_by_motion)}"
 
 
 def _outcome(found: FaultResult, detection: Detection | None) -> str:
-    """Report the result for a fault that was missed or located wrongly."""
+    """Format the result for a fault that was missed or located wrongly.
+
+    Args:
+        found: result for the fault.
+        detection: detection by all levels, or by motion alone; None if the fault was missed.
+    """
     fault = f"{found.fault.name}, in {found.engine}"
-    if found.lost is not None:
-        lost = f"error of {found.lost.quantity} {found.lost.value:.1e} at {found.lost.where}"
-        return f"missed: {fault}: {found.engine}'s own model does not contain the fault: {lost}"
+    if found.model_difference is not None:
+        difference = found.model_difference
+        text = f"error of {difference.quantity} {difference.value:.1e} at {difference.where}"
+        return f"missed: {fault}: {found.engine}'s own model does not contain the fault: {text}"
     if detection is None:
         return f"missed: {fault}: smaller than the tolerances"
     if detection.level == REFUSED:
@@ -173,24 +191,26 @@ def _outcome(found: FaultResult, detection: Detection | None) -> str:
 
 
 def holds(search: FaultSearch) -> bool:
-    """Return True if all faults of required size are detected, and enough of them located correctly."""
-    count = in_all(_large(search))
-    return count.found == count.of and count.located >= REQUIRED_LOCATION_RATE * count.of
+    """Return True if all required faults are detected, and enough of them located correctly."""
+    count = count_detected(_required(search))
+    return count.detected == count.total and count.located >= REQUIRED_LOCATION_RATE * count.total
 
 
-def _large(search: FaultSearch) -> list[FaultResult]:
+def _required(search: FaultSearch) -> list[FaultResult]:
+    """Return the faults that must be detected: those without a size, and those that are large enough."""
     sizes = [(found, found.fault.size) for found in search.found]
     return [found for found, size in sizes if size is None or size >= search.smallest]
 
 
 def verdict(title: str, search: FaultSearch) -> str:
     """Report the numbers of detected and located faults in one line."""
-    large = _large(search)
+    required = _required(search)
     if search.engines == (READING,):
-        return f"{title}: faults in the reading that change a motion: detected, located: {in_all(large)}"
+        counts = count_detected(required)
+        return f"{title}: faults in the reading that change a motion: detected, located: {counts}"
     return (
-        f"{title}: faults down to {search.smallest:g}: detected, located: {in_all(large)}; "
-        f"by motion alone: {by_motion(large)}"
+        f"{title}: faults down to {search.smallest:g}: detected, located: {count_detected(required)}; "
+        f"by motion alone: {count_detected_by_motion(required)}"
     )
 
 
@@ -207,8 +227,13 @@ def data(title: str, options: Mapping[str, str], search: FaultSearch) -> dict[st
 
 
 def _entry(found: FaultResult) -> dict[str, Any]:
+    """Return a fault with its result, for JSON."""
     fault = found.fault
-    detections = {"seen": found.seen, "by_motion": found.moves, "lost": found.lost}
+    detections = {
+        "seen": found.detection,
+        "by_motion": found.detection_by_motion,
+        "lost": found.model_difference,
+    }
     return {
         "kind": fault.kind,
         "element": fault.element,

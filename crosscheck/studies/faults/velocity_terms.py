@@ -1,6 +1,8 @@
-"""Dropped velocity terms: equations without omega x axis v in the angular acceleration of one hinge.
+"""Fault "dropped velocity term": equations of motion without a term of the angular acceleration of one hinge.
 
-No scene can express this fault, therefore it is injected into the equations of an engine.
+The term is omega x axis v: omega is the angular velocity (3,) of the hinge's first body, axis the unit vector
+(3,) of the hinge, v its rate. A scene cannot have this fault, therefore the fault is injected into the
+equations of an engine: the difference between newton_euler's equations with and without the fault is added.
 """
 
 from __future__ import annotations
@@ -17,21 +19,22 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
 
 
-def without_turning(system: System, joint: str) -> System:
+def without_velocity_term(system: System, joint: str) -> System:
     """Return an engine's equations without the velocity term of the last hinge of a joint.
 
     The angular accelerations of the two bodies of a hinge differ by axis dv/dt + omega x axis v, where omega
-    is the angular velocity of the first body. The second term is dropped, for all bodies beyond the hinge.
+    is the angular velocity of the first body. The second term is dropped. This changes the accelerations of
+    all bodies that the hinge carries.
 
     Args:
         system: equations of an engine.
         joint: name of a joint of the spanning tree whose last motion is a hinge.
     """
-    return cast(System, _WithoutTurning(system, joint))
+    return cast(System, _WithoutVelocityTerm(system, joint))
 
 
-class _Dropped(Relative):
-    """Joint-coordinate equations with the fault.
+class _FaultyRelative(Relative):
+    """newton_euler's equations in joint coordinates, with the fault.
 
     Attributes:
         hinge: name of the joint whose last motion is the hinge at fault.
@@ -42,14 +45,23 @@ class _Dropped(Relative):
         self.hinge = hinge
 
     def links(self, q: Array, v: Array) -> list[Link]:
+        """Return the kinematics of all bodies with accelerations at dv/dt = 0, without the dropped term.
+
+        Args:
+            q: coordinates (nq,).
+            v: velocities (nv,).
+        """
+        # The dropped term of the hinge
         links = list(super().links(q, v))
         (joint,) = (each for each in self.tree.joints if self.tree.joint(each.joint).name == self.hinge)
         place, child = joint.v.stop - 1, links[joint.child]
         turning = child.angular[:, -1] * v[place]  # axis v
         term = cross(child.frame.angular_velocity - turning, turning)
+        # A point on the hinge axis, in the current pose
         apart = 0.0 if joint.forward else self.tree.joint(joint.joint).apart
         arm = self.mechanism.bodies[joint.child].center_of_mass - (joint.points[-1] - apart)
         point = child.frame.position - child.frame.rotation @ arm
+        # Remove the term from the accelerations of all bodies that the hinge carries
         for body, link in enumerate(links):
             if place in link.path:
                 links[body] = replace(
@@ -60,6 +72,7 @@ class _Dropped(Relative):
         return links
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
+        """Return linear and angular accelerations (b, 3) of the bodies for dv/dt = vdot (nv,)."""
         links = self.links(q, v)
         return (
             np.array([link.acceleration + link.linear @ vdot[link.path] for link in links]),
@@ -67,42 +80,51 @@ class _Dropped(Relative):
         )
 
 
-class _WithoutTurning:
-    """An engine's equations plus the change that the fault makes in newton_euler's equations."""
+class _WithoutVelocityTerm:
+    """Equations of an engine, plus the change that the fault makes in newton_euler's equations.
+
+    Methods have the arguments and results of `System`; q and v are coordinates and velocities of the engine.
+    """
 
     def __init__(self, system: System, hinge: str) -> None:
         self._system = system
-        self._right, self._wrong = Relative(system.scene), _Dropped(system.scene, hinge)
+        self._right, self._wrong = Relative(system.scene), _FaultyRelative(system.scene, hinge)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._system, name)
 
-    def _own(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Convert an engine's coordinates to newton_euler's."""
+    def _relative_coordinates(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Convert coordinates and velocities of the engine to newton_euler's joint coordinates."""
         return self._right.coordinates(self._system.state(q, v))
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return the mass matrix and the force; the change of the force is transformed to the engine's v."""
         mass, force = self._system.mass_and_force(q, v)
-        (_, right), (_, wrong) = (each.mass_and_force(*self._own(q, v)) for each in self._both)
-        return mass, force + self._onto(q, v).T @ (wrong - right)
+        (_, right), (_, wrong) = (
+            each.mass_and_force(*self._relative_coordinates(q, v)) for each in self._equations
+        )
+        return mass, force + self._velocity_map(q, v).T @ (wrong - right)
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        right, wrong = (each.acceleration(*self._own(q, v)) for each in self._both)
-        change = np.linalg.lstsq(self._onto(q, v), wrong - right)[0]
+        """Return dv/dt of the engine with the fault."""
+        right, wrong = (each.acceleration(*self._relative_coordinates(q, v)) for each in self._equations)
+        change = np.linalg.lstsq(self._velocity_map(q, v), wrong - right)[0]
         return np.asarray(self._system.acceleration(q, v) + change)
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Return accelerations and reactions with the fault."""
         found = self._system.evaluate(q, v)
-        right, wrong = (each.evaluate(*self._own(q, v)) for each in self._both)
+        right, wrong = (each.evaluate(*self._relative_coordinates(q, v)) for each in self._equations)
         names = ("linear_acceleration", "angular_acceleration", "reaction_force", "reaction_torque")
         changes = {name: getattr(wrong, name) - getattr(right, name) for name in names}
         return replace(found, **{name: getattr(found, name) + changes[name] for name in names})
 
     @property
-    def _both(self) -> tuple[Relative, Relative]:
+    def _equations(self) -> tuple[Relative, Relative]:
+        """newton_euler's equations without and with the fault."""
         return self._right, self._wrong
 
-    def _onto(self, q: Array, v: Array) -> Array:
-        """Compute newton_euler's velocities for each of the engine's, (nv, nv)."""
-        right = self._right.velocity_transformation(self._own(q, v)[0])
+    def _velocity_map(self, q: Array, v: Array) -> Array:
+        """Return the matrix (nv, nv) that maps velocities of the engine to newton_euler's velocities."""
+        right = self._right.velocity_transformation(self._relative_coordinates(q, v)[0])
         return np.asarray(np.linalg.lstsq(right, self._system.velocity_transformation(q))[0])

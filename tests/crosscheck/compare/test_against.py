@@ -150,14 +150,19 @@ def rotor(scene: Scene) -> Scene:
     ("fault", "quantity", "where", "detail"),
     [
         (
-            injection.entry("control", 0, damping=0.0501),
+            injection.entry_values("control", 0, damping=0.0501),
             "actuator force",
             "motor",
             "damping a 0.05, b 0.0501",
         ),
-        (injection.entry("control", 0, target=1.0001), "actuator force", "motor", "target a 1, b 1.0001"),
         (
-            injection.entry("forces", 1, damping=0.00201),
+            injection.entry_values("control", 0, target=1.0001),
+            "actuator force",
+            "motor",
+            "target a 1, b 1.0001",
+        ),
+        (
+            injection.entry_values("forces", 1, damping=0.00201),
             "spring force",
             "elbow",
             "damping a 0.002, b 0.00201",

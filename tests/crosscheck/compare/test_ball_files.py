@@ -22,7 +22,7 @@ from crosscheck.library.model_files import read_model
 from crosscheck.library.scene_file import write_scene
 from crosscheck.studies.faults import injection
 from crosscheck.studies.faults.catalog import catalog
-from crosscheck.studies.faults.find import FaultFree, find
+from crosscheck.studies.faults.find import FaultFree, find_fault
 from crosscheck.studies.faults.injection import Injection
 from crosscheck.support.errors import CrosscheckError
 from mjcf.loops import body_acceleration
@@ -220,10 +220,10 @@ def test_numbers_of_a_spring_vary_in_a_batch() -> None:
 @pytest.mark.parametrize(
     ("change", "quantity"),
     [
-        (injection.entry("forces", 0, stiffness=3.001), "spring force"),
-        (injection.entry("forces", 0, damping=0.2001), "spring force"),
+        (injection.entry_values("forces", 0, stiffness=3.001), "spring force"),
+        (injection.entry_values("forces", 0, damping=0.2001), "spring force"),
         (lambda s: replace(s, forces=()), "spring force"),
-        (injection.entry("armatures", 0, inertia=0.3001), "rotor momentum"),
+        (injection.entry_values("armatures", 0, inertia=0.3001), "rotor momentum"),
         (lambda s: replace(s, armatures=()), "rotor momentum"),
     ],
 )
@@ -250,7 +250,7 @@ def test_faults_of_balls_are_found_and_blamed(size: float) -> None:
     assert [fault.kind for fault in of_balls] == ["gain", "damping", "armature"]
     for fault in of_balls:
         for name in ("mujoco", "pinocchio"):
-            found = find(fault, ENGINES[name], own)
+            found = find_fault(fault, ENGINES[name], own)
             assert found.located, (fault.name, name)
             assert found.located_by_motion, (fault.name, name)
 

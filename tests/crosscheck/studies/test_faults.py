@@ -16,7 +16,7 @@ from crosscheck.library import load
 from crosscheck.report.page import write_report
 from crosscheck.studies.faults import INJECTED_ENGINES, injection
 from crosscheck.studies.faults import find as finding
-from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog, most_of
+from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog, max_faults_of_kind
 from crosscheck.studies.faults.find import (
     READING,
     REFUSED,
@@ -25,10 +25,17 @@ from crosscheck.studies.faults.find import (
     FaultFree,
     FaultResult,
     FaultSearch,
-    find,
+    find_fault,
     find_faults,
 )
-from crosscheck.studies.faults.report import Count, by_motion, holds, in_all, lines, report
+from crosscheck.studies.faults.report import (
+    Count,
+    count_detected,
+    count_detected_by_motion,
+    finding_lines,
+    holds,
+    report,
+)
 from crosscheck.support.errors import CrosscheckError
 from newton_euler import Armature, Body, JointSpring, Mechanism, Scene
 from newton_euler.errors import MechanismError
@@ -74,17 +81,17 @@ def found(example):
 def test_faults_of_every_kind_are_found_and_blamed(found):
     assert {f.fault.kind for f in found} == KINDS
     assert {f.engine for f in found} == set(INJECTED_ENGINES)
-    count = in_all(found)
-    assert count.of > 100
-    assert count.found == count.located == count.of
+    count = count_detected(found)
+    assert count.total > 100
+    assert count.detected == count.located == count.total
 
 
 def test_motion_alone_finds_them_too(found):
     """Nine of ten are placed as well; what is not is a body taken for a joint at it, or the other way."""
-    count = by_motion(found)
-    assert count.of > 80
-    assert count.found == count.of
-    assert count.located > 0.9 * count.of
+    count = count_detected_by_motion(found)
+    assert count.total > 80
+    assert count.detected == count.total
+    assert count.located > 0.9 * count.total
 
 
 def test_what_no_motion_shows(found):
@@ -107,25 +114,25 @@ def test_the_mass_of_a_body_fixed_to_the_ground(gravity, observable):
     mechanism = Mechanism([*swinging.mechanism.bodies, stone], [*swinging.mechanism.joints, held])
     scene = Scene("held", mechanism, 1.0, 0.1, gravity)
     fault = Fault("mass", "stone", "", 0.1, injection.mass("stone", 0.1), frozenset({"stone"}))
-    result = find(fault, ENGINES["mujoco"], FaultFree(scene))
+    result = find_fault(fault, ENGINES["mujoco"], FaultFree(scene))
     assert result.observable == observable
-    assert (result.seen.level, result.seen.where) == ("model", "stone")
-    assert (result.moves is not None) == observable
+    assert (result.detection.level, result.detection.where) == ("model", "stone")
+    assert (result.detection_by_motion is not None) == observable
 
 
 def test_an_open_closure_is_refused_or_seen(example, own):
     (fault,) = (f for f in catalog(example, (1e-6,)) if f.kind == "closure point" and f.detail == "y")
-    refused = find(fault, ENGINES["pinocchio"], own)
-    assert refused.seen.level == REFUSED
-    planted = find(fault, ENGINES["mujoco"], own)
-    assert planted.seen.quantity == "joint points, m"
-    assert planted.moves.quantity == "loop-closure error, rel"
+    refused = find_fault(fault, ENGINES["pinocchio"], own)
+    assert refused.detection.level == REFUSED
+    planted = find_fault(fault, ENGINES["mujoco"], own)
+    assert planted.detection.quantity == "joint points, m"
+    assert planted.detection_by_motion.quantity == "loop-closure error, rel"
     size = example.mechanism.size
-    assert planted.seen.value == pytest.approx(1e-6 * size, rel=1e-6)  # coordinates of 1 m hold 1e-16
+    assert planted.detection.value == pytest.approx(1e-6 * size, rel=1e-6)  # coordinates of 1 m hold 1e-16
     for result in (refused, planted):
         assert result.located
         assert result.located_by_motion
-        assert result.seen.where == fault.element
+        assert result.detection.where == fault.element
 
 
 @pytest.mark.parametrize("kind", ["gain", "damping", "armature"])
@@ -135,10 +142,10 @@ def test_springs_and_armatures_are_told_from_bodies(kind):
     (fault,) = (f for f in catalog(scene, (1e-3,)) if f.kind == kind)
     sound = FaultFree(scene)
     for name in INJECTED_ENGINES:
-        result = find(fault, ENGINES[name], sound)
-        assert result.seen.level == "dynamics"
+        result = find_fault(fault, ENGINES[name], sound)
+        assert result.detection.level == "dynamics"
         assert result.located
-        assert not replace(result, fault=replace(fault, right=frozenset({"ground"}))).located
+        assert not replace(result, fault=replace(fault, expected=frozenset({"ground"}))).located
 
 
 @pytest.mark.parametrize("name", INJECTED_ENGINES)
@@ -146,15 +153,15 @@ def test_a_dropped_velocity_term_is_found_at_its_hinge(name):
     """omega x axis v turns the axis of all hinges but the first, before which nothing turns."""
     scene = load("chain")
     found = {
-        fault.element: find(fault, ENGINES[name], FaultFree(scene))
+        fault.element: find_fault(fault, ENGINES[name], FaultFree(scene))
         for fault in catalog(scene, ())
         if fault.kind == "velocity term" and fault.element in ("hinge_0", "hinge_2")
     }
-    assert not found["hinge_0"].counts
+    assert not found["hinge_0"].is_detectable
     assert found["hinge_2"].located
     assert found["hinge_2"].located_by_motion
-    assert found["hinge_2"].seen.level == "dynamics"
-    assert found["hinge_2"].seen.value > 1e-3  # of the largest force: as much as the term itself does
+    assert found["hinge_2"].detection.level == "dynamics"
+    assert found["hinge_2"].detection.value > 1e-3  # of the largest force: as much as the term itself does
 
 
 def test_what_a_smaller_fault_does_is_not_unobservable(monkeypatch, example):
@@ -162,7 +169,7 @@ def test_what_a_smaller_fault_does_is_not_unobservable(monkeypatch, example):
     faults = [a_fault(size).fault for size in (1e-1, 1e-6)]
     results = {fault.size: a_fault(fault.size, observable=fault.size == 1e-1) for fault in faults}
     monkeypatch.setattr(finding, "catalog", lambda scene, sizes: faults)
-    monkeypatch.setattr(finding, "find", lambda fault, engine, own: results[fault.size])
+    monkeypatch.setattr(finding, "find_fault", lambda fault, engine, own: results[fault.size])
     assert [f.observable for f in find_faults(example, lambda message: None).found] == [True, True]
     results[1e-1] = replace(results[1e-1], observable=False)
     assert [f.observable for f in find_faults(example, lambda message: None).found] == [False, False]
@@ -175,7 +182,9 @@ def test_catalogs(name):
     assert len({fault.name for fault in faults}) == len(faults)
     for size in (*FAULT_SIZES, None):
         of_size = [fault.kind for fault in faults if fault.size == size]
-        assert max(of_size.count(kind) for kind in set(of_size)) <= most_of(len(scene.mechanism.bodies))
+        assert max(of_size.count(kind) for kind in set(of_size)) <= max_faults_of_kind(
+            len(scene.mechanism.bodies)
+        )
     if name != "stewart":  # of whose 78 entries some are planted
         entries = [f for f in faults if f.kind == "inertia entry" and f.size == FAULT_SIZES[0]]
         assert len(entries) == 6 * (len(scene.mechanism.bodies) - 1)
@@ -197,7 +206,11 @@ def refusal(fault, scene):
 def a_fault(size=1e-4, **values):
     fault = Fault("mass", "bar", "", size, lambda scene: scene, frozenset({"bar"}))
     sighting = Detection("model", "mass, rel", (), 1e-4, 1e-12, "bar", outlier="mujoco")
-    return FaultResult(fault, "mujoco", **{"seen": sighting, "moves": sighting, "observable": True} | values)
+    return FaultResult(
+        fault,
+        "mujoco",
+        **{"detection": sighting, "detection_by_motion": sighting, "observable": True} | values,
+    )
 
 
 def search_of(*found):
@@ -205,13 +218,15 @@ def search_of(*found):
 
 
 def test_shares_count_what_can_be_found():
-    unseen = a_fault(seen=None, moves=None)
-    in_another = a_fault(seen=Detection("model", "mass, rel", (), 1e-4, 1e-12, "bar", outlier="pinocchio"))
-    elsewhere = a_fault(seen=Detection("model", "mass, rel", (), 1e-4, 1e-12, "other", outlier="mujoco"))
-    nothing = a_fault(seen=None, moves=None, observable=False)
-    assert in_all([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 1)
-    assert in_all([a_fault(), in_another]) == Count(2, 2, 1)
-    assert by_motion([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 2)
+    unseen = a_fault(detection=None, detection_by_motion=None)
+    in_another = a_fault(
+        detection=Detection("model", "mass, rel", (), 1e-4, 1e-12, "bar", outlier="pinocchio")
+    )
+    elsewhere = a_fault(detection=Detection("model", "mass, rel", (), 1e-4, 1e-12, "other", outlier="mujoco"))
+    nothing = a_fault(detection=None, detection_by_motion=None, observable=False)
+    assert count_detected([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 1)
+    assert count_detected([a_fault(), in_another]) == Count(2, 2, 1)
+    assert count_detected_by_motion([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 2)
     many = [a_fault()] * 99
     assert holds(search_of(*many, elsewhere, nothing))
     assert not holds(search_of(*many[:9], elsewhere))  # nine of ten
@@ -222,18 +237,22 @@ def test_shares_count_what_can_be_found():
 
 
 def test_misses_are_listed():
-    unseen = a_fault(seen=None, moves=None)
-    nothing = a_fault(seen=None, moves=None, observable=False)
-    first, second, hidden = lines(search_of(a_fault(), unseen, nothing))
+    unseen = a_fault(detection=None, detection_by_motion=None)
+    nothing = a_fault(detection=None, detection_by_motion=None, observable=False)
+    first, second, hidden = finding_lines(search_of(a_fault(), unseen, nothing))
     assert first.startswith("missed: mass of bar by 0.0001, in mujoco: ")
     assert second.endswith(first)
     assert hidden.startswith("unobservable")
     assert hidden.endswith(": mass bar")
-    (line,) = lines(search_of(nothing), every=False)
+    (line,) = finding_lines(search_of(nothing), every=False)
     assert line.startswith("unobservable")
     assert "1 fault" in line
-    lost = a_fault(seen=None, moves=None, lost=Detection("model", "inertia, rel", (), 1e-6, 1e-12, "bar"))
-    (line,) = lines(search_of(lost))
+    lost = a_fault(
+        detection=None,
+        detection_by_motion=None,
+        model_difference=Detection("model", "inertia, rel", (), 1e-6, 1e-12, "bar"),
+    )
+    (line,) = finding_lines(search_of(lost))
     assert line.startswith("missed: mass of bar by 0.0001, in mujoco: mujoco's own model")
     assert "inertia, rel 1.0e-06 at bar" in line
 
@@ -269,7 +288,9 @@ def test_the_command_writes_what_a_page_shows(capsys, tmp_path, monkeypatch):
 
 
 def test_the_command_tells_what_is_missed(capsys, tmp_path, monkeypatch):
-    search = replace(search_of(a_fault(seen=None, moves=None)), left_out={"pinocchio": "no such joint"})
+    search = replace(
+        search_of(a_fault(detection=None, detection_by_motion=None)), left_out={"pinocchio": "no such joint"}
+    )
     monkeypatch.setattr("crosscheck.studies.faults.find.find_faults", lambda *_, **__: search)
     status, out, _ = run(capsys, "faults", EXAMPLE, "--output", tmp_path)
     assert status == 1
@@ -278,7 +299,7 @@ def test_the_command_tells_what_is_missed(capsys, tmp_path, monkeypatch):
 
 
 def test_the_table_has_a_row_per_kind_and_size():
-    of_mass, other = a_fault(), a_fault(1e-5, seen=None)
+    of_mass, other = a_fault(), a_fault(1e-5, detection=None)
     sizes = [["by 0.0001", *"111111"], ["by 1e-05", *"100111"]]
     found = report("bar", search_of(of_mass, other), 1.0)
     assert found.parts[0].rows == found.summary[0].rows == [["mass", *"211222"], *sizes]
@@ -298,13 +319,13 @@ def test_all_faults_of_a_scene(name):
     found = find_faults(load(name), lambda message: None).found
     large = [f for f in found if f.fault.size is None or f.fault.size >= SMALLEST_REQUIRED]
     for engine in INJECTED_ENGINES:
-        seen = [f for f in large if f.engine == engine and f.seen]
+        seen = [f for f in large if f.engine == engine and f.detection]
         assert len(seen) >= 30
-        assert not [(f.fault.name, f.seen) for f in seen if f.seen.outlier != engine]
-    count, motion = in_all(large), by_motion(large)
-    assert count.of > 200
-    assert count.found == count.of
-    assert count.located >= 0.95 * count.of
-    assert motion.found == motion.of
-    assert motion.located >= 0.9 * motion.of
-    assert all(f.lost for f in found if f.counts and f.seen is None)
+        assert not [(f.fault.name, f.detection) for f in seen if f.detection.outlier != engine]
+    count, motion = count_detected(large), count_detected_by_motion(large)
+    assert count.total > 200
+    assert count.detected == count.total
+    assert count.located >= 0.95 * count.total
+    assert motion.detected == motion.total
+    assert motion.located >= 0.9 * motion.total
+    assert all(f.model_difference for f in found if f.is_detectable and f.detection is None)

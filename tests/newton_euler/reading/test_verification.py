@@ -74,12 +74,12 @@ def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> 
     first = {(fault.element, fault.kind): fault for fault in reversed(faults)}
     found = find_in_reading(report, lambda _: None, [*first.values()]).found
     assert len(found) > 100
-    assert not [outcome.fault.name for outcome in found if outcome.counts and not outcome.seen]
+    assert not [outcome.fault.name for outcome in found if outcome.is_detectable and not outcome.detection]
     simple = [each for each in found if not any(x in each.fault.detail for x in SEVERAL)]
     assert not [
-        (outcome.fault.name, outcome.seen.where)
+        (outcome.fault.name, outcome.detection.where)
         for outcome in simple
-        if outcome.seen and not outcome.located and not outcome.fault.kind.startswith("point")
+        if outcome.detection and not outcome.located and not outcome.fault.kind.startswith("point")
     ]
     # points of free joints and slides, points along hinges, and signs of axes that nothing acts on, are no
     # faults of motion, nor is the kind of a joint in a flat loop

@@ -71,7 +71,9 @@ def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
             if f.size == 1e-6 or "1e-6" in f.detail or "1e-06" in f.detail
         ]
         found = find_in_reading(report, lambda _: None, faults).found
-        seen.append([(outcome.fault.name, outcome.seen.quantity) for outcome in found if outcome.seen])
+        seen.append(
+            [(outcome.fault.name, outcome.detection.quantity) for outcome in found if outcome.detection]
+        )
         assert float(line.split(" to ")[1].split()[0]) < 1e-10
     assert len(seen[0]) > 30
     assert seen[0] == seen[1] == seen[2]
