@@ -381,7 +381,7 @@ def _is_same_part(one: MeasuredBody, two: MeasuredBody, size: float) -> bool:
     inertias = [
         matrix @ each.body.inertia @ matrix.T for matrix, each in zip(rotations, (one, two), strict=True)
     ]
-    # only products of inertia distinguish a rotated part from a mirrored one
+    # a rotated part differs from a mirrored part only in its products of inertia
     largest = float(np.max(one.moments))
     products = inertias[0] - np.diag(np.diag(inertias[0]))
     has_products = np.max(np.abs(products)) > 5.0 * MAX_TWIN_DIFFERENCE * largest

@@ -156,9 +156,9 @@ class ReferenceModel(ABC):
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
         """Yield the name of each element and the forces of this element alone.
 
-        An element has a list of forces for each way in which it can act, such as a spring with the rest
-        length of the file and with another rest length. A list has an array (4, nv) for each sample, with a
-        row for each of the `FORCE_KINDS`.
+        An element has a list of forces for each way in which it can act. A spring, for example, has two: with
+        the rest length of the file, and with another rest length. A list has an array (4, nv) for each
+        sample, with a row for each of the `FORCE_KINDS`.
         """
 
     @abstractmethod

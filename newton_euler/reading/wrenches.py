@@ -227,7 +227,8 @@ class Wrenches:
 def wind_on_plate(load: WindLoad, relative: Array) -> Array:
     """Compute force and moments of the wind on a flat plate from the angle of attack.
 
-    The formulas and their sources are in the docstring of `WindLoad`; this function evaluates them anew.
+    The formulas and their sources are in the docstring of `WindLoad`. This function evaluates them
+    independently of the class.
 
     Args:
         load: the plate.

@@ -48,8 +48,8 @@ FACTOR_TOLERANCE = 0.02
 factors whose magnitudes differ by less than this fraction count as equal."""
 
 MAX_CURVATURE = 0.2
-"""Curvature (`Identification.curvature`) above which confidence ellipsoids are too small. In trials with two
-scenes, a four-bar and a solar tracker, the true parameters were outside the 95 % ellipsoid in a tenth of the
+"""Curvature (`Identification.curvature`) above which confidence ellipsoids are too small. Trials were made
+with a four-bar and a solar tracker. The true parameters were outside the 95 % ellipsoid in a tenth of the
 trials at this value, and in a third at 2."""
 
 

@@ -26,7 +26,7 @@ class Freedom(NamedTuple):
 
     name: str | Key
     key: Key | None
-    """The joint coordinate; None for a rotation of a ball."""
+    """The joint coordinate: name of the joint, number of the coordinate; None for a rotation of a ball."""
     place: int
     """Index in v of a velocity of the tree without a joint coordinate; -1 for a joint coordinate."""
     ball: int
@@ -36,7 +36,10 @@ class Freedom(NamedTuple):
 
 
 def _other_freedoms(system: Relative) -> list[Freedom]:
-    """List velocities of the tree without a joint coordinate: of balls, and of bodies on rods only."""
+    """List velocities of the spanning tree without a joint coordinate: of balls, and of bodies on rods only.
+
+    The spanning tree is the mechanism without the joints that close loops.
+    """
     found = []
     for kept in system.tree.joints:
         name = system.tree.joint(kept.joint).name
@@ -87,7 +90,13 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
 
 
 def rates_of(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
-    """Compute the dimensionless rates (d, nv) of coordinates, one column for each velocity."""
+    """Compute the dimensionless Jacobian (d, nv) of coordinates with respect to velocities of the tree.
+
+    Args:
+        system: equations of motion in joint coordinates.
+        q: (nq,) coordinates of the tree.
+        freedoms: the d independent coordinates.
+    """
     measured, units = system.measured(q, np.zeros(system.nv)), np.array([each.unit for each in freedoms])
     rows = [measured[each.key].jacobian if each.key else {each.place: 1.0} for each in freedoms]
     return to_array(rows, system.nv) * system.velocity_units / units[:, None]

@@ -142,7 +142,11 @@ def _is_coordinate(scene: Scene, name: str | Key) -> bool:
 
 
 def _chosen(scene: Scene, state: State) -> tuple[int, ...] | None:
-    """Choose constraint rows that are well conditioned at a state; None if no rows are exchangeable."""
+    """Choose constraint rows that are well conditioned at a state.
+
+    Of redundant constraint rows, some are exchangeable: each may be omitted in place of another. The result
+    has the numbers of the rows in use; None if no rows are exchangeable.
+    """
     system = Relative(scene)
     exchangeable = exchangeable_rows(system)
     if not exchangeable.numbers:
@@ -154,7 +158,7 @@ def _chosen(scene: Scene, state: State) -> tuple[int, ...] | None:
 
 
 def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
-    """Find the joint coordinates and parameters with the names of inputs."""
+    """Find the joint coordinates (for forces) and the parameters that names of inputs stand for."""
     found: list[Key | str] = []
     for name in names:
         if _is_coordinate(scene, name):

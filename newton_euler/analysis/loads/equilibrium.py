@@ -67,8 +67,8 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
     system, model = Relative(scene), linearize(scene, state, names, [], [])
     for _ in range(MAX_ITERATIONS):
-        # In each mode, the acceleration divided by the magnitude of the eigenvalue. This is Newton's step for
-        # a stable mode; for an unstable mode it leads away from the equilibrium along the force.
+        # The step in each mode is the acceleration divided by the magnitude of the eigenvalue. For a stable
+        # mode this is Newton's step; for an unstable mode it follows the force, away from the equilibrium.
         stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
         values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
         along = least_squares(vectors, accelerations / model.units)
