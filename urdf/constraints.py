@@ -33,8 +33,8 @@ class Closures:
     weld also has the rotation vector from the first frame to the second, rad, in the first frame.
 
     Attributes:
-        units: (k,) scales of the rows: `length` for rows in m, 1 for angles. Callers divide residuals by
-        them. pairs: numbers of the two frames of each constraint, and True for a weld.
+        units: (k,) scales of the rows: `length` for rows in m, 1 for angles; residuals are divided by them.
+        pairs: numbers of the two frames of each constraint, and True for a weld.
     """
 
     def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, length: float) -> None:
@@ -139,8 +139,7 @@ class Rows:
     """Constraint rows that `constraintDynamics` does not support: rods, prescribed motions, screws, gears.
 
     Attributes:
-        units: (r,) scales of the rows: `length` for rows in m, 1 for angles. Callers divide residuals by
-        them.
+        units: (r,) scales of the rows: `length` for rows in m, 1 for angles; residuals are divided by them.
     """
 
     def __init__(
@@ -154,8 +153,7 @@ class Rows:
 
         Args:
             closed: Pinocchio's model, with the rods and couplings of the loop file: the file next to the URDF
-            that
-                lists what a URDF cannot express.
+                that lists what a URDF cannot express.
             map: order of the joint coordinates in the scene's spanning tree and in Pinocchio's model.
             couplings: couplings of the scene, prescribed motions first.
             length: characteristic length of the mechanism, m.

@@ -55,8 +55,7 @@ class OnlyWith(NamedTuple):
     Attributes:
         option: name of another option.
         value: value that the other option must have; "" if it must not be given, None if it must differ from
-        its
-            default.
+            its default.
     """
 
     option: str

@@ -35,8 +35,7 @@ as long to compile."""
 
 MIN_ROLLED_SIZE_IN_LANES = 6 * MIN_ROLLED_SIZE
 """Number of operations below which callers set `Traced.straight` for programs that take several inputs at
-once,
-such as the equations of motion. Straight-line code of this size compiles in 8 s."""
+once, such as the equations of motion. Straight-line code of this size compiles in 8 s."""
 
 CODE_LEVEL, ROLLED_CODE_LEVEL = 1, 0
 """LLVM's code generation levels for straight-line code and for rolled code.
@@ -151,8 +150,7 @@ class Traced(NamedTuple):
         many: True for code that takes several x at once, one in each lane.
         layout: description of the results for callers, anything that JSON can hold.
         straight: True for straight-line code even if the program has `MIN_ROLLED_SIZE` operations. Results
-        are
-            bitwise those of rolled code, which fuses no multiplications and additions.
+            are bitwise those of rolled code, which fuses no multiplications and additions.
         lanes: number of lanes if `many` is True.
     """
 
