@@ -304,8 +304,7 @@ def _wrong_parameter(force: ForceAtJoint, extra: Array, places: Sequence[Surroun
     Args:
         force: control law or spring.
         extra: (n, k) forces in addition to those of `force` at n states, N or N m. If they are the same in
-        all
-            states, they do not show which parameter they depend on.
+            all states, they do not show which parameter they depend on.
         places: positions, velocities and time at the n states, which `force` depends on.
 
     Returns:

@@ -65,8 +65,7 @@ class StoredQuantity(_Strict):
         name: name of the quantity, unique within its group, such as "start: reaction force".
         unit: unit of all numbers; empty for counts and ratios.
         rows, columns: labels of the table: names of bodies or joints, times, or components of vectors. A
-        single
-            number has one row and one column, whose labels are empty.
+            single number has one row and one column, whose labels are empty.
         value: (rows, columns) numbers.
         tolerance: (rows,) largest allowed change of the numbers of each row, in `unit`.
         reason: where the tolerance comes from; the file has no such field if it is empty, as for quantities
@@ -127,8 +126,7 @@ class StoredState(_Strict):
         linear_velocity: m/s, in the world frame.
         angular_velocity: rad/s, in the world frame.
         angles: rad including full revolutions, as triples (joint name, number of its coordinate, angle). The
-        file
-            has no such field if the list is empty.
+            file has no such field if the list is empty.
     """
 
     position: list[Vector]
@@ -177,8 +175,7 @@ class MeasurementPlan(_Strict):
 
     Attributes:
         rtol: relative tolerances of runs with error control: by formulation of newton_euler (the choice of
-        its
-            coordinates, "relative" or "cartesian"), and for the integrator "Radau".
+            its coordinates, "relative" or "cartesian"), and for the integrator "Radau".
         step: s, step of runs with fixed steps.
         time: s, time of `state`.
         state: a state of the scene's own run at which all bodies that can move do move.
@@ -232,8 +229,7 @@ class Baseline(_Strict):
         scene: name of the scene.
         options: options that the scene was loaded with.
         unsimulated: a line of text for each element of a model file that no quantity covers because the
-        element is
-            not simulated; None for a scene that is not read from a model file.
+            element is not simulated; None for a scene that is not read from a model file.
         history: all updates of the baseline, the last one last.
         plan: settings of the measurement.
         left_out: groups without quantities, and the reason for each.

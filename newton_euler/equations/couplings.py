@@ -44,8 +44,7 @@ class Measured(NamedTuple):
         x: m or rad from the initial pose.
         rate: m/s or rad/s.
         jacobian: in Cartesian coordinates a `Jacobian` between two bodies, blocks (1, 3); in joint
-        coordinates
-            a sparse row over the velocities v.
+            coordinates a sparse row over the velocities v.
         gamma: m/s^2 or rad/s^2, minus the acceleration of x at zero accelerations.
     """
 

@@ -59,9 +59,12 @@ def measure_round_off(
         system: equations of motion.
         h: size of the step, s.
         now: state with time and parameters at the start of the step.
-        units: (n,) natural magnitudes of the state, SI. A number below its unit has the round-off of the
-        unit. at: state with time and parameters, scratch. rates: (n,) rates at `now`. spare: 3 (n + 1)
-        numbers, scratch. round_off: (n,) round-off of the rates, SI; updated by the new sample.
+        units: (n,) natural magnitudes of the state, SI. A number below its unit has the round-off of
+            the unit.
+        at: state with time and parameters, scratch.
+        rates: (n,) rates at `now`.
+        spare: 3 (n + 1) numbers, scratch.
+        round_off: (n,) round-off of the rates, SI; updated by the new sample.
     """
     n = system.n
     lower = spare[n + 1 :]

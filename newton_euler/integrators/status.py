@@ -13,8 +13,7 @@ class Status(IntEnum):
 
     Attributes:
         message: text for the user. `newton_euler.compiled.failures` replaces the fields in braces: `joint`
-        and
-            `residual` (m or rad), `max_steps`, and `place`, a description of the singular configuration.
+            and `residual` (m or rad), `max_steps`, and `place`, a description of the singular configuration.
     """
 
     message: str

@@ -204,8 +204,7 @@ def interpolate_tangents(tangents: Tangents, theta: float, y: Vector) -> None:
 
 @native
 def gather_outputs(tangents: Tangents, row: int, lane: int, used: int) -> None:
-    """Fill the lanes of `wide_x` with states and tangents of consecutive outputs, as output functions need
-    them.
+    """Fill the lanes of `wide_x` with states and tangents of consecutive outputs, for output functions.
 
     The lanes take the first `used` tangents of an output time, then those of the next output time. Lanes
     beyond the last output time repeat the last tangent.

@@ -127,9 +127,9 @@ class NativeRun(NamedTuple):
         results: (n, outputs) outputs of the scene at the n output times reached, see
             `newton_euler.compiled.outputs.named`.
         counts: (COUNTS,) numbers of steps and evaluations, see
-        `newton_euler.integrators.stepper.reported_counts`. stopped: the error that ended the run before the
-        last output; None if none did. wall_time: s, of the run itself, without the construction of its
-        integrator.
+            `newton_euler.integrators.stepper.reported_counts`.
+        stopped: the error that ended the run before the last output; None if none did.
+        wall_time: s, of the run itself, without the construction of its integrator.
     """
 
     results: Array

@@ -52,9 +52,8 @@ class Aligned:
     Attributes:
         first: the first model, with merged bodies.
         second: the second model, with merged bodies in the order, names and frames of the first model. A
-        state
-            of the first model is then a state of the second one if centers of mass agree. Joints keep their
-            names. None if a body has no partner.
+            state of the first model is then a state of the second one if centers of mass agree. Joints keep
+            their names. None if a body has no partner.
         alone: names of bodies without partner, in the first and in the second model.
         names: name of each paired body in the first model, by its name in the second.
         joints: name of each paired joint in the second model, by its name in the first.

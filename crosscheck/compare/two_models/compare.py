@@ -265,8 +265,7 @@ class _SecondModel(Relative):
 
     Attributes:
         aligned: the alignment of both models. It is set after construction, because control laws may
-        construct
-            further objects of this class, for models of their own.
+            construct further objects of this class, for models of their own.
     """
 
     aligned: Aligned

@@ -138,8 +138,7 @@ def _numbers(model: Model, names: Mapping[str, str], same_format: bool) -> dict[
         model: the model.
         names: names of the first model by names of this model, for bodies and joints.
         same_format: True if both files have the same format. Otherwise only elements that can affect the
-        motion are
-            included.
+            motion are included.
     """
     found: dict[tuple[str, str], FileNumbers] = {}
     for number, entry in enumerate(model.mapping.entries if model.mapping else ()):
@@ -217,8 +216,7 @@ def _zero(bounds: Bounds, given: FileNumbers) -> float:
 
     Args:
         bounds: limits that are monitored in runs, in the coordinate of the scene. They may be narrower than
-        those
-            of the file by the same margin at both ends.
+            those of the file by the same margin at both ends.
         given: limits in the file.
     """
     low, high = given.values
