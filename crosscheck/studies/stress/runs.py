@@ -155,8 +155,8 @@ def parallelogram_angle(scene: Scene) -> Array:
 
     The scene has N parallelograms in a row: N + 1 parallel bars on hinges at their feet, and N couplers
     between the tops. The masses may differ from those of the scene library. The angle a of all bars is
-    measured clockwise from upright. With bars of total mass m and couplers of total mass c, all 1 m long, the
-    equation of motion is (m / 3 + c) a'' = (m / 2 + c) g sin a. The equation is integrated from the initial
+    measured clockwise from upright. All bars are 1 m long; m is the total mass of the bars, c that of the
+    couplers. The equation of motion (m / 3 + c) a'' = (m / 2 + c) g sin a is integrated from the initial
     state of the scene.
     """
     from scipy.integrate import solve_ivp
@@ -190,7 +190,7 @@ def bar_angles(position: Array, bodies: tuple[Body, ...]) -> Array:
         position: positions (n, b, 3) of b bodies, or of the first ones, m.
         bodies: bodies of the mechanism.
     """
-    # In the pose in which the mechanism is defined, the bar stands upright on the x axis
+    # The bar stands upright on the x axis in the pose in which the mechanism is defined
     foot = bodies[1].center_of_mass * [1.0, 0.0, 0.0]
     along = position[:, 1] - foot
     return np.asarray(np.arctan2(along[:, 0], along[:, 1]))
