@@ -28,6 +28,8 @@ from urdf.pinocchio_reference import PinocchioReference
 from urdf.run_settings import (
     EXAMPLE_CLOSED,
     EXPLICIT,
+    EXPLICIT_DAMPING,
+    IMPLICIT_DAMPING,
     INTEGRATORS,
     KEYS,
     RK4,
@@ -38,8 +40,8 @@ from urdf.run_settings import (
 STAGES = {RK4: 4}
 """Evaluations of accelerations per step, if more than one."""
 
-FINE_STEP_DIVISOR = 10
-"""Divisor of the step of a run that shows the error of the step: order 1 leaves a tenth of it."""
+FINE_STEP_DIVISORS = (10, 40)
+"""Divisors of the step of runs that show the error of the step: order 1 leaves a tenth of it, or less."""
 
 GAIN_FACTORS = (1.0, 0.1)
 """Rates at which tried gains close loops, as factors on the fastest rate, one closure per step."""
@@ -111,6 +113,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         self.scene, self.settings = scene, settings
         self._reference, self._are_assumed, self._gains = reference, are_assumed, gains
         self._start = np.array(reference.start)
+        self._has_dampers = bool(np.any(reference.damping))
         self._runs: dict[tuple[PinocchioSettings, int, int], FileRun] = {}
         # basis (nv, k) of the velocities that mimics and couplings allow
         self._free: Array | None = None
@@ -144,6 +147,8 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             kp, kd = zip(*self._gains_of(settings), strict=True)
             words += [f"kp {_rounded(kp)}", f"kd {_rounded(kd)}"]
             words.append(f"mu {settings.mu:g}")
+        if settings.damping != EXPLICIT_DAMPING:
+            words.append(f"{settings.damping} damping")
         if self._are_assumed:
             words.append("as in Pinocchio's examples, yours by --set own_run=FILE")
         return ", ".join(words)
@@ -157,7 +162,9 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         """Return the content of the file `own_run` with these settings."""
         given = {name: value for name, value in vars(settings).items() if value is not None}
         if not self._reference.closures:
-            given = {name: given[name] for name in ("timestep", "integrator")}
+            given = {name: given[name] for name in ("timestep", "integrator", "damping")}
+        if settings.damping == EXPLICIT_DAMPING:
+            del given["damping"]
         return "\n".join(f"{name}: {_text(given[name])}" for name in KEYS if name in given)
 
     def causes(self) -> Iterator[Cause[PinocchioSettings]]:
@@ -167,17 +174,25 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         and the integrator are therefore examined with loops that are kept closed.
         """
         base = self.settings
+        if self._has_dampers and base.integrator != RK4:
+            base = replace(base, damping=IMPLICIT_DAMPING)
+            yield Cause("explicit damping", without=base)
         if self._reference.closures:
             converged = replace(base, **CONVERGED)
-            yield Cause("proximal iterations", without=converged)
+            yield Cause("proximal iterations", without=converged, against=base)
             for factor in GAIN_FACTORS:
                 yield Cause("Baumgarte stabilization", without=_closing(converged, factor), against=converged)
             base = _closing(converged, CLOSING_FACTORS.get(converged.integrator, 1.0))
-        yield Cause("time step", without=self._scaled(base, base.timestep / FINE_STEP_DIVISOR), against=base)
+        for divisor in FINE_STEP_DIVISORS:
+            fine = self._scaled(base, base.timestep / divisor)
+            is_cheap = self.evaluations(fine) * self.scene.duration <= MAX_EVALUATIONS
+            if is_cheap or divisor == FINE_STEP_DIVISORS[0]:
+                yield Cause("time step", without=fine, against=base)
         for name in INTEGRATORS:
             if name != base.integrator:
                 cost = STAGES.get(name, 1) / STAGES.get(base.integrator, 1)
                 other = replace(base, integrator=name, timestep=base.timestep * cost)
+                other = replace(other, damping=self._dampings(name)[-1])
                 if not self._reference.closures:
                     yield Cause("integrator", without=other, against=base)
                 for factor in GAIN_FACTORS if self._reference.closures else ():
@@ -186,15 +201,22 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
     def alternatives(self, divisor: int) -> Iterator[PinocchioSettings]:
         """Yield other integrators, gains and proximal settings with the time step divided by `divisor`."""
         own = self.settings
+        usual: dict[str, Any] = {name: getattr(EXAMPLE_CLOSED, name) for name in CONVERGED}
         for integrator in dict.fromkeys([own.integrator, SEMI_IMPLICIT, RK4]):
-            kind = replace(own, timestep=own.timestep / divisor, integrator=integrator)
-            if not self._reference.closures:
-                yield kind
-                continue
-            usual: dict[str, Any] = {name: getattr(EXAMPLE_CLOSED, name) for name in CONVERGED}
-            for proximal in dict.fromkeys([kind, replace(kind, **usual)]):
-                yield proximal
-                yield from (_closing(proximal, factor) for factor in GAIN_FACTORS)
+            for damping in self._dampings(integrator):
+                kind = replace(own, timestep=own.timestep / divisor, integrator=integrator, damping=damping)
+                if not self._reference.closures:
+                    yield kind
+                    continue
+                for proximal in dict.fromkeys([kind, replace(kind, **usual)]):
+                    yield proximal
+                    yield from (_closing(proximal, factor) for factor in GAIN_FACTORS)
+
+    def _dampings(self, integrator: str) -> list[str]:
+        """Return the kinds of damping to try with an integrator; the user's own first."""
+        if integrator == RK4 or not self._has_dampers:
+            return [EXPLICIT_DAMPING]
+        return list(dict.fromkeys([self.settings.damping, IMPLICIT_DAMPING]))
 
     def at_divisor(self, settings: PinocchioSettings, divisor: int) -> PinocchioSettings:
         """Return settings of the same kind with the user's time step divided by `divisor`."""
@@ -252,7 +274,11 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
 
     def _accelerations(self, settings: PinocchioSettings) -> Acceleration:
         """Return the function that computes accelerations with these settings."""
-        reference, model, data = self._reference, self._reference.model, self._reference.model.createData()
+        reference, model = self._reference, self._reference.model
+        if settings.damping == IMPLICIT_DAMPING:
+            model = model.copy()
+            model.armature = model.armature + settings.timestep * reference.damping
+        data = model.createData()
         zeros = np.zeros(model.nv)
 
         def applied(q: Array, v: Array) -> Array:

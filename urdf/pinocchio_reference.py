@@ -173,6 +173,11 @@ class PinocchioReference(ReferenceModel):
         return bool(np.any(self._higher_powers))
 
     @property
+    def damping(self) -> Array:
+        """Damping (nv,) of joints, N s/m or N m s/rad."""
+        return self._damping
+
+    @property
     def has_springs_or_dampers(self) -> bool:
         """True if springs or dampers act in the model."""
         return bool(np.any(self._stiffness) or np.any(self._damping) or self._springs)

@@ -28,6 +28,14 @@ SEMI_IMPLICIT, EXPLICIT, RK4 = "semi-implicit Euler", "explicit Euler", "RK4"
 INTEGRATORS = (SEMI_IMPLICIT, EXPLICIT, RK4)
 """Integrators: velocity first, then the configuration; both from the old state; Runge-Kutta of order 4."""
 
+EXPLICIT_DAMPING, IMPLICIT_DAMPING = "explicit", "implicit"
+
+DAMPINGS = (EXPLICIT_DAMPING, IMPLICIT_DAMPING)
+"""Forces of joint dampers at the old velocities, or at the new velocities of the step.
+
+For implicit damping, a loop adds `timestep * damping` to `model.armature` once. With v_new = v + h a, the
+equation M a = f - D v_new is (M + h D) a = f - D v."""
+
 OwnRun = str | os.PathLike[str] | Mapping[str, object]
 """Settings as users give them: a path of a YAML file, the YAML text of a mapping in braces, or a mapping."""
 
@@ -48,6 +56,7 @@ class PinocchioSettings:
         accuracy: accuracy of `pinocchio.ProximalSettings`.
         mu: regularization of `pinocchio.ProximalSettings`.
         iterations: largest number of proximal iterations.
+        damping: one of `DAMPINGS`.
     """
 
     timestep: float
@@ -57,6 +66,7 @@ class PinocchioSettings:
     accuracy: float = 1e-8
     mu: float = 1e-10
     iterations: int = 10
+    damping: str = EXPLICIT_DAMPING
 
 
 EXAMPLE_CLOSED = PinocchioSettings(timestep=5e-3, kp=10.0, kd=2.0 * math.sqrt(10.0))
@@ -64,6 +74,9 @@ EXAMPLE_CLOSED = PinocchioSettings(timestep=5e-3, kp=10.0, kd=2.0 * math.sqrt(10
 
 EXAMPLE_OPEN = PinocchioSettings(timestep=1e-2)
 """Settings of Pinocchio's examples/simulation-pendulum.py, whose model has no closures."""
+
+NAMES = {"integrator": INTEGRATORS, "damping": DAMPINGS}
+"""Allowed values of keys that have names."""
 
 KEYS = tuple(field.name for field in fields(PinocchioSettings))
 """Keys of the file."""
@@ -90,7 +103,10 @@ def read_settings(given: OwnRun | None) -> dict[str, Any]:
     where, document = _document(given)
     if not isinstance(document, Mapping):
         raise SourceError(where, f"{quoted(document)} is no mapping; needed: {', '.join(KEYS)} with values")
-    return {str(key): _value(where, str(key), value) for key, value in document.items()}
+    found = {str(key): _value(where, str(key), value) for key, value in document.items()}
+    if found.get("integrator") == RK4 and found.get("damping") == IMPLICIT_DAMPING:
+        raise SourceError(where, f"damping of integrator {RK4} is {IMPLICIT_DAMPING}; needed: explicit")
+    return found
 
 
 def _document(given: OwnRun) -> tuple[str, Any]:
@@ -107,9 +123,9 @@ def _value(where: str, key: str, value: object) -> float | int | str:
     """Convert the value of a key; raises `SourceError` for an unknown key and an invalid value."""
     if key not in KEYS:
         raise SourceError(where, f"unknown key {quoted(key)}; {choices(key, KEYS)}")
-    if key == "integrator":
-        if value not in INTEGRATORS:
-            raise SourceError(where, f"unknown integrator {quoted(value)}; {choices(value, INTEGRATORS)}")
+    if key in NAMES:
+        if value not in NAMES[key]:
+            raise SourceError(where, f"unknown {key} {quoted(value)}; {choices(value, NAMES[key])}")
         return str(value)
     try:
         number = plain_number(str(value))

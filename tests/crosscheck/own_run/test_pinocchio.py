@@ -59,15 +59,20 @@ def test_error_of_a_fall(tmp_path, integrator, sign):
     assert found.error.position_at[0] == "body"
 
 
-@pytest.mark.parametrize("integrator", [SEMI_IMPLICIT, EXPLICIT, RK4])
-def test_error_of_a_damped_fall(tmp_path, integrator):
+@pytest.mark.parametrize(
+    ("integrator", "damping"),
+    [(SEMI_IMPLICIT, "explicit"), (SEMI_IMPLICIT, "implicit"), (EXPLICIT, "explicit"), (RK4, "explicit")],
+)
+def test_error_of_a_damped_fall(tmp_path, integrator, damping):
     # dv/dt = -g - k v with k = d / m: every method multiplies the difference to the final speed by a factor
     path = written(tmp_path, LINK.format(kind="prismatic", axis="0 0 1", arm=0, damping=6))
     step = 0.02
-    found = judged(path, loop_settings(integrator, step))
+    found = judged(path, loop_settings(integrator, step, damping=damping))
     rate, final = 6.0 / 2.0, -GRAVITY / (6.0 / 2.0)
     z = -rate * step
     factor = 1.0 + z if integrator != RK4 else 1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0
+    if damping == "implicit":
+        factor = 1.0 / (1.0 - z)
     steps = np.round(found.reference.time / step)
     # positions: sums of new velocities, of old velocities, or the same series as a whole
     speed = final * (1.0 - factor**steps)
@@ -104,6 +109,16 @@ def test_error_of_a_pendulum(tmp_path):
         angles.append(angle)
     at_outputs = np.array(angles)[:: round(time[1] / STEP)]
     assert found.error.rotation == pytest.approx(np.max(np.abs(at_outputs - exact)), rel=PERCENT)
+
+
+def test_cause_explicit_damping(tmp_path):
+    """A damper that is faster than the step makes the run diverge; implicit damping brings the run back."""
+    path = written(tmp_path, LINK.format(kind="revolute", axis="0 1 0", arm=0.5, damping=200))
+    found = judged(path, loop_settings(SEMI_IMPLICIT, 0.01))
+    assert found.stopped
+    assert found.causes[0].name == "explicit damping"
+    assert found.remedies[0].changes == {"damping": "implicit"}
+    assert found.remedies[0].error.relative < 0.1
 
 
 def four_bar(tmp_path):
@@ -239,6 +254,7 @@ def test_mimics(tmp_path):
         ("{timstep: 1}", "own_run: unknown key 'timstep'; did you mean 'timestep'"),
         ("{timestep: 0}", "own_run: timestep is '0'; needed: a number of seconds above 0"),
         ("{integrator: Euler}", "own_run: unknown integrator 'Euler'"),
+        ("{integrator: RK4, damping: implicit}", "own_run: damping of integrator RK4 is implicit"),
         ("{kp: -1}", "own_run: kp is '-1'; needed: a number, 0 or more"),
         ("{iterations: 2.5}", "own_run: iterations is '2.5'; needed: a whole number"),
         ("{[1]: 2}", "own_run: not YAML"),
