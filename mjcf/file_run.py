@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from mjcf.errors import collected_warnings
 from mjcf.layout import element_name
+from mjcf.modes import MujocoSmallMotions
 from mjcf.reference import UNSIMULATED_FEATURES, MjcfReference
 from mjcf.report_audit import switch_off_left_out
 from newton_euler.equations.dense import least_squares
@@ -24,7 +25,7 @@ from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import Cause, Event, FileRun, FileSimulation
+from newton_euler.reading.file_run import INTEGRATOR, TIME_STEP, Cause, Event, FileRun, FileSimulation
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
@@ -240,11 +241,11 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         if self._model.neq:
             stiff = self.softness(fine)[-1]
             yield Cause("soft constraints", without=stiff, against=fine)
-        yield Cause("time step", without=fine)
+        yield Cause(TIME_STEP, without=fine)
         for name in INTEGRATORS:
             if name != own.integrator:
                 cost = STAGES.get(name, 1) / STAGES.get(own.integrator, 1)
-                yield Cause("integrator", replace(own, integrator=name, timestep=own.timestep * cost))
+                yield Cause(INTEGRATOR, replace(own, integrator=name, timestep=own.timestep * cost))
         converged = replace(
             own, iterations=CONVERGED_ITERATIONS, tolerance=CONVERGED_TOLERANCE, solver="Newton"
         )
@@ -269,13 +270,8 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         return replace(settings, timestep=step, solref=solref)
 
     def run(self, settings: MujocoSettings, steps: int, every: int, reduced: bool = False) -> FileRun:
-        model = copy.copy(self._model)
+        model, active = self._prepared(reduced)
         settings.apply(model)
-        active = model.eq_active0.copy()
-        if reduced:
-            for name in UNSIMULATED_FEATURES:
-                model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
-            active[switch_off_left_out(model, self._report)] = 0
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = self._start, self._velocity
         data.act[:], data.eq_active[:] = self._inputs.activation, active
@@ -306,7 +302,39 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             np.array(recorder.opening),
             tuple(watch.events) if watch else (),
             stopped,
+            tuple(recorder.states),
         )
+
+    def _prepared(self, reduced: bool) -> tuple[Any, Array]:
+        """Return a copy of the model and the equalities (neq,) that act, of a reduced run or the file's."""
+        model = copy.copy(self._model)
+        active = model.eq_active0.copy()
+        if reduced:
+            for name in UNSIMULATED_FEATURES:
+                model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
+            active[switch_off_left_out(model, self._report)] = 0
+        return model, active
+
+    def small_motions(self, run: FileRun, outputs: Sequence[int]) -> MujocoSmallMotions:
+        states = [(run.trajectory.time[k], *run.states[k]) for k in outputs]
+        if not states:
+            states = [(0.0, self._start, self._velocity, self._inputs.activation)]
+        with_controls = [(q, v, activation, self._inputs.at(now)) for now, q, v, activation in states]
+        model, active = self._prepared(reduced=True)
+        return MujocoSmallMotions(
+            self.settings, model, active, np.array([state[0] for state in states]), with_controls
+        )
+
+    def changed(self, change: Callable[[Any], None]) -> MujocoFile:
+        """Return the simulation of a changed model.
+
+        Args:
+            change: function that changes a compiled model.
+        """
+        other = copy.copy(self)
+        other._model = copy.copy(self._model)
+        change(other._model)
+        return other
 
 
 class _Recorder:
@@ -321,6 +349,7 @@ class _Recorder:
         self.turns: list[Array] = []
         self.energies: list[Array] = []
         self.opening: list[float] = []
+        self.states: list[tuple[Array, Array, Array]] = []  # configuration, velocities, activations
         self._scales = np.where(model.eq_type == mujoco.mjtEq.mjEQ_WELD, model.eq_data[:, 10], 1.0)
 
     def record(self) -> None:
@@ -328,6 +357,7 @@ class _Recorder:
         model, seen = self._model, self._seen
         seen.qpos[:], seen.qvel[:] = self._data.qpos, self._data.qvel
         seen.eq_active[:] = self._data.eq_active
+        self.states.append((self._data.qpos.copy(), self._data.qvel.copy(), self._data.act.copy()))
         mujoco.mj_fwdPosition(model, seen)
         mujoco.mj_fwdVelocity(model, seen)
         mujoco.mj_energyPos(model, seen)

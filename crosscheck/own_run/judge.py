@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,11 @@ import numpy as np
 from crosscheck.engines.engine import native_method
 from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, errors_over_time, run_error
 from crosscheck.own_run.horizon import comparable_until
+from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import Event, FileRun, FileSimulation
+from newton_euler.reading.file_run import INTEGRATOR, TIME_STEP, Event, FileRun, FileSimulation
 from newton_euler.runs.simulate import simulate
 
 MAX_STEPS = 200_000
@@ -29,6 +31,9 @@ MIN_GAIN = 0.5
 KINDS_REFINED = 2
 """Number of kinds of settings that are tried at smaller steps."""
 
+STATES = 8
+"""Number of states of the run at which the fastest mode is sought."""
+
 MAX_EVALUATIONS = 40.0
 """Largest number of evaluations of a remedy, as a multiple of those of the judged run."""
 
@@ -40,10 +45,12 @@ class MeasuredCause:
     Attributes:
         name: the property, such as "time step".
         error: difference of a run from a run without the error of the property.
+        brings_back: whether the run completes without the property; False if the judged run does.
     """
 
     name: str
     error: RunError
+    brings_back: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,8 @@ class MeasuredRemedy:
         fragment: text that gives the file these settings.
         error: error of the run.
         evaluations: evaluations of the equations of motion, as a multiple of those of the file's settings.
-        run_time: measured run time, as a multiple of the run time of the file's settings.
+        run_time: measured run time, as a multiple of the run time of the file's settings; the multiple of
+            the evaluations if the run of the file diverged.
     """
 
     changes: Mapping[str, str]
@@ -81,8 +89,13 @@ class Judgement:
             comparison ends with the run.
         causes: error by property of the settings, largest first; empty for an accurate run.
         remedies: settings with a smaller error, cheapest first; empty for an accurate run.
+        stability: the fastest mode beside the stability limit; only if the run diverged, or the time step or
+            the integrator is the largest cause of its error.
+        changes: changes of the model with which the time step is stable; empty if it is stable.
         run: the judged run.
         reference: the reference solution at the same times.
+        stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
+            judged run without them completes; "" otherwise.
     """
 
     engine: str
@@ -96,6 +109,9 @@ class Judgement:
     remedies: tuple[MeasuredRemedy, ...]
     run: Trajectory
     reference: Trajectory
+    stability: Stability | None = None
+    changes: tuple[ModelChange, ...] = ()
+    stopped_as_it_stands: str = ""
 
     @property
     def band(self) -> Band:
@@ -120,7 +136,7 @@ class Judgement:
             name: [asdict(each) for each in value]
             if isinstance(value, tuple)
             else asdict(value)
-            if isinstance(value, RunError)
+            if isinstance(value, RunError | Stability)
             else value
             for name, value in fields.items()
         }
@@ -137,6 +153,7 @@ class _Comparison:
     every: int
     steps: int
     until: float | None
+    completed: list[FileRun]
 
     @classmethod
     def of(
@@ -170,13 +187,20 @@ class _Comparison:
         if method is None:
             until = comparable_until(sampled, reference)
         scale = MotionScale.of(reference, scene.mechanism.size)
-        return cls(simulation, sampled, reference, scale, every, steps, until)
+        return cls(simulation, sampled, reference, scale, every, steps, until, [])
 
-    def run(self, settings: Any, reduced: bool = True) -> FileRun:
-        """Simulate the file with these settings and outputs at the times of the reference."""
+    def run(
+        self, settings: Any, reduced: bool = True, simulation: FileSimulation[Any] | None = None
+    ) -> FileRun:
+        """Simulate the file, or another simulation, with outputs at the times of the reference."""
         ratio = self.simulation.timestep(self.simulation.settings) / self.simulation.timestep(settings)
         every = max(1, round(self.every * ratio))
-        return self.simulation.run(settings, self.steps // self.every * every, every, reduced)
+        found = (simulation or self.simulation).run(
+            settings, self.steps // self.every * every, every, reduced
+        )
+        if reduced and not found.stopped:
+            self.completed.append(found)
+        return found
 
     def affords(self, settings: Any) -> bool:
         """Return True if a run with these settings has few enough evaluations for its engine."""
@@ -184,13 +208,13 @@ class _Comparison:
 
     def error(self, run: FileRun) -> RunError:
         """Compare a run with the reference, as far as a comparison means something."""
-        return run_error(self._until(run.trajectory), self.reference, self.scale)
+        return run_error(self.until_end(run.trajectory), self.reference, self.scale)
 
     def apart(self, one: FileRun, two: FileRun) -> RunError:
         """Compare two runs, as far as a comparison means something."""
-        return run_error(self._until(one.trajectory), two.trajectory, self.scale)
+        return run_error(self.until_end(one.trajectory), two.trajectory, self.scale)
 
-    def _until(self, run: Trajectory) -> Trajectory:
+    def until_end(self, run: Trajectory) -> Trajectory:
         """Return a run up to the time at which the comparison ends."""
         return run if self.until is None else run.first(int(np.searchsorted(run.time, self.until)))
 
@@ -208,6 +232,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     compared = _Comparison.of(simulation)
     # the run as it stands, and without what the reference does not have
     run = compared.run(simulation.settings, reduced=False)
+    as_it_stands = run.stopped
     first: dict[str, Event] = {}
     for event in sorted([*run.events, *acting], key=lambda event: event.time):
         first.setdefault(event.element, event)
@@ -217,10 +242,13 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     error = compared.error(run)
     causes: tuple[MeasuredCause, ...] = ()
     remedies: tuple[MeasuredRemedy, ...] = ()
+    stability: Stability | None = None
+    changes: tuple[ModelChange, ...] = ()
     if run.stopped or error.band is not Band.ACCURATE:
-        of_position = error.is_of_position
-        causes = tuple(sorted(_causes(compared, run), key=lambda cause: -cause.error.part(of_position)))
+        causes = tuple(_causes(compared, run, error.is_of_position))
         remedies = tuple(_remedies(compared, run, error))
+        if run.stopped or (causes and causes[0].name in (TIME_STEP, INTEGRATOR)):
+            stability, changes = _stability(compared, run)
     return Judgement(
         simulation.engine,
         simulation.words(),
@@ -233,6 +261,9 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         remedies,
         run.trajectory,
         compared.reference,
+        stability,
+        changes,
+        "" if run.stopped else as_it_stands,
     )
 
 
@@ -278,13 +309,22 @@ def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | N
     return MeasuredError(compared.error(run), opening, compared.scale)
 
 
-def _causes(compared: _Comparison, run: FileRun) -> Iterator[MeasuredCause]:
+def _causes(compared: _Comparison, run: FileRun, of_position: bool) -> list[MeasuredCause]:
     """Measure the error of each property of the settings: how far a run without that error is from the run.
 
     Several changes of one property, such as other integrators, count by the one that is closest to the
     reference. A change that brings the run no closer to the reference shows no error of the property.
+
+    Args:
+        compared: the file beside its reference.
+        run: the judged run.
+        of_position: whether causes are sorted by errors of positions, see `RunError.part`.
+
+    Returns:
+        The largest cause first. If the judged run diverged, first the properties without which the run
+        completes; the one with the smallest remaining error leads.
     """
-    best: dict[str, tuple[float, RunError]] = {}
+    best: dict[str, tuple[float, MeasuredCause]] = {}
     for cause in compared.simulation.causes():
         removed = compared.run(cause.without)
         kept = run if cause.against is None else compared.run(cause.against)
@@ -294,14 +334,50 @@ def _causes(compared: _Comparison, run: FileRun) -> Iterator[MeasuredCause]:
         if remaining >= compared.error(kept).relative and not kept.stopped:
             continue
         if cause.name not in best or remaining < best[cause.name][0]:
-            best[cause.name] = remaining, compared.apart(kept, removed)
-    yield from (MeasuredCause(name, apart) for name, (_, apart) in best.items())
+            measured = MeasuredCause(cause.name, compared.apart(kept, removed), bool(kept.stopped))
+            best[cause.name] = remaining, measured
+
+    def place(pair: tuple[float, MeasuredCause]) -> tuple[bool, float]:
+        remaining, cause = pair
+        return not cause.brings_back, remaining if cause.brings_back else -cause.error.part(of_position)
+
+    return [cause for _, cause in sorted(best.values(), key=place)]
+
+
+def _stability(compared: _Comparison, run: FileRun) -> tuple[Stability | None, tuple[ModelChange, ...]]:
+    """Find the fastest mode of the file, and changes of the model that make its time step stable.
+
+    The file is linearized at states of the judged run. If that run diverged, states of the completed run with
+    the smallest error are taken, or the start without such a run.
+    """
+    simulation = compared.simulation
+    if run.stopped:
+        run = min(compared.completed, key=lambda each: compared.error(each).relative, default=run)
+    count = len(compared.until_end(run.trajectory).time) if not run.stopped else 1
+    outputs = sorted({*np.linspace(0, count - 1, STATES).astype(int).tolist()})
+    motions = simulation.small_motions(run, outputs)
+    if motions is None:
+        return None, ()
+    step, duration = simulation.timestep(simulation.settings), compared.steps
+    mode = ModeAtFault(motions, simulation.settings, step, step * duration)
+    if mode.found.is_stable:
+        return mode.found, ()
+
+    def is_stable(changed: FileSimulation[Any]) -> bool:
+        others = changed.small_motions(run, outputs)
+        return others is not None and mode.steps.of_changed(others).is_stable(step)
+
+    def changed_run(changed: FileSimulation[Any]) -> FileRun:
+        return compared.run(simulation.settings, simulation=changed)
+
+    return mode.found, tuple(model_changes(mode, simulation, is_stable, changed_run, compared.error))
 
 
 def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[MeasuredRemedy]:
     """Try other settings: yield the best of similar cost, and the cheapest with an error below `TARGET`.
 
-    All kinds of settings are tried at the file's time step. The two best kinds are tried at smaller steps.
+    All kinds of settings are tried at the file's time step. The two best kinds are tried at smaller steps. If
+    the run of the file diverged and no settings of similar cost complete, the cheapest that do come first.
     """
     simulation = compared.simulation
 
@@ -311,19 +387,32 @@ def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[
             return None
         changes, fragment = simulation.changes(settings), simulation.fragment(settings)
         evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
-        run_time = found.trajectory.wall_time / run.trajectory.wall_time
+        run_time = evaluations if run.stopped else found.trajectory.wall_time / run.trajectory.wall_time
         return MeasuredRemedy(changes, fragment, compared.error(found), evaluations, run_time)
 
-    measured = [
-        (settings, remedy)
-        for settings in simulation.alternatives(1)
-        if (remedy := tried(settings)) is not None
-    ]
-    measured.sort(key=lambda pair: pair[1].error.relative)
-    found = [remedy for _, remedy in measured]
-    for settings, remedy in measured[:KINDS_REFINED]:
-        last, divisor = remedy, 2
-        while last.error.relative > TARGET and divisor * remedy.evaluations <= MAX_EVALUATIONS:
+    def completed(kinds: Iterable[tuple[int, Any]]) -> Iterator[tuple[int, Any, MeasuredRemedy]]:
+        """Yield divisor of the time step, settings and remedy of those whose run completes."""
+        for divisor, settings in kinds:
+            if (remedy := tried(settings)) is not None:
+                yield divisor, settings, remedy
+
+    measured = list(completed((1, settings) for settings in simulation.alternatives(1)))
+    if not measured:
+        # the first kinds that complete at smaller steps, in the order of their evaluations
+        divisors = [2**k for k in range(1, int(np.log2(MAX_EVALUATIONS)) + 1)]
+        smaller = [
+            (divisor, settings) for divisor in divisors for settings in simulation.alternatives(divisor)
+        ]
+        smaller = [pair for pair in smaller if compared.affords(pair[1])]
+        smaller.sort(key=lambda pair: simulation.evaluations(pair[1]))
+        measured = list(islice(completed(smaller), KINDS_REFINED))
+    measured.sort(key=lambda each: each[2].error.relative)
+    found = [remedy for _, _, remedy in measured]
+    for first_divisor, settings, remedy in measured[:KINDS_REFINED]:
+        last, divisor = remedy, 2 * first_divisor
+        while (
+            last.error.relative > TARGET and divisor / first_divisor * remedy.evaluations <= MAX_EVALUATIONS
+        ):
             divided = simulation.at_divisor(settings, divisor)
             if not compared.affords(divided):
                 break
@@ -335,6 +424,8 @@ def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[
     better = [each for each in found if each.error.relative < MIN_GAIN * error.relative or run.stopped]
     similar = [each for each in better if each.evaluations <= 1.0]
     cheap = min(similar, key=lambda each: each.error.relative, default=None)
+    if cheap is None and run.stopped:
+        cheap = min(better, key=lambda each: (each.evaluations, each.error.relative), default=None)
     good = [each for each in better if each.error.relative <= TARGET]
     best = min(good, key=lambda each: (each.evaluations, each.error.relative), default=None)
     if best is None:

@@ -8,13 +8,24 @@ from collections.abc import Iterator
 from crosscheck.own_run.allowed import length
 from crosscheck.own_run.errors import Band, RunError
 from crosscheck.own_run.judge import Judgement, MeasuredRemedy
+from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.table import Lines
+from newton_euler.reading.small_motions import MovingBody
 
 MAX_EVENTS = 2
 """Number of elements that one line names of those that act and are not in the reference."""
 
 MIN_CAUSE = 0.01
 """Smallest cause that is listed, as a fraction of the largest one."""
+
+MAX_ELEMENTS = 3
+"""Number of elements that a line names."""
+
+FAST_MODE = 0.5
+"""Smallest product of a time step and the rate of a stable mode that is reported: twelve steps per cycle."""
+
+HEAVY_NEIGHBOR = 100.0
+"""Smallest ratio of masses of a neighbor and of a body that is reported."""
 
 SAME_RUN_TIME = 1.25
 """Ratio of run times up to which settings are as fast."""
@@ -31,7 +42,7 @@ def _lines(judgement: Judgement) -> Iterator[str]:
     if judgement.stopped:
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
-    if error.position or error.rotation:
+    if (error.position or error.rotation) and not judgement.stopped:
         yield f"  errors  {'; '.join(_errors(judgement))}"
     if judgement.events:
         first = judgement.events[0]
@@ -45,16 +56,83 @@ def _lines(judgement: Judgement) -> Iterator[str]:
             f"  note    compared until {judgement.until:.3g} s: from then on the motion multiplies any error "
             "by more than 1000, and no run with other steps can match"
         )
-    by_position = error.is_of_position
-    causes = [(each.name, each.error) for each in judgement.causes if each.error.part(by_position) > 0.0]
-    if causes:
-        least = MIN_CAUSE * causes[0][1].part(by_position)
-        listed = [
-            f"{name}: {size(each, by_position)}" for name, each in causes if each.part(by_position) >= least
-        ]
-        yield f"  cause   {'; '.join(listed)}"
-    for k, remedy in enumerate(judgement.remedies):
-        yield f"  {'fix' if k == 0 else '':<7} {_remedy(remedy, by_position)}"
+    if judgement.stopped_as_it_stands:
+        yield f"  note    with what acts in the file, the run stops: {judgement.stopped_as_it_stands}"
+    if causes := _causes(judgement):
+        yield f"  cause   {'; '.join(causes)}"
+    if judgement.stability is not None:
+        for k, line in enumerate(_stability(judgement.stability)):
+            yield f"  {'mode' if k == 0 else '':<7} {line}"
+    fixes = [_remedy(remedy, _by_position(judgement, remedy.error)) for remedy in judgement.remedies]
+    fixes += [_model_change(change) for change in judgement.changes]
+    for k, fix in enumerate(fixes):
+        yield f"  {'fix' if k == 0 else '':<7} {fix}"
+
+
+def _by_position(judgement: Judgement, error: RunError) -> bool:
+    """Return whether errors are worded by positions: as those of the judged run, unless it diverged."""
+    return error.is_of_position if judgement.stopped else judgement.error.is_of_position
+
+
+def _causes(judgement: Judgement) -> list[str]:
+    """Word the causes; for a run that diverged, the settings without which it completes."""
+    if judgement.stopped:
+        names = [each.name for each in judgement.causes if each.brings_back]
+        which = "one of these" if names[1:] else "it"
+        return [f"{', '.join(names)} (the run completes if {which} is changed)"] if names else []
+    by_position = judgement.error.is_of_position
+    causes = [each for each in judgement.causes if each.error.part(by_position) > 0.0]
+    least = MIN_CAUSE * causes[0].error.part(by_position) if causes else 0.0
+    return [
+        f"{each.name}: {size(each.error, by_position)}"
+        for each in causes
+        if each.error.part(by_position) >= least
+    ]
+
+
+def _stability(found: Stability) -> Iterator[str]:
+    """Word the fastest mode, the elements that make it, and the stability limit of the time step."""
+    limit, step = f"{1e3 * found.limit:.2g} ms", f"{1e3 * found.timestep:g} ms"
+    if found.is_stable:
+        if found.timestep * found.rate >= FAST_MODE:
+            by = f", made by {_elements(found)}," if found.elements else ""
+            steps = 2.0 * math.pi / (found.timestep * found.rate)
+            until = f"; steps are stable up to {limit}" if found.limit < math.inf else ""
+            yield f"the fastest one{by} has {found.rate:.2g} 1/s, {steps:.2g} steps per cycle{until}"
+            yield _body(found.body)
+        return
+    if found.elements:
+        makes = "makes" if len(found.elements) == 1 else "make"
+        yield f"{_elements(found)} {makes} a mode of {found.rate:.2g} 1/s"
+    else:
+        yield f"a mode has {found.rate:.2g} 1/s"
+    smallest = f"steps are stable below {limit}" if found.limit else "no smaller step is stable"
+    yield f"{smallest}, the file steps {step}: each step multiplies the mode by {found.growth:.3g}"
+    yield _body(found.body)
+
+
+def _elements(found: Stability) -> str:
+    """Name the elements that make a mode, with their values."""
+    named = [
+        each.name if math.isnan(each.value) else f"{each.name} ({each.value:g})" for each in found.elements
+    ]
+    if len(named) > MAX_ELEMENTS:
+        named = [*named[: MAX_ELEMENTS - 1], f"{len(named) - MAX_ELEMENTS + 1} more"]
+    return " and ".join([", ".join(named[:-1]), named[-1]] if named[1:] else named)
+
+
+def _body(body: MovingBody) -> str:
+    """Word which body moves in a mode, and a much heavier neighbor."""
+    words = f"mostly {body.name!r} moves, {_mass(body.mass)}"
+    if body.neighbor_mass > HEAVY_NEIGHBOR * body.mass:
+        words += f"; its neighbor {body.neighbor!r} has {_mass(body.neighbor_mass)}"
+    return words
+
+
+def _model_change(change: ModelChange) -> str:
+    """Word a change of the model and what it does to the motion."""
+    error = change.error
+    return f"{change.change}: completes, {size(error, error.is_of_position)} from the motion of the file"
 
 
 def headline(judgement: Judgement) -> str:
@@ -100,3 +178,8 @@ def percent(value: float) -> str:
     if number >= 10.0:
         return f"{number:.0f} %"
     return f"{number:.2g} %" if number >= 1e-3 else f"{number:.0e} %"
+
+
+def _mass(value: float) -> str:
+    """Word a mass in kg or g."""
+    return f"{value:.3g} kg" if value >= 0.1 else f"{1e3 * value:.2g} g"

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.small_motions import ModelChange, SmallMotions
 
 SettingsT = TypeVar("SettingsT")
 """Type of an engine's settings (time step, integrator, solver); one class for each engine."""
+
+TIME_STEP, INTEGRATOR = "time step", "integrator"
+"""Names of causes that a mode faster than the time step can explain."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +46,14 @@ class FileRun:
         opening: (n,) largest violation of the file's loop constraints at each output time, m or rad.
         events: first action of each element that the reference does not simulate, in the order of time.
         stopped: reason why the run ended early, such as MuJoCo's warning; "" for a complete run.
+        states: state of the engine at each output time, for `FileSimulation.small_motions`.
     """
 
     trajectory: Trajectory
     opening: Any
     events: tuple[Event, ...] = ()
     stopped: str = ""
+    states: Sequence[Any] = ()
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class Cause(Generic[SettingsT]):
     The contribution is the difference of two runs: with settings `against`, and with settings `without`.
 
     Attributes:
-        name: the property, such as "time step".
+        name: the property, such as `TIME_STEP`.
         without: settings that remove the error of the property and keep all else.
         against: settings with the error of the property; None means the settings of the file.
     """
@@ -129,6 +135,18 @@ class FileSimulation(ABC, Generic[SettingsT]):
     @abstractmethod
     def at_divisor(self, settings: SettingsT, divisor: int) -> SettingsT:
         """Return the same settings with the file's time step divided by `divisor`."""
+
+    def small_motions(self, run: FileRun, outputs: Sequence[int]) -> SmallMotions[SettingsT] | None:
+        """Return small motions about states of a run; None for an engine without this analysis.
+
+        Args:
+            run: run of the file without the elements that the scene does not have.
+            outputs: numbers of the outputs; if empty, the start of the file.
+        """
+
+    def changed(self, change: ModelChange) -> FileSimulation[SettingsT]:
+        """Return the simulation of a changed model, for an engine with small motions."""
+        raise NotImplementedError(f"{self.engine}: changes of the model")
 
     @property
     def options(self) -> Mapping[str, Any]:

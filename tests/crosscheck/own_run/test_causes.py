@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+import mujoco
+import numpy as np
 import pytest
 
 from crosscheck.loading.load import load_scene, with_excitation
@@ -67,16 +69,127 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_cause(tmp_path, name):
-    text, cause = CASES[name]
+def judged(tmp_path, text):
     path = tmp_path / "model.xml"
     path.write_text(text)
     _, report = load_scene(str(path), with_excitation(str(path), {}))
     assert report is not None
     assert report.simulation is not None
-    found = judge(report.simulation)
+    return judge(report.simulation)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_cause(tmp_path, name):
+    text, cause = CASES[name]
+    found = judged(tmp_path, text)
     assert found.band is not Band.ACCURATE
     assert found.causes[0].name == cause, [(each.name, each.error.relative) for each in found.causes]
     assert found.remedies
     assert all(each.error.relative < found.error.relative for each in found.remedies)
+
+
+ARM = """<mujoco><option timestep="0.002" integrator="Euler"/><worldbody>
+  <body name="arm" euler="0 40 0"><joint name="a" axis="0 1 0" damping="0.05"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.01" mass="0.4" contype="0"/>
+    <body name="tip" pos="0.3 0 0"><joint name="b" axis="0 1 0" stiffness="1" damping="0.02"/>
+      <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01" mass="0.2" contype="0"/></body></body>
+  </worldbody><tendon><fixed name="belt" stiffness="2"><joint joint="b" coef="1"/></fixed></tendon>
+  <actuator><position name="shoulder" joint="a" kp="20" kv="0.5"/>
+    <position name="elbow" joint="b" kp="5" kv="0.1"/></actuator></mujoco>"""
+
+PINNED = """<mujoco><option timestep="0.002" integrator="Euler"/>
+  <default><equality solref="0.01 1"/></default><worldbody><body name="crank"><joint name="a" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01" mass="0.3" contype="0"/></body>
+  <body name="coupler" pos="0.1 0 0"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
+    <joint name="b" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0.25 0 0.1" size="0.01" mass="10" contype="0"/></body>
+  <body name="rocker" pos="0.35 0 -0.1"><joint name="c" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.01" mass="0.4" contype="0"/></body></worldbody>
+  <equality><connect name="pin" body1="crank" body2="coupler" anchor="0.1 0 0"/>
+    <connect name="loop" body1="coupler" body2="rocker" anchor="0.25 0 0.1"/></equality>
+  <actuator><position name="drive" joint="a" kp="20" kv="1"/></actuator></mujoco>"""
+
+FAULTS = {
+    "gain by position": (ARM.replace('kp="5"', 'kp="20000"'), "kp of actuator 'elbow'", "tip"),
+    "gain by velocity": (ARM.replace('kv="0.5"', 'kv="400"'), "kv of actuator 'shoulder'", None),
+    "gain by velocity in RK4": (
+        wrong(ARM.replace('kv="0.5"', 'kv="400"'), integrator="RK4"),
+        "kv of actuator 'shoulder'",
+        None,
+    ),
+    "joint spring": (
+        wrong(ARM, integrator="implicitfast").replace('stiffness="1"', 'stiffness="8000"'),
+        "stiffness of joint 'b'",
+        "tip",
+    ),
+    "tendon spring": (ARM.replace('stiffness="2"', 'stiffness="8000"'), "stiffness of tendon 'belt'", "tip"),
+    "light body": (ARM.replace('mass="0.2"', 'mass="1e-4"'), "actuator 'elbow'", "tip"),
+    "light body in a loop": (PINNED.replace('mass="0.3"', 'mass="1e-4"'), "actuator 'drive'", "crank"),
+    "stiff loop": (
+        PINNED.replace('anchor="0.1 0 0"/>', 'anchor="0.1 0 0" solref="-4000000 -1000"/>'),
+        "equality 'pin'",
+        None,
+    ),
+    "damped loop": (
+        PINNED.replace('anchor="0.25 0 0.1"/>', 'anchor="0.25 0 0.1" solref="-10000 -2000"/>'),
+        "equality 'loop'",
+        None,
+    ),
+    "loop shorter than two steps": (
+        PINNED.replace('anchor="0.25 0 0.1"/>', 'anchor="0.25 0 0.1" solref="0.0005 1"/>').replace(
+            "<option", '<option><flag refsafe="disable"/></option><option'
+        ),
+        "equality 'loop'",
+        None,
+    ),
+}
+"""Models that explode: the element that makes the mode, and the body that moves, if there is only one."""
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_element_at_fault(tmp_path, name):
+    text, element, body = FAULTS[name]
+    found = judged(tmp_path, text)
+    assert found.stopped
+    assert found.stability is not None
+    assert element in found.stability.elements[0].name, found.stability
+    assert body in (None, found.stability.body.name)
+    assert not found.stability.is_stable
+    assert found.stability.limit_without > found.stability.timestep
+    # steps below the limit bring the run back in plain MuJoCo, steps far above it do not
+    assert completes(text, 0.9 * found.stability.limit)
+    assert not completes(text, 3.0 * found.stability.limit)
+    assert found.causes[0].brings_back
+    assert found.remedies
+    assert all(completes(pasted(text, each.fragment)) for each in found.remedies)
+    assert found.changes or "equality" in element
+
+
+def test_neighbor_of_a_light_body(tmp_path):
+    found = judged(tmp_path, FAULTS["light body in a loop"][0])
+    assert found.stability is not None
+    assert found.stability.body.neighbor == "coupler"
+    assert found.stability.body.neighbor_mass == pytest.approx(10.0)
+
+
+def pasted(text, fragment):
+    """Put the fragment of a remedy into a model."""
+    for name, value in re.findall(r'(timestep|integrator)="([^"]*)"', fragment):
+        text = wrong(text, **{name: value})
+    for name, value in re.findall(r'(solref|solimp)="([^"]*)"', fragment):
+        text = re.sub(rf'(<connect [^>]*?) {name}="[^"]*"', r"\1", text)
+        text = text.replace("<connect", f'<connect {name}="{value}"')
+    return text
+
+
+def completes(text, timestep=None):
+    """Return whether MuJoCo simulates a model for 1 s without a warning and without huge velocities."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = timestep or model.opt.timestep
+    data = mujoco.MjData(model)
+    data.qvel[:] = 0.1
+    for _ in range(100):
+        mujoco.mj_step(model, data, max(1, int(0.01 / model.opt.timestep)))
+        if any(warning.number for warning in data.warning) or np.max(np.abs(data.qvel)) > 1e3:
+            return False
+    return True
