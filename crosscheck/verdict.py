@@ -92,11 +92,11 @@ class Verdict:
 
     @property
     def own_run(self) -> Judgement | None:
-        """Judgement of the run that the file's own engine makes with the settings of the file.
+        """Judgement of the run that the model's own engine makes with the user's settings.
 
-        The judgement has the error, its causes, and settings that reduce it. It is None for models that are
-        no MJCF file or MuJoCo model, and if the judgement did not complete (`crosscheck.notes` has the
-        reason).
+        The judgement has the error, its causes, and settings that reduce it. It is None for scenes that are
+        not read from an MJCF or URDF model, and if the judgement did not complete (`crosscheck.notes` has
+        the reason).
         """
         return self.crosscheck.own_run
 

@@ -251,7 +251,9 @@ def _engine_comparison(
     # not verified here: the comparison has checks of the import, and reports all that fail
     loaded, mapping = load_scene(scene, options, verified=False)
     if allowed and (mapping is None or mapping.simulation is None):
-        raise CrosscheckError(f"--max-error: {scene} has no settings to judge; needed: an MJCF file")
+        raise CrosscheckError(
+            f"--max-error: {scene} has no run of its own to judge; needed: an MJCF or URDF file"
+        )
 
     def compute(progress: Progress) -> ComparisonResult:
         found = crosscheck(loaded, chosen, progress, scene, options, mapping, advised)

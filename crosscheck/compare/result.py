@@ -134,7 +134,8 @@ class ComparisonResult(ABC):
         """
         stops = self.unfinished
         if allowed and self.own_run is None and not self.differs:
-            reason = next((note for note in self.notes if note.startswith(JUDGING)), "not judged")
+            needed = "not judged, as the scene has no run of its own; needed: an MJCF or URDF model"
+            reason = next((note for note in self.notes if note.startswith(JUDGING)), needed)
             stops = (*stops, Stop("your settings", reason.removeprefix(f"{JUDGING}: ")))
         return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
 

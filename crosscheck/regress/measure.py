@@ -102,8 +102,8 @@ TIGHTER_FACTOR = 0.1
 MAX_ERROR_GROWTH, MIN_ERROR = 0.02, 1e-6
 """Fraction by which errors of a file's own run may grow, and relative error below which growth is no change.
 
-MuJoCo repeats a run to the last digit: an error that grows by 2 % shows a change of the model, its settings
-or the engine. Below a millionth of the motion, round-off and the tolerance of MuJoCo's solver decide."""
+Engines repeat a run to the last digit: an error that grows by 2 % shows a change of the model, its settings
+or the engine. Below a millionth of the motion, round-off and the tolerances of solvers decide."""
 
 ERROR_TOLERANCE_REASON = (
     f"{100 * MAX_ERROR_GROWTH:g} % of the error or {MIN_ERROR:g} of the motion, the larger one, plus "

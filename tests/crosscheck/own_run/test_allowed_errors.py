@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import mujoco
 import pytest
 from command_line import check_refused, run, verdict_of
 
@@ -74,7 +75,7 @@ def test_other_texts_are_refused(capsys, tmp_path, swing, text, message):
 
 
 def test_scenes_without_settings_are_refused(capsys, tmp_path):
-    check_refused(capsys, tmp_path, "pendulum", "--max-error=1", message="pendulum has no settings to judge")
+    check_refused(capsys, tmp_path, "pendulum", "--max-error=1", message="pendulum has no run of its own")
     check_refused(
         capsys, tmp_path, "pendulum", "--max-error=1", "--against", "chain", message="without --against"
     )
@@ -154,3 +155,11 @@ def test_every_error_can_be_limited(swing):
         "opening": found.opening,
         "energy": found.error.energy,
     }
+
+
+def test_models_in_memory(swing):
+    model = mujoco.MjModel.from_xml_path(str(swing(COARSE)))
+    found = crosscheck.check(model, ENGINES)
+    found.assert_accurate(0.5)
+    with pytest.raises(AssertionError, match="INACCURATE"):
+        found.assert_accurate()
