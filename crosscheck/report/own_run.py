@@ -22,7 +22,8 @@ MAX_ELEMENTS = 3
 """Number of elements that a line names."""
 
 FAST_MODE = 0.5
-"""Smallest product of a time step and the rate of a stable mode that is reported: twelve steps per cycle."""
+"""Smallest product of a time step and the rate of a stable mode that is reported: a time constant of
+two steps."""
 
 HEAVY_NEIGHBOR = 100.0
 """Smallest ratio of masses of a neighbor and of a body that is reported."""
@@ -96,9 +97,8 @@ def _stability(found: Stability) -> Iterator[str]:
     if found.is_stable:
         if found.timestep * found.rate >= FAST_MODE:
             by = f", made by {_elements(found)}," if found.elements else ""
-            steps = 2.0 * math.pi / (found.timestep * found.rate)
             until = f"; steps are stable up to {limit}" if found.limit < math.inf else ""
-            yield f"the fastest one{by} has {found.rate:.2g} 1/s, {steps:.2g} steps per cycle{until}"
+            yield f"the fastest one{by} has a time constant of {1e3 / found.rate:.2g} ms{until}"
             yield _body(found.body)
         return
     if found.elements:
