@@ -140,6 +140,8 @@ def headline(judgement: Judgement) -> str:
     error = judgement.error
     if judgement.stopped:
         return "DIVERGED"
+    if judgement.stopped_as_it_stands:
+        return "DIVERGED with what acts in the file and not in the reference"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
     return f"{word} {size(error, error.is_of_position)}, {percent(error.relative)} of the motion"
 
