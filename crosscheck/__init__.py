@@ -1,13 +1,15 @@
 """crosscheck: simulate a closed-loop mechanism in several dynamics engines, and compare the results.
 
-The public names are `check` and its `Verdict` with its `Outcome`, `sweep` and its `Sweep` (Monte Carlo and
-design-of-experiments studies), and the base class of errors, `CrosscheckError`.
+The public names are `check` and its `Verdict` with its `Outcome`, `Log` (a run of another simulator), `sweep`
+and its `Sweep` (Monte Carlo and design-of-experiments studies), and the base class of errors,
+`CrosscheckError`.
 """
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from crosscheck.compare.outcome import Outcome
+    from crosscheck.own_run.log import Log
     from crosscheck.support.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.verdict import Verdict, check
@@ -25,6 +27,8 @@ else:
             from crosscheck.sweeps import sweep as module
         elif name == "CrosscheckError":
             from crosscheck.support import errors as module
+        elif name == "Log":
+            from crosscheck.own_run import log as module
         elif name == "Outcome":
             from crosscheck.compare import outcome as module
         else:
@@ -33,4 +37,4 @@ else:
         return getattr(module, name)
 
 
-__all__ = ["CrosscheckError", "Outcome", "Sweep", "Verdict", "check", "sweep"]
+__all__ = ["CrosscheckError", "Log", "Outcome", "Sweep", "Verdict", "check", "sweep"]

@@ -8,29 +8,32 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.diagnosis import Diagnosis
+from crosscheck.compare.logs import judge_logs
 from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.errors import ACCURATE_BELOW
 from crosscheck.own_run.judge import Judgement
+from crosscheck.own_run.log import LogJudgement
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped
 from crosscheck.report.run import report
 from crosscheck.report.table import Report
 from crosscheck.support.files import check_writable, path_of
-from newton_euler.arguments import checked
+from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import items_of
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Floats
@@ -84,6 +87,11 @@ class Verdict:
     def trajectories(self) -> Mapping[str, Trajectory]:
         """Run of each engine, by the engine's name; partial if the engine stopped."""
         return self.crosscheck.trajectories
+
+    @property
+    def logs(self) -> Mapping[str, LogJudgement]:
+        """Judgements of the runs of other simulators, by name; `error.relative` is the relative error."""
+        return self.crosscheck.logs
 
     @property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
@@ -205,6 +213,7 @@ def check(
     engines: Sequence[str] = tuple(ENGINES),
     *,
     advice: bool = False,
+    runs: Annotated[Mapping[str, Any], UNCHECKED] = MappingProxyType({}),
     progress: Callable[[str], None] = lambda stage: None,
     **options: str | float | Sequence[float] | Floats | Mapping[str, str | float],
 ) -> Verdict:
@@ -216,6 +225,9 @@ def check(
             constraints, see `urdf.read`.
         engines: names of the engines. If an engine cannot represent the model, the outcome is not `AGREE`.
         advice: True to compute advice on engine settings and redundant constraints, which takes more runs.
+        runs: runs of other simulators by name, which are compared with the reference from their own starts: a
+            CSV or Parquet file, a DataFrame, a mapping of columns, or a `Log` of one of these with options.
+            Also a function that simulates: from a `State` and times (n,), s, to n states.
         progress: function that is called with a message before each stage.
         options: options of the scene or file, as `crosscheck list` shows them. For a `Model`, `q` is the
             configuration from which the run starts.
@@ -234,8 +246,10 @@ def check(
     texts = {name: _text(value) for name, value in options.items()}
     source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
     taken = with_excitation(model, texts)
+    logs = judge_logs(model, texts, runs, progress)
     scene, mapping = load_scene(model, taken, verified=False)
-    return Verdict(crosscheck(scene, chosen, progress, source, taken, mapping, advice))
+    found = crosscheck(scene, chosen, progress, source, taken, mapping, advice)
+    return Verdict(replace(found, logs=logs))
 
 
 def _text(value: str | float | Sequence[float] | Floats | Mapping[str, str | float]) -> str:

@@ -39,6 +39,7 @@ from mjcf.reading.start import ModelAtStart
 from mjcf.reference import MjcfReference
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError
+from newton_euler.model.euler_parameters import conjugate, product, rotation
 from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -49,6 +50,7 @@ from newton_euler.model.state import State
 from newton_euler.reading import plausibility
 from newton_euler.reading.activity import REST_SPEED
 from newton_euler.reading.excitation import MAX_FREQUENCY, MIN_FREQUENCY, with_start_velocities
+from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileInput, FileNames
 from newton_euler.reading.import_report import ChangedVelocities, ImportReport, unique_name
 from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.verify import verify_report
@@ -303,6 +305,7 @@ def _build_scene(
     for key, inertia in actuators.armatures.items():
         coordinate_armatures[key] = coordinate_armatures.get(key, 0.0) + inertia
     report_leftovers(start, bodies, joints, report)
+    report.names = _file_names(start, bodies, joints, actuators.drives)
     # the name of the scene is the name of the model, or of the file
     given_name = model_name(model)
     name = unique_name(Path(path).stem if given_name in ("", UNNAMED) else given_name, "model", ())
@@ -323,6 +326,30 @@ def _build_scene(
         redundancy_tolerance=request.redundancy_tolerance,
     )
     return _with_file_velocities(scene, start, bodies, report), actuators.drives
+
+
+def _file_names(
+    start: ModelAtStart, bodies: Bodies, joints: Joints, drives: ReadOnlyMapping[int, Drive]
+) -> FileNames:
+    """Record how joints, body frames and actuators of the file correspond to the scene."""
+    model, data = start.model, start.data
+    names = FileNames()
+    for joint, key in joints.coordinate_keys.items():
+        if name := model.joint(joint).name:
+            value = float(data.qpos[model.jnt_qposadr[joint]])
+            names.coordinates[name] = FileCoordinate(key, value)
+    bodies_by_name = {body.name: body for body in bodies.bodies}
+    for k in range(1, model.nbody):
+        if not (name := model.body(k).name):
+            continue
+        body = bodies_by_name[bodies.names[k]]
+        point = rotation(body.quaternion).T @ (data.xpos[k] - body.center_of_mass)
+        turn = product(conjugate(body.quaternion), data.xquat[k] / np.linalg.norm(data.xquat[k]))
+        names.frames[name] = FileFrame(body.name, point, turn)
+    for actuator, drive in drives.items():
+        if (name := model.actuator(actuator).name) and not drive.has_dynamics:
+            names.inputs[name] = FileInput(drive.control, drive.gains)
+    return names
 
 
 def _with_file_velocities(scene: Scene, start: ModelAtStart, bodies: Bodies, report: ImportReport) -> Scene:

@@ -58,6 +58,7 @@ LIMITS = {
     "scene_size": Limit(1, "MB", "of a scene file or a loop file"),
     "asset_size": Limit(100, "MB", "of a mesh, texture or height field"),
     "csv_size": Limit(20, "MB", "of a CSV of poses or measurements"),
+    "log_size": Limit(50, "MB", "of a log of another simulator, CSV or Parquet"),
     "result_size": Limit(20, "MB", "of a JSON file of results, baselines included"),
     "recording_size": Limit(50, "MB", "of the meshes in a recording; bars are drawn instead of others"),
     "array_size": Limit(200, "MB", "of the arrays of a run when unpacked"),

@@ -20,9 +20,11 @@ from pathlib import Path
 from typing import Annotated, Any, Unpack
 
 import numpy as np
+import pinocchio as pin
 
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError, check_choice, finite_array
+from newton_euler.model.euler_parameters import conjugate, product, rotation
 from newton_euler.model.forces import Force
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
@@ -32,6 +34,7 @@ from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.reading import plausibility
 from newton_euler.reading.activity import Bounds, Rest, Watch
 from newton_euler.reading.excitation import with_start_velocities
+from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileNames
 from newton_euler.reading.import_report import (
     CONTACTS,
     FRICTION,
@@ -334,6 +337,7 @@ def _import(
     if robot.root is not None:
         tree.bodies = with_visuals(robot.source_name, robot.root, start, tree, report)
     scene = _scene(robot, start, tree, report, request, gravity)
+    report.names = _file_names(start, tree)
     # numbers that overflow are refused later; messages of the parser were already collected
     with np.errstate(all="ignore"), collected_messages([]):
         reference = make_reference(report, scene)
@@ -359,6 +363,28 @@ def _add_own_run(robot: Robot, reference: PinocchioReference, scene: Scene, repo
         return
     is_assumed = not robot.own_run
     report.simulation = PinocchioFile(reference, scene, settings, is_assumed, robot.gains or ())
+
+
+def _file_names(start: RobotAtStart, tree: Tree) -> FileNames:
+    """Record how joints and links of the file correspond to the scene."""
+    model, names = start.model, FileNames()
+    for index in range(1, model.njoints):
+        joint, name = model.joints[index], str(model.names[index])
+        if joint.nv == 1 and name in tree.coordinate_keys:
+            q = start.q[joint.idx_q : joint.idx_q + joint.nq]
+            # a hinge without limits has the cosine and the sine of the angle
+            value = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0]))
+            names.coordinates[name] = FileCoordinate(tree.coordinate_keys[name], value)
+    bodies = {body.name: body for body in tree.bodies}
+    for frame, place in zip(model.frames, start.data.oMf, strict=True):
+        owner = tree.names[frame.parentJoint]
+        if frame.type != pin.FrameType.BODY or owner is None:
+            continue
+        body = bodies[owner]
+        point = rotation(body.quaternion).T @ (place.translation - body.center_of_mass)
+        turn = product(conjugate(body.quaternion), pin.SE3ToXYZQUAT(place)[[6, 3, 4, 5]])
+        names.frames[str(frame.name)] = FileFrame(body.name, point, turn)
+    return names
 
 
 def _scene(

@@ -7,9 +7,9 @@ steps for both kinds: check the output files, compute, write, print.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from crosscheck.compare.crosscheck import Progress
     from crosscheck.compare.result import ComparisonResult
     from crosscheck.compare.two_models.unsimulated import Model
+    from crosscheck.own_run.log import Log
 
 OUTPUT = Path("output")
 """Default parent of the folders of results."""
@@ -72,6 +73,28 @@ OUTPUT = Path("output")
     help="Make further runs and print advice, such as the time step and solref that MuJoCo needs.",
 )
 @click.option(
+    "--log",
+    "logs",
+    multiple=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="CSV or Parquet file of another simulator's run to judge against the reference. Repeatable.",
+)
+@click.option(
+    "--log-set",
+    "log_settings",
+    multiple=True,
+    metavar="OPTION=VALUE",
+    help="Statement on the logs: quaternion=xyzw, angle=deg, length=mm, time=ms, offset=S, position=center, "
+    "zero=start or inputs=scene. Repeatable.",
+)
+@click.option(
+    "--log-map",
+    "log_columns",
+    multiple=True,
+    metavar="COLUMN=QUANTITY",
+    help="Quantity of a column of the logs, such as q1=coordinate.crank. Repeatable.",
+)
+@click.option(
     "--allow-reduced",
     is_flag=True,
     help="Exit with 0 if the engines agree but elements of the file that act are not simulated.",
@@ -96,6 +119,9 @@ def run_command(
     against: str | None,
     against_settings: tuple[str, ...],
     advice: bool,
+    logs: tuple[Path, ...],
+    log_settings: tuple[str, ...],
+    log_columns: tuple[str, ...],
     allow_reduced: bool,
     max_errors: tuple[str, ...],
     output: Path | None,
@@ -112,7 +138,7 @@ def run_command(
 
     if library:
         alone = scene is None and against is None and not (settings or advice or save)
-        if not alone or allow_reduced or max_errors:
+        if not alone or allow_reduced or max_errors or logs:
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_library(engines or list(ENGINES), output)
     if against is None and against_settings:
@@ -125,12 +151,17 @@ def run_command(
         raise CrosscheckError("--advice is on the runs of engines, without --against")
     if against is not None and max_errors:
         raise CrosscheckError("--max-error is on the run with the settings of SCENE, without --against")
+    if against is not None and logs:
+        raise CrosscheckError("--log is compared with the reference of one model, without --against")
+    if not logs and (log_settings or log_columns):
+        raise CrosscheckError("--log-set and --log-map are statements on the columns of --log")
     if save is not None and save.suffix != ".rrd":
         raise CrosscheckError(f"--save {save}: a recording's name ends in .rrd")
     chosen = "tracker" if scene is None else scene
     if against is None:
+        of_logs = _logs(logs, log_settings, log_columns)
         comparison = _engine_comparison(
-            chosen, engines or list(ENGINES), settings, output, advice, max_errors
+            chosen, engines or list(ENGINES), settings, output, advice, max_errors, of_logs
         )
     else:
         models = _load_two_models((chosen, settings), (against, against_settings))
@@ -225,6 +256,7 @@ def _engine_comparison(
     output: Path | None,
     advised: bool,
     max_errors: Sequence[str],
+    logs: Mapping[str, Log],
 ) -> _Comparison:
     """Load a model, and prepare its comparison in several engines.
 
@@ -235,8 +267,10 @@ def _engine_comparison(
         output: folder for the results; None for the default.
         advised: whether to make further runs for advice on time steps and softness.
         max_errors: largest errors of the run with the settings of the file, [ERROR=]VALUE[UNIT].
+        logs: runs of other simulators to judge, by name.
     """
     from crosscheck.compare.crosscheck import crosscheck
+    from crosscheck.compare.logs import judge_logs
     from crosscheck.engines.engine import choose
     from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.own_run.allowed import AllowedError
@@ -246,7 +280,8 @@ def _engine_comparison(
     chosen = choose(engines)
     allowed = [AllowedError.parse(text) for text in max_errors]
     folder = output or usual_folder(OUTPUT, scene, "crosscheck")
-    check_no_source([folder / "summary.json"], [scene])
+    sources = [scene, *(str(log.table) for log in logs.values())]
+    check_no_source([folder / "summary.json"], sources)
     options = with_excitation(scene, scene_options(settings))
     # not verified here: the comparison has checks of the import, and reports all that fail
     loaded, mapping = load_scene(scene, options, verified=False)
@@ -256,10 +291,31 @@ def _engine_comparison(
         )
 
     def compute(progress: Progress) -> ComparisonResult:
+        judged = judge_logs(scene, scene_options(settings), logs, progress)
         found = crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
-        return found.with_allowed_errors(allowed)
+        return replace(found, logs=judged).with_allowed_errors(allowed)
 
     return _Comparison(own_name(scene), [engine.name for engine in chosen], folder, compute)
+
+
+def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]) -> dict[str, Log]:
+    """Return the logs of the command line by the names of their files.
+
+    Args:
+        files: paths of the logs.
+        settings: statements on all logs, OPTION=VALUE.
+        columns: quantities of columns, COLUMN=QUANTITY.
+    """
+    if not files:
+        return {}
+    from crosscheck.own_run.log import Log
+    from crosscheck.own_run.log_columns import LogOptions
+
+    options = LogOptions.parsed(
+        scene_options(tuple(settings), "--log-set"), scene_options(tuple(columns), "--log-map")
+    )
+    names = [path.stem if [p.stem for p in files].count(path.stem) == 1 else str(path) for path in files]
+    return {name: Log(str(path), options) for name, path in zip(names, files, strict=True)}
 
 
 def _model_comparison(models: tuple[Model, Model], output: Path | None) -> _Comparison:

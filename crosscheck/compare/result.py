@@ -26,6 +26,7 @@ from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
 from crosscheck.own_run.allowed import AllowedError
 from crosscheck.own_run.judge import Judgement
+from crosscheck.own_run.log import LogJudgement
 from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import Scene
@@ -61,6 +62,7 @@ class ComparisonResult(ABC):
         own_run: judgement of the run that the file's own engine makes with the settings of the file; None for
             scenes of this package and for files without an engine of their own.
         allowed_errors: largest errors that the user allows for that run; empty if the run is not to fail.
+        logs: judgements of logs of other simulators by name, each from the start of the log.
     """
 
     source: str
@@ -81,6 +83,7 @@ class ComparisonResult(ABC):
     singular: SingularConfigurations | None = None
     own_run: Judgement | None = None
     allowed_errors: tuple[AllowedError, ...] = ()
+    logs: Mapping[str, LogJudgement] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -222,6 +225,7 @@ class ComparisonResult(ABC):
             "notes": list(self.notes),
             "singular": asdict(self.singular) if self.singular else None,
             "own_run": self.own_run.summary() if self.own_run else None,
+            "logs": {name: judgement.summary() for name, judgement in self.logs.items()},
             "allowed_errors": [
                 {"kind": each.kind.value, "largest": each.largest, "exceeded": each in self.exceeded}
                 for each in self.allowed_errors

@@ -20,6 +20,7 @@ from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.compare.two_models.compare import TwoModelComparison
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
+from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.summary import summary
 from crosscheck.report.table import (
@@ -67,7 +68,8 @@ IMPLICIT = ("Radau", "implicitfast")
 def report(result: ComparisonResult) -> Report:
     """Make the report of a crosscheck."""
     limits, others = list(verdict_limits(result)), list(notes(result))
-    parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
+    parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
+    parts += [own_run_lines(result.own_run)] if result.own_run else []
     parts.extend(tables(result))
     parts.append(Lines("", [*limits, *others, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))

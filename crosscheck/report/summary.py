@@ -16,6 +16,7 @@ from crosscheck.compare.check import (
     Check,
 )
 from crosscheck.compare.result import ComparisonResult
+from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, number_columns, seconds
 
@@ -31,7 +32,8 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
         limits: sentences that limit the verdict, all of which are shown.
         notes: further sentences, of which the first are shown.
     """
-    parts: list[Part] = [own_run_lines(result.own_run)] if result.own_run else []
+    parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
+    parts += [own_run_lines(result.own_run)] if result.own_run else []
     parts.append(levels_table(result))
     if result.trajectories:
         parts.append(engines_table(result))

@@ -16,6 +16,7 @@ from typing import Any, Literal
 from newton_euler.equations.loop_closure import MovedStart
 from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds, SampledMotion, Watch, judge_all
+from newton_euler.reading.file_names import FileNames
 from newton_euler.reading.file_run import FileSimulation
 from newton_euler.reading.reference import ReferenceModel
 
@@ -142,6 +143,7 @@ class ImportReport:
         simulation: the file as its own engine simulates it; None for formats without an engine, such as URDF.
         moved: change of the start by loop closure; None if the file has no loops.
         changed_velocities: change of the start velocities; None if the file has no velocities.
+        names: joints, body frames and actuators of the file, by their names in the file.
     """
 
     def __init__(self) -> None:
@@ -154,6 +156,7 @@ class ImportReport:
         self.simulation: FileSimulation[Any] | None = None
         self.moved: MovedStart | None = None
         self.changed_velocities: ChangedVelocities | None = None
+        self.names = FileNames()
 
     def imported(
         self,

@@ -37,6 +37,7 @@ def result(rows=(), **more):
         "advice": (),
         "differs": False,
         "own_run": None,
+        "logs": {},
     }
     return SimpleNamespace(checks=rows, engines=engines, scene=scene, **nothing | more)
 

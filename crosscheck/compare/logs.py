@@ -1,0 +1,53 @@
+"""Judge logs of other simulators against the reference solution of a model, each from its own start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from crosscheck.compare.activity import watched, what_acted
+from crosscheck.loading.load import is_scene, load_scene
+from crosscheck.own_run.log import LogJudgement, judge_log
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_run import Event
+
+if TYPE_CHECKING:
+    from crosscheck.loading.load import Model
+
+NOT_EXCITED = {"excitation": "off"}
+"""Options by which a model file is read without inputs and velocities that the file does not have: a log has
+its own start."""
+
+
+def judge_logs(
+    model: Model, options: Mapping[str, str], logs: Mapping[str, Any], progress: Callable[[str], None]
+) -> dict[str, LogJudgement]:
+    """Judge logs of a model.
+
+    Args:
+        model: name of a library scene, path of a file, a `Scene`, or a model of MuJoCo or Pinocchio.
+        options: options of the model that the user set.
+        logs: logs by name: a `Log`, a path, a DataFrame, a mapping of columns, or a function that simulates.
+        progress: shows a message to the user before each log.
+
+    Raises:
+        NewtonEulerError, CrosscheckError: for a model or log that cannot be read, with the column at fault.
+    """
+    if not logs:
+        return {}
+    given = dict(options) if is_scene(model) else NOT_EXCITED | dict(options)
+    scene, mapping = load_scene(model, given, verified=False)
+
+    def watch(simulated: Scene, run: Trajectory) -> Sequence[Event]:
+        """Return the elements of the file that act in the reference and are not simulated."""
+        if mapping is None:
+            return ()
+        found = watched(simulated, mapping, run)
+        return [Event(entry.since or 0.0, what_acted(entry)) for entry in found.acting]
+
+    judged = {}
+    for name, log in logs.items():
+        progress(f"judging {name}")
+        judged[name] = judge_log(scene, mapping.names if mapping else None, name, log, watch)
+    return judged

@@ -1,0 +1,121 @@
+"""Inputs of a log in a scene: controls and joint forces over time, and functions of time of a later start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import comb
+from typing import Any
+
+import numpy as np
+
+from crosscheck.own_run.log_columns import LogData
+from newton_euler.model.control import PD, DeclaredLaw
+from newton_euler.model.joint import Key
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import Sum, TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.model.source_file import SourceError
+from newton_euler.model.splines import Piecewise, Steps
+from newton_euler.reading.file_names import FileNames
+from newton_euler.scalars import Array
+
+ELEMENTS = ("motions", "control", "forces")
+"""Fields of a scene whose elements may have functions of time."""
+
+
+def is_time_dependent(scene: Scene) -> bool:
+    """True if an element of a scene is a function of time."""
+    return any(functions for functions in scene.functions.values())
+
+
+def started_at(scene: Scene, time: float) -> Scene:
+    """Return a scene that begins at a later time, s, of the given scene, without its initial state."""
+    if not time or not is_time_dependent(scene):
+        return scene
+    changed: dict[str, list[Any]] = {name: list(getattr(scene, name)) for name in ELEMENTS}
+    for field, number, attribute in scene.functions:
+        element = changed[field][number]
+        given = getattr(element, attribute, None)
+        if isinstance(given, TimeFunction):
+            changed[field][number] = replace(element, **{attribute: _later(given, time)})
+        elif isinstance(given, Mapping):
+            moved = {k: _later(f, time) if isinstance(f, TimeFunction) else f for k, f in given.items()}
+            changed[field][number] = replace(element, **{attribute: moved})
+    elements: dict[str, Any] = {name: tuple(each) for name, each in changed.items()}
+    return replace(scene, initial_state=None, **elements)
+
+
+def _later(function: TimeFunction, time: float) -> TimeFunction:
+    """Return the function t -> f(t + time) of a function of time f."""
+    if isinstance(function, Sum):
+        return Sum(tuple(_later(term, time) for term in function.terms))
+    if isinstance(function, Sine):
+        phase = function.phase + function.angular_frequency * time
+        return replace(function, phase=float(np.remainder(phase, 2.0 * np.pi)))
+    if isinstance(function, Piecewise):
+        return replace(function, times=function.times - time)
+    # binomial theorem: coefficients of sum_k c_k (t + time)^k
+    c = function.coefficients
+    shifted = [sum(c[k] * comb(k, j) * time ** (k - j) for k in range(j, len(c))) for j in range(len(c))]
+    return Polynomial(tuple(shifted))
+
+
+def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
+    """Return a scene with the inputs of a log; each value holds until the next row.
+
+    Joint forces replace the control laws of their joints. Controls of actuators change the feedforward of the
+    laws that these actuators became.
+
+    Args:
+        scene: the scene.
+        data: the log.
+        names: names of the model file, with its actuators.
+    """
+    if not (data.forces or data.inputs):
+        return scene
+    times = data.time - data.time[0]
+    control = list(scene.control)
+    # forces on joint coordinates; those of passive joints are often logged as zeros
+    driven = {law.key for law in control}
+    forces = {key: each.values for key, each in data.forces.items() if key in driven or np.any(each.values)}
+    control = [law for law in control if law.key not in forces]
+    control += [
+        PD(key[0], 0.0, 0.0, 0.0, key[1], feedforward=_steps(times, values)) for key, values in forces.items()
+    ]
+    # controls of actuators: sums of forces by joint coordinate, beyond those at the start
+    added: dict[Key, Array] = {}
+    for name, each in data.inputs.items():
+        assert names is not None
+        known = names.inputs[name]
+        for key, gain in known.gains.items():
+            if key not in forces:
+                added[key] = added.get(key, 0.0) + gain * (each.values - known.start)
+    for key, values in added.items():
+        control = [_with_feedforward(data.where, law, key, times, values) for law in control]
+        if key not in {law.key for law in control}:
+            control.append(PD(key[0], 0.0, 0.0, 0.0, key[1], feedforward=_steps(times, values)))
+    joints = {law.joint for law in control}
+    mechanism = scene.mechanism
+    if any(not joint.actuated for joint in mechanism.joints if joint.name in joints):
+        actuated = [replace(j, actuated=True) if j.name in joints else j for j in mechanism.joints]
+        mechanism = Mechanism(mechanism.bodies, actuated, mechanism.couplings)
+    return replace(scene, mechanism=mechanism, control=tuple(control), initial_state=scene.initial_state)
+
+
+def _with_feedforward(where: str, law: Any, key: Key, times: Array, values: Array) -> Any:
+    """Return a control law with forces (n,) at times (n,) added if it drives a joint coordinate."""
+    if law.key != key:
+        return law
+    if not isinstance(law, DeclaredLaw):
+        raise SourceError(where, f"has inputs of {law.element}, a controller in Python; leave them out")
+    given = law.feedforward
+    steps = _steps(times, values + (0.0 if isinstance(given, TimeFunction) else given))
+    return replace(law, feedforward=Sum((given, steps)) if isinstance(given, TimeFunction) else steps)  # type: ignore[type-var]
+
+
+def _steps(times: Array, values: Array) -> Steps:
+    """Return a piecewise constant function; equal values in a row count once."""
+    kept = np.append(True, np.diff(values) != 0.0)
+    return Steps(times[kept], values[kept])

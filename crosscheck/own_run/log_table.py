@@ -1,0 +1,146 @@
+"""Read the log of another simulator as a table: named columns of numbers, one row per time.
+
+A log is a CSV file, a Parquet file, a DataFrame of pandas or polars, or a mapping from names to columns. CSV
+files need no other package; Parquet files need pyarrow, which the extra `tables` installs.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from newton_euler.errors import quoted
+from newton_euler.model.source_file import (
+    SourceError,
+    check_names,
+    csv_rows,
+    path_text,
+    read_content,
+    read_text,
+)
+from newton_euler.optional_packages import optional_package
+from newton_euler.scalars import Array
+
+PARQUET_SUFFIXES = (".parquet", ".pq")
+"""Suffixes of files that are read as Parquet; all other files are read as CSV."""
+
+MIN_ROWS = 3
+"""Smallest number of rows of a log. With fewer rows, the rates at the start cannot be estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogTable:
+    """Columns of a log.
+
+    Attributes:
+        where: file, or name of the run, for messages.
+        columns: numbers (n,) by name of the column; NaN for empty cells.
+        texts: for each column with cells that are no numbers, the first such cell with its row.
+    """
+
+    where: str
+    columns: dict[str, Array]
+    texts: dict[str, str]
+
+    def error(self, problem: str) -> SourceError:
+        """Return the error for this log."""
+        return SourceError(self.where, problem)
+
+
+def read_table(given: Any, where: str = "log") -> LogTable:
+    """Read a log.
+
+    Args:
+        given: path of a file, DataFrame, or mapping from names to columns.
+        where: name of the run for messages; the path of a file replaces it.
+
+    Raises:
+        SourceError: for a file or table that cannot be read, with the column at fault.
+        MissingPackageError: for a Parquet file without pyarrow.
+    """
+    if isinstance(given, str | os.PathLike):
+        where = path_text(given)
+        table = _read_parquet(where) if Path(where).suffix in PARQUET_SUFFIXES else _read_csv(where)
+    else:
+        table = _from_columns(where, given)
+    lengths = {len(column) for column in table.columns.values()}
+    if not lengths or min(lengths) < MIN_ROWS:
+        raise table.error(f"has {min(lengths, default=0)} rows; needed: {MIN_ROWS} or more")
+    return table
+
+
+def _read_csv(where: str) -> LogTable:
+    """Read a CSV file whose first line names the columns."""
+    rows = csv_rows(where, read_text(where, "log_size"))
+    header = rows[0][1] if rows else []
+    check_names(where, header)
+    for line, cells in rows:
+        if len(cells) != len(header):
+            raise SourceError(where, f"line {line}: has {len(cells)} cells; needed: {len(header)}")
+    columns, texts = dict[str, Array](), dict[str, str]()
+    lines = [line for line, _ in rows[1:]]
+    for k, name in enumerate(header):
+        cells_of_column = [cells[k] for _, cells in rows[1:]]
+        columns[name], bad = _numbers(cells_of_column)
+        if bad is not None:
+            texts[name] = f"line {lines[bad]}: {cells_of_column[bad]!r:.60}"
+    return LogTable(where, columns, texts)
+
+
+def _read_parquet(where: str) -> LogTable:
+    """Read a Parquet file."""
+    parquet = optional_package("pyarrow.parquet", "tables")
+    read_content(where, "log_size")  # a regular file of an allowed size
+    try:
+        table = parquet.read_table(where)
+    except (OSError, ValueError) as error:  # pyarrow's errors are subclasses of these
+        raise SourceError(where, f"cannot be read as Parquet: {' '.join(str(error).split())}") from error
+    return _from_columns(where, {name: table[name].to_pylist() for name in table.column_names})
+
+
+def _from_columns(where: str, given: Any) -> LogTable:
+    """Convert a DataFrame or a mapping to a table."""
+    names = list(given) if isinstance(given, Mapping) else list(getattr(given, "columns", ()))
+    if not names:
+        needed = "a file, a DataFrame or a mapping from names to columns"
+        raise SourceError(where, f"is {quoted(given)}; needed: {needed}")
+    check_names(where, [str(name) for name in names])
+    columns, texts = dict[str, Array](), dict[str, str]()
+    for name in names:
+        cells = np.asarray(given[name])
+        if cells.ndim != 1:
+            problem = f"column {quoted(str(name))} has shape {cells.shape}"
+            raise SourceError(where, f"{problem}; needed: one number per row, such as {name}.x, {name}.y")
+        columns[str(name)], bad = _numbers(cells)
+        if bad is not None:
+            texts[str(name)] = f"row {bad}: {quoted(str(cells[bad]))}"
+    counts = {name: len(column) for name, column in columns.items()}
+    for name, count in counts.items():
+        if count != (first := next(iter(counts.values()))):
+            raise SourceError(where, f"column {quoted(name)} has {count} rows; needed: {first}")
+    return LogTable(where, columns, texts)
+
+
+def _numbers(cells: Any) -> tuple[Array, int | None]:
+    """Convert cells to floats, NaN for empty cells; also return the row of the first cell that is text."""
+    if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiub":
+        return cells.astype(float), None
+    if isinstance(cells, np.ndarray) and cells.dtype.kind in "mM":
+        kind = "timedelta64[ns]" if cells.dtype.kind == "m" else "datetime64[ns]"
+        return cells.astype(kind).astype(np.int64) * 1e-9, None
+    numbers, bad = np.full(len(cells), np.nan), None
+    try:
+        return np.array([cell if cell not in ("", None) else np.nan for cell in cells], dtype=float), None
+    except (TypeError, ValueError):
+        pass
+    for k, cell in enumerate(cells):
+        try:
+            numbers[k] = float(cell) if cell not in ("", None) else np.nan
+        except (TypeError, ValueError):
+            bad = k if bad is None else bad
+    return numbers, bad

@@ -1,0 +1,97 @@
+"""Fit the velocities at the start of a log that has none: the reference passes through the first rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from crosscheck.engines.engine import native_method
+from crosscheck.own_run.interpolation import interpolated
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.euler_parameters import conjugate, product
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.runs.batch import simulate_batch
+from newton_euler.scalars import Array
+
+FITS = 2
+"""Number of Gauss-Newton steps. The motion of a few rows is nearly linear in the velocities of the start."""
+
+PERIODS_PER_ROW = 10
+"""Number of outputs of the reference between two rows; poses are interpolated between outputs."""
+
+CHANGE = 1e-5
+"""Change of poses, sizes or rad, by which derivatives by velocities are computed."""
+
+RANK_TOLERANCE = 1e-6
+"""Smallest singular value of free motions and of their effects, relative to the largest one, that counts."""
+
+
+def fitted_velocities(
+    scene: Scene, state: State, times: Array, position: Array, quaternion: Array, bodies: list[int]
+) -> State:
+    """Change the velocities of a state so that a run from the state fits logged poses in the least squares.
+
+    Args:
+        scene: the scene.
+        state: consistent state at time 0 with estimated velocities.
+        times: (n,) times of the first rows, s, from 0 on.
+        position, quaternion: (n, k, 3), m, and (n, k, 4), poses of k bodies at these times.
+        bodies: indices of the k bodies.
+
+    Returns:
+        The state with fitted velocities; the given state if there is no run from it.
+    """
+    size = scene.mechanism.size
+    system = Relative(scene)
+    # free motions of the mechanism in this pose, as columns
+    q, v = system.coordinates(state)
+    units = system.velocity_units
+    _, values, basis = np.linalg.svd(system.phi_jacobian(q) * units, full_matrices=True)
+    rank = int(np.sum(values > RANK_TOLERANCE * max(1.0, float(np.max(values, initial=0.0)))))
+    free = basis[rank:].T * units[:, None]
+    if not free.shape[1]:
+        return state
+    periods = PERIODS_PER_ROW * (len(times) - 1)
+    short = replace(
+        scene,
+        initial_state=state,
+        duration=float(times[-1]),
+        output_period=float(times[-1]) / periods,
+        outputs=frozenset({"velocities"}),
+    )
+    change = CHANGE / float(times[-1])
+
+    def residuals(rates: list[Array]) -> list[Array]:
+        """Return differences of runs with these velocities (nv,) from the log, sizes and rad."""
+        batch = simulate_batch(
+            short, [system.state(q, each) for each in rates], **native_method(short, False)
+        )
+        if batch.errors:
+            raise next(iter(batch.errors.values()))
+        found = []
+        for k in range(len(batch)):
+            run = interpolated(batch[k], times)
+            gap = (run.position[:, bodies] - position) / size
+            turn = np.moveaxis(
+                product(
+                    np.moveaxis(run.quaternion[:, bodies], -1, 0), np.moveaxis(conjugate(quaternion), -1, 0)
+                ),
+                0,
+                -1,
+            )
+            turn = 2.0 * turn[..., 1:] * np.where(turn[..., :1] < 0.0, -1.0, 1.0)
+            found.append(np.concatenate([gap.ravel(), turn.ravel()]))
+        return found
+
+    try:
+        for _ in range(FITS):
+            now, *changed = residuals([v, *(v + change * column for column in free.T)])
+            slopes = np.stack([(each - now) / change for each in changed], axis=1)
+            steps, *_ = np.linalg.lstsq(slopes, -now, rcond=RANK_TOLERANCE)
+            v = v + free @ steps
+        return system.state(q, v)
+    except NewtonEulerError:
+        return state

@@ -1,0 +1,68 @@
+"""Names and zeros of a model file for joints, bodies and inputs, to read runs of the file by other tools.
+
+A scene counts joint coordinates from its start, puts bodies at their centers of mass, and merges bodies that
+are fixed to each other. Logs of other simulators use the joints, body frames and actuators of the file. A
+reader of a file format records here how the two correspond.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from newton_euler.model.joint import Key
+from newton_euler.scalars import Array
+
+
+class FileCoordinate(NamedTuple):
+    """Hinge or slide of a model file.
+
+    Attributes:
+        key: joint coordinate of the scene: name of the joint, index of the coordinate.
+        start: coordinate in the file, m or rad, at which the scene's coordinate is zero.
+    """
+
+    key: Key
+    start: float
+
+
+class FileFrame(NamedTuple):
+    """Frame of a body of a model file.
+
+    Attributes:
+        body: body of the scene that carries the frame.
+        point: (3,) from the center of mass of the scene's body to the origin of the frame, m, body frame.
+        quaternion: (4,) orientation of the frame in the frame of the scene's body, (w, x, y, z).
+    """
+
+    body: str
+    point: Array
+    quaternion: Array
+
+
+class FileInput(NamedTuple):
+    """Actuator of a model file whose control becomes forces of control laws in the scene.
+
+    Attributes:
+        start: control at the start.
+        gains: force on joint coordinates of the scene per unit of the control, N or N m.
+    """
+
+    start: float
+    gains: Mapping[Key, float]
+
+
+@dataclass
+class FileNames:
+    """Correspondence of a model file and its scene, by names in the file.
+
+    Attributes:
+        coordinates: hinges and slides.
+        frames: frames of bodies.
+        inputs: actuators whose control can vary in time.
+    """
+
+    coordinates: dict[str, FileCoordinate] = field(default_factory=dict)
+    frames: dict[str, FileFrame] = field(default_factory=dict)
+    inputs: dict[str, FileInput] = field(default_factory=dict)

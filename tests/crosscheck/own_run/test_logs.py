@@ -1,0 +1,324 @@
+"""Logs of other simulators: known errors, names and units of columns, and a line for each kind of damage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import crosscheck
+from crosscheck.library import load
+from crosscheck.loading.load import load_scene
+from crosscheck.own_run.errors import Band
+from crosscheck.own_run.log import Log, judge_log
+from crosscheck.own_run.log_mistake import mistake_line
+from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.source_file import SourceError
+
+FOUR_BAR = """<mujoco><option timestep="{step}" integrator="{integrator}"/>
+  <default><equality solref="{softness} 1"/></default><worldbody>
+  <body name="crank"><joint name="motor" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .1" size=".01"/>
+    <body name="coupler" pos="0 0 .1"><joint name="elbow" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 .15" size=".01"/></body></body>
+  <body name="rocker" pos=".3 0 0"><joint name="pivot" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 .25" size=".01"/></body></worldbody>
+  <contact><exclude body1="coupler" body2="rocker"/></contact>
+  <equality><connect body1="coupler" body2="rocker" anchor=".3 0 .15"/></equality>
+  <actuator><motor name="drive" joint="motor"/></actuator></mujoco>"""
+
+OSCILLATOR = """<mujoco><option timestep="{step}" gravity="0 0 0"/><worldbody>
+  <body name="mass"><joint name="slide" type="slide" axis="1 0 0" stiffness="50"/>
+    <inertial pos="0 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody></mujoco>"""
+
+SMALL_STEP = 2e-4
+BODIES = ("crank", "coupler", "rocker")
+KICK = np.zeros(3), np.array([5.0, -5.0, 2.0])
+"""Start of the four-bar: its pose, and rates with which the coupler begins to translate."""
+
+
+def run_of(text, steps, every, control=None, start=None):
+    """A run by plain MuJoCo: model, and rows of time, qpos, qvel, xpos, xquat, xipos and ctrl."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    if start is not None:
+        data.qpos[:], data.qvel[:] = start
+    rows = []
+    for k in range(steps + 1):
+        if control is not None:
+            data.ctrl[:] = control(data.time)
+        if k % every == 0:
+            mujoco.mj_forward(model, data)
+            arrays = data.qpos, data.qvel, data.xpos, data.xquat, data.xipos, data.ctrl
+            rows.append([data.time, *(array.copy() for array in arrays)])
+        mujoco.mj_step(model, data)
+    return model, [np.array(column) for column in zip(*rows, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def four_bar(tmp_path_factory):
+    """The file, its scene and names, and logs of joints and of bodies by plain MuJoCo at small steps."""
+    path = tmp_path_factory.mktemp("logs") / "bar.xml"
+    text = FOUR_BAR.format(step=SMALL_STEP, integrator="RK4", softness=2 * SMALL_STEP)
+    path.write_text(text)
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+    model, (time, q, v, frame, turn, center, _) = run_of(text, 2500, 25, start=KICK)
+    joints, bodies = {"time": time}, {"time": time}
+    for k in range(model.njnt):
+        joints[model.joint(k).name] = q[:, k]
+        joints[f"{model.joint(k).name}_vel"] = v[:, k]
+    centers = dict(bodies)
+    for name in BODIES:
+        number = model.body(name).id
+        for where, table in ((frame, bodies), (center, centers)):
+            table |= {f"/poses/{name}/position/{c}": where[:, number, i] for i, c in enumerate("xyz")}
+            table |= {f"/poses/{name}/orientation/{c}": turn[:, number, i] for i, c in enumerate("wxyz")}
+    return path, scene, report.names, joints, bodies, centers
+
+
+def judged(four_bar, table, **options):
+    return judge_log(four_bar[1], four_bar[2], "isaac", Log(table, **options))
+
+
+@pytest.mark.parametrize("columns", [3, 4, 5])
+def test_a_run_at_small_steps_agrees(four_bar, columns):
+    found = judged(four_bar, four_bar[columns])
+    assert found.error.relative < 2e-4
+    assert found.compared == BODIES
+    assert found.mistakes == ()
+    assert found.points == {3: "", 4: "frame", 5: "center"}[columns]
+
+
+def test_the_error_of_an_oscillator_is_the_known_one(tmp_path):
+    step, speed = 0.004, 0.7
+    text = OSCILLATOR.format(step=step)
+    path = tmp_path / "mass.xml"
+    path.write_text(text)
+    _, (time, q, v, *_) = run_of(text, 250, 1, start=(0.0, speed))
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+    log = {"time": time, "slide": q[:, 0], "slide_vel": v[:, 0]}
+    found = judge_log(scene, report.names, "log", log)
+    expected = np.max(np.abs(q[:, 0] - speed / 5.0 * np.sin(5.0 * time)))
+    assert found.error.position == pytest.approx(expected, rel=0.01)
+    # the energy that the motion exchanges is that of the mass, and as much of the spring
+    energy = v[:, 0] ** 2 + 25.0 * q[:, 0] ** 2
+    assert found.has_energy
+    assert found.error.energy == pytest.approx(
+        np.max(np.abs(energy - energy[0])) / (2.0 * speed**2), rel=0.01
+    )
+
+
+def renamed(table, new):
+    return {new(name): column for name, column in table.items()}
+
+
+@pytest.mark.parametrize(
+    ("new", "options"),
+    [
+        (lambda name: name.upper(), {}),
+        (
+            lambda name: name if name == "time" else f"/arm/joint_states/{name.replace('_vel', '/velocity')}",
+            {},
+        ),
+        (lambda name: {"time": "t [s]"}.get(name, name), {}),
+        (
+            lambda name: {"motor": "q1", "time": "clock_s"}.get(name, name),
+            {"columns": {"q1": "coordinate.motor"}},
+        ),
+    ],
+)
+def test_names_of_columns(four_bar, new, options):
+    found = judged(four_bar, renamed(four_bar[3], new), **options)
+    assert found.error.relative < 2e-4
+    assert found.unused == ()
+
+
+def test_units_in_names_and_options(four_bar):
+    joints = four_bar[3]
+    degrees = {name: column if name == "time" else np.degrees(column) for name, column in joints.items()}
+    named = renamed(degrees, lambda n: n if n == "time" else f"{n} [deg{'/s' * n.endswith('vel')}]")
+    assert judged(four_bar, named).error.relative < 2e-4
+    assert judged(four_bar, degrees, angle="deg").error.relative < 2e-4
+
+
+def xyzw(table, numbered=False):
+    """Quaternions as x, y, z, w under names that say w, x, y, z, or with numbers."""
+    found = {}
+    for name, column in table.items():
+        head, slash, letter = name.rpartition("/")
+        if "orientation" not in name:
+            found[name] = column
+        elif numbered:
+            found[f"{head}/{'xyzw'.index(letter)}"] = column
+        else:
+            found[name] = table[head + slash + "xyzw"["wxyz".index(letter)]]
+    if numbered:
+        found = dict(sorted(found.items()))
+    return found
+
+
+def held(table, rows):
+    """A log that begins some rows before the run."""
+    late = {}
+    for name, column in table.items():
+        late[name] = np.concatenate([np.repeat(column[:1], rows), column])
+    step = table["time"][1]
+    return late | {"time": step * np.arange(len(table["time"]) + rows)}
+
+
+DAMAGE = {
+    "order, by name": (
+        lambda j, b: xyzw(b),
+        "orientation/w' and 11 more: order x, y, z, w",
+        "quaternion=xyzw",
+    ),
+    "order, by number": (lambda j, b: xyzw(b, True), "orientation/0' and 11 more: order x, y, z, w", "=xyzw"),
+    "degrees": (
+        lambda j, b: {n: c if n == "time" else np.degrees(c) for n, c in j.items()},
+        "'motor' and 5 more: unit deg",
+        "--log-set angle=deg",
+    ),
+    "degrees of one joint": (
+        lambda j, b: j | {"elbow": np.degrees(j["elbow"])},
+        "column 'elbow': unit deg",
+        "--log-map 'elbow=coordinate.elbow [deg]'",
+    ),
+    "millimeters": (
+        lambda j, b: {n: 1e3 * c if "position" in n else c for n, c in b.items()},
+        "position/x' and 8 more: unit mm",
+        "--log-set length=mm",
+    ),
+    "milliseconds": (lambda j, b: j | {"time": 1e3 * j["time"]}, "'time': unit ms", "--log-set time=ms"),
+    "late": (lambda j, b: held(j, 10), "'time': times 0.05 s earlier", "--log-set offset=0.05"),
+    "first row too early": (
+        lambda j, b: {n: c[:-1] if n == "time" else np.delete(c, 1) for n, c in j.items()},
+        "'time': times 0.005 s later, or without the first row",
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_log_that_is_read_wrongly_names_the_column_and_the_option(four_bar, damage):
+    change, words, option = DAMAGE[damage]
+    try:
+        found = judged(four_bar, change(four_bar[3], four_bar[4]))
+    except SourceError as error:
+        line = str(error)
+    else:
+        assert found.band is Band.WRONG
+        (line,) = map(mistake_line, found.mistakes)
+    assert words in line
+    assert option in line
+    assert "\n" not in line
+
+
+BROKEN = {
+    "component": (
+        lambda j, b: {n: c for n, c in b.items() if n != "/poses/crank/orientation/x"},
+        "crank.x is m",
+    ),
+    "time": (lambda j, b: {n: c for n, c in j.items() if n != "time"}, "no column of times"),
+    "order of rows": (
+        lambda j, b: {n: np.concatenate([c, c]) for n, c in j.items()},
+        "'time': 0 s after 0.5 s",
+    ),
+    "unknown": (lambda j, b: {"time": j["time"], "x": j["motor"]}, "no column is a joint coordinate"),
+    "empty": (lambda j, b: j | {"motor": np.nan * j["motor"]}, "'motor' has 0 numbers in 101 rows"),
+    "text": (lambda j, b: j | {"motor": np.array(["?"] * 101)}, "'motor': row 0: '?'"),
+    "twice": (lambda j, b: j | {"motor/position": j["motor"]}, "'motor' and 'motor/position' are both"),
+    "rows": (lambda j, b: {n: c[:2] for n, c in j.items()}, "has 2 rows; needed: 3 or more"),
+    "norm": (lambda j, b: b | {"/poses/crank/orientation/w": 2.0 + 0.0 * b["time"]}, "norm"),
+}
+
+
+@pytest.mark.parametrize("damage", BROKEN)
+def test_a_log_that_cannot_be_read_gets_one_line(four_bar, damage):
+    change, words = BROKEN[damage]
+    with pytest.raises(SourceError) as error:
+        judged(four_bar, change(four_bar[3], four_bar[4]))
+    assert words in str(error.value)
+    assert str(error.value).startswith("isaac: ")
+
+
+def test_bodies_that_columns_do_not_determine_are_named(four_bar):
+    found = judged(four_bar, {n: c for n, c in four_bar[3].items() if "elbow" not in n})
+    assert found.error.relative < 2e-4
+    assert found.compared == ("crank", "rocker")
+    assert found.missing == ("coupler (coordinate.elbow is missing)",)
+
+
+def test_a_log_that_does_not_determine_the_start_names_a_joint():
+    scene = replace(load("tracker"), duration=0.5)
+    run = simulate(scene)
+    with pytest.raises(SourceError, match=r"column coordinate.slide_13 is missing"):
+        judge_log(scene, None, "log", {"time": run.time, "slide_12": run.joint("slide_12").coordinates[:, 0]})
+
+
+def test_rows_at_any_times_and_from_any_time(four_bar):
+    rows = np.unique(np.random.default_rng(0).integers(0, 100, 60))
+    table = {name: column[rows] for name, column in four_bar[3].items()}
+    assert judged(four_bar, table | {"time": table["time"] + 1.7e9}).error.relative < 2e-4
+
+
+def test_inputs_of_the_log(four_bar):
+    path, scene, names, *_ = four_bar
+    model, (time, q, v, *_, control) = run_of(
+        path.read_text(), 2500, 1, lambda t: 0.2 * np.sin(20.0 * t), KICK
+    )
+    table = {"time": time, "drive.ctrl": control[:, 0]}
+    for k in range(model.njnt):
+        table |= {model.joint(k).name: q[:, k], f"{model.joint(k).name}.velocity": v[:, k]}
+    log = Log(table)
+    assert judge_log(scene, names, "log", log).error.relative < 1e-3
+    assert judge_log(scene, names, "log", Log(table, inputs="scene")).error.relative > 0.1
+    torque = renamed(table, lambda name: {"drive.ctrl": "motor.effort"}.get(name, name))
+    assert judge_log(scene, names, "log", Log(torque)).error.relative < 1e-3
+
+
+def test_a_later_start_of_inputs_over_time():
+    rod = Body("rod", 1.0, [0.5, 0.0, 0.0], np.diag([0.001, 0.1, 0.1]))
+    hinge = Revolute("hinge", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0], actuated=True)
+    drive = PD("hinge", 0.0, 0.5, 0.0, feedforward=Sum((Sine(3.0, 4.0), Polynomial((0.1, 0.2)))))
+    scene = Scene("swing", Mechanism([Body.ground(), rod], [hinge]), 2.0, 0.01, (0.0, 0.0, -9.81), [drive])
+    run = simulate(scene)
+    motion = run.joint("hinge")
+    table = {"time": run.time, "hinge": motion.coordinates[:, 0], "hinge.rate": motion.rates[:, 0]}
+    later = {name: column[50:] for name, column in table.items()}
+    assert judge_log(scene, None, "log", later).error.relative < 1e-6
+    shifted = later | {"time": later["time"] + 0.3}
+    assert judge_log(scene, None, "log", shifted).band is Band.WRONG
+    assert judge_log(scene, None, "log", Log(shifted, offset=0.3)).error.relative < 1e-6
+
+
+def test_files_and_functions(tmp_path, four_bar):
+    pandas = pytest.importorskip("pandas")
+    path, scene, names, joints, *_ = four_bar
+    pandas.DataFrame(joints).to_csv(tmp_path / "log.csv", index=False)
+    pandas.DataFrame(joints).to_parquet(tmp_path / "log.parquet")
+    expected = judged(four_bar, joints).error.relative
+    for name in ("log.csv", "log.parquet"):
+        found = judge_log(scene, names, "log", tmp_path / name)
+        assert found.error.relative == pytest.approx(expected, rel=1e-3)
+        assert found.engine == str(tmp_path / name)
+
+    def step(state, times):
+        run = simulate(replace(scene, initial_state=state, duration=times[-1], output_period=times[1]))
+        return [run.state(k) for k in range(len(times))]
+
+    verdict = crosscheck.check(
+        str(path), ["newton_euler"], runs={"own": step, "isaac": pandas.DataFrame(joints)}
+    )
+    assert verdict.logs["own"].error.relative < 1e-9
+    assert verdict.logs["isaac"].error.relative == pytest.approx(expected, rel=1e-3)
+    assert "isaac  ACCURATE TO" in str(verdict)
+    assert verdict.crosscheck.summary()["logs"]["isaac"]["rows"] == 101
+
+
+def test_unknown_statements_name_the_choices():
+    with pytest.raises(NewtonEulerError, match="did you mean 'quaternion'"):
+        Log({}, quatrnion="xyzw")
+    with pytest.raises(NewtonEulerError, match="wxyz"):
+        Log({}, quaternion="zyxw")
