@@ -150,7 +150,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         if settings.damping != EXPLICIT_DAMPING:
             words.append(f"{settings.damping} damping")
         if self._are_assumed:
-            words.append("as in Pinocchio's examples, yours by --set own_run=FILE")
+            words.append("assumed from Pinocchio's examples; give yours by --set own_run=FILE")
         return ", ".join(words)
 
     def changes(self, settings: PinocchioSettings) -> dict[str, str]:
