@@ -9,6 +9,7 @@ error by a large factor is reported with the option that selects it.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.engines.engine import native_method
-from crosscheck.own_run.errors import ACCURATE_BELOW, MotionScale, RunError, run_error
+from crosscheck.own_run.errors import USABLE_BELOW, MotionScale, RunError, run_error
 from crosscheck.own_run.horizon import comparable_until
 from crosscheck.own_run.interpolation import at_outputs, interpolated, of_bodies, without_energies
 from crosscheck.own_run.judge import Judgement
@@ -67,6 +68,9 @@ EQUAL_SPACING = 1e-6
 MISTAKE_FACTOR = 10.0
 """Factor by which another reading of a log must reduce the error to be reported. Right readings of logs with
 a wrong order, unit or time reduce the error a hundred times and more."""
+
+MAX_SEARCH_S = 20.0
+"""Processor time, s, after which no further reading of a log is tried."""
 
 MAX_MISTAKES = 3
 """Largest number of wrong readings of one log that are searched."""
@@ -450,10 +454,13 @@ class _Reading:
             compared: comparison in this reading; None if the log fits no state.
         """
         found: list[Mistake] = []
-        while len(found) < MAX_MISTAKES and (compared is None or compared.error.relative > ACCURATE_BELOW):
+        end = time.process_time() + MAX_SEARCH_S
+        while len(found) < MAX_MISTAKES and (compared is None or compared.error.relative > USABLE_BELOW):
             before = None if compared is None else compared.error
             best: tuple[_Compared, LogOptions, tuple[str, ...], str, str] | None = None
             for other, columns, what, option in self._other_readings(options, data):
+                if time.process_time() > end:
+                    break
                 try:
                     tried = self.compared(other)
                 except NewtonEulerError:
@@ -468,7 +475,7 @@ class _Reading:
             compared, options, columns, what, option = best
             data = read_columns(self._table, self._elements, options)
             found.append(Mistake(columns, what, option, before, compared.error))
-        if compared is not None and compared.error.relative > ACCURATE_BELOW:
+        if compared is not None and compared.error.relative > USABLE_BELOW:
             found.extend(self._delay(compared))
         return tuple(found)
 
