@@ -143,7 +143,10 @@ def headline(judgement: Judgement) -> str:
     if judgement.stopped_as_it_stands:
         return "DIVERGED with what acts in the file and not in the reference"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
-    return f"{word} {size(error, error.is_of_position)}, {percent(error.relative)} of the motion"
+    # both errors unless one of them is a small part of the relative error
+    parts = [by_position for by_position in (True, False) if error.part(by_position) >= 0.1 * error.relative]
+    sizes = " and ".join(size(error, by_position) for by_position in parts)
+    return f"{word} {sizes}, {percent(error.relative)} of the motion"
 
 
 def size(error: RunError, by_position: bool) -> str:
