@@ -39,8 +39,14 @@ RIGID_SOLIMP = (0.9999, 0.9999, 0.001)
 CONVERGED_ITERATIONS, CONVERGED_TOLERANCE = 1000, 1e-14
 """Settings of a constraint solver that runs until round-off ends its progress."""
 
+DEFAULT_SOLVER: dict[str, Any] = {"solver": "Newton", "iterations": 100, "tolerance": 1e-8}
+"""MuJoCo's default settings of the constraint solver; Newton's method converges in a few iterations."""
+
 FINE_STEP_DIVISOR = 10
 """Factor on the step of a run that shows the error of the step: order 1 leaves a tenth of it."""
+
+MAX_LISTED = 5
+"""Largest number of equalities that a text names."""
 
 STAGES = {"RK4": 4}
 """Evaluations of forces per step, if more than one."""
@@ -157,7 +163,7 @@ class Inputs:
 
 def _numbers(values: tuple[float, ...] | None) -> str:
     """Write numbers as in MJCF; "" for None."""
-    return "" if values is None else " ".join(f"{x:g}" for x in values)
+    return "" if values is None else " ".join(f"{x:.10g}" for x in values)
 
 
 def _attributes(values: Mapping[str, str]) -> str:
@@ -166,7 +172,14 @@ def _attributes(values: Mapping[str, str]) -> str:
 
 
 class MujocoFile(FileSimulation[MujocoSettings]):
-    """MJCF file with its own settings, at the start of an imported scene."""
+    """MJCF file with its own settings, at the start of an imported scene.
+
+    Attributes:
+        own_softness: equalities of the file that do not have the softness of `<default>`, such as
+            "connect 'loop'".
+    """
+
+    own_softness: Sequence[str] = ()
 
     engine = f"MuJoCo {mujoco.__version__}"
 
@@ -216,23 +229,33 @@ class MujocoFile(FileSimulation[MujocoSettings]):
     def changes(self, settings: MujocoSettings) -> dict[str, str]:
         """Map the attributes of MJCF that differ from the file to their values."""
         given = {
-            "timestep": f"{settings.timestep:g}",
+            "timestep": f"{settings.timestep:.10g}",
             "integrator": settings.integrator,
+            "solver": settings.solver,
+            "iterations": f"{settings.iterations}",
+            "tolerance": f"{settings.tolerance:g}",
             "solref": _numbers(settings.solref),
             "solimp": _numbers(settings.solimp),
         }
-        own = self.settings
-        same = {name for name in ("timestep", "integrator") if getattr(settings, name) == getattr(own, name)}
-        return {name: value for name, value in given.items() if value and name not in same}
+        own = vars(self.settings)
+        return {name: value for name, value in given.items() if value and vars(settings)[name] != own[name]}
 
     def fragment(self, settings: MujocoSettings) -> str:
         changes = self.changes(settings)
-        option: dict[str, str] = {
-            name: changes[name] for name in ("timestep", "integrator") if name in changes
-        }
-        softness: dict[str, str] = {name: changes[name] for name in ("solref", "solimp") if name in changes}
-        lines = [f"<option {_attributes(option)}/>"] if option else []
-        lines += [f"<default><equality {_attributes(softness)}/></default>"] if softness else []
+        softness: dict[str, str] = {}
+        for name in ("solref", "solimp"):
+            if name in changes:
+                softness[name] = changes.pop(name)
+        lines = [f"<option {_attributes(changes)}/>"] if changes else []
+        if softness:
+            lines.append(f"<default><equality {_attributes(softness)}/></default>")
+            if self.own_softness:
+                elements = ", ".join(self.own_softness[:MAX_LISTED])
+                more = len(self.own_softness) - MAX_LISTED
+                lines.append(
+                    f"<!-- {_attributes(softness)} also in equalities with solref, solimp or class of their "
+                    f"own: {elements}{f' and {more} more' if more > 0 else ''} -->"
+                )
         return "\n".join(lines)
 
     def causes(self) -> Iterator[Cause[MujocoSettings]]:
@@ -261,10 +284,15 @@ class MujocoFile(FileSimulation[MujocoSettings]):
     def alternatives(self, divisor: int) -> Iterator[MujocoSettings]:
         own = self.settings
         step = own.timestep / divisor
-        for integrator in dict.fromkeys([own.integrator, *INTEGRATORS]):
-            yield from self.softness(replace(own, timestep=step, integrator=integrator))
+        solvers: list[dict[str, Any]] = [{}]
+        is_weak = own.iterations < DEFAULT_SOLVER["iterations"] or own.tolerance > DEFAULT_SOLVER["tolerance"]
+        if self._model.neq and (is_weak or own.solver != DEFAULT_SOLVER["solver"]):
+            solvers.append(DEFAULT_SOLVER)
+        for solver in solvers:
+            for integrator in dict.fromkeys([own.integrator, *INTEGRATORS]):
+                yield from self.softness(replace(own, timestep=step, integrator=integrator, **solver))
 
-    def at_divisor(self, settings: MujocoSettings, divisor: int) -> MujocoSettings:
+    def at_divisor(self, settings: MujocoSettings, divisor: float) -> MujocoSettings:
         step = self.settings.timestep / divisor
         solref = None if settings.solref is None else (2.0 * step, 1.0)
         return replace(settings, timestep=step, solref=solref)

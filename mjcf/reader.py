@@ -34,6 +34,7 @@ from mjcf.reading.laws import Drive, choose_excitation
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.plausibility import key_findings, mesh_findings
+from mjcf.reading.softness import equalities_with_own_softness
 from mjcf.reading.source import UNNAMED, SourceError, check_memory, compile_file, copy_model, model_name
 from mjcf.reading.start import ModelAtStart
 from mjcf.reference import MjcfReference
@@ -134,7 +135,10 @@ def read(
                 reading, inputs = _excite(source_name, copy.copy(compiled_model), key, request, reading)
             # the file in MuJoCo as it stands, likely mistakes, and verification
             report = reading.report
-            report.simulation = MujocoFile(compiled_model, reference[0], reading.scene, report, inputs)
+            simulation = MujocoFile(compiled_model, reference[0], reading.scene, report, inputs)
+            if compiled_model.neq and isinstance(model, str | os.PathLike):
+                simulation.own_softness = equalities_with_own_softness(source_name)
+            report.simulation = simulation
             report.references.extend(references)
             report.findings.extend(plausibility.findings(reading.scene.mechanism))
             report.findings.extend(plausibility.grouped(file_findings))

@@ -218,7 +218,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             return [EXPLICIT_DAMPING]
         return list(dict.fromkeys([self.settings.damping, IMPLICIT_DAMPING]))
 
-    def at_divisor(self, settings: PinocchioSettings, divisor: int) -> PinocchioSettings:
+    def at_divisor(self, settings: PinocchioSettings, divisor: float) -> PinocchioSettings:
         """Return settings of the same kind with the user's time step divided by `divisor`."""
         return self._scaled(settings, self.settings.timestep / divisor)
 

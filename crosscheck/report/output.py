@@ -37,6 +37,7 @@ RECORDS = {
     "workspace": ("workspace.json",),
     "fault search": ("faults.json",),
     "fit": ("identify.json",),
+    "tuning": ("tune.json",),
 }
 """Files in a result folder that have the name of the model, by the kind of the results."""
 

@@ -42,6 +42,7 @@ RESULTS = (
     "sweep.json",
     "loads.json",
     "identify.json",
+    "tune.json",
 )
 """Names of result files that contain a report."""
 

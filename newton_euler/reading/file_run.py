@@ -133,7 +133,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
         """
 
     @abstractmethod
-    def at_divisor(self, settings: SettingsT, divisor: int) -> SettingsT:
+    def at_divisor(self, settings: SettingsT, divisor: float) -> SettingsT:
         """Return the same settings with the file's time step divided by `divisor`."""
 
     def small_motions(self, run: FileRun, outputs: Sequence[int]) -> SmallMotions[SettingsT] | None:

@@ -1,0 +1,66 @@
+"""`crosscheck tune`: the cheapest settings with which the engine of a model file reaches an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import (
+    AGREE,
+    INACCURATE,
+    cli,
+    folder_option,
+    next_step,
+    progress_shown,
+    result_paths,
+    scene_options,
+    setting_options,
+    show,
+    verbose_option,
+    warn_about_import,
+)
+from crosscheck.report.render import as_json
+from crosscheck.support.errors import CrosscheckError
+
+
+@cli.command("tune")
+@click.argument("file")
+@setting_options
+@click.option(
+    "--error",
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    default=1e-3,
+    show_default=True,
+    help="Error to reach, as a part of the motion.",
+)
+@folder_option("output/tune/FILE")
+@verbose_option
+def tune_command(file: str, settings: tuple[str, ...], error: float, output: Path | None) -> int:
+    """Find the cheapest time step, integrator and constraint softness for an error.
+
+    FILE is an MJCF or a URDF file. For MJCF, settings are MuJoCo's timestep, integrator, solref, solimp and
+    solver. For URDF, they are time step, integrator and Baumgarte gains of a loop with Pinocchio.
+
+    The error is that of `crosscheck run`: the largest error of a position or an orientation, as a part of
+    the motion. The exit status is 5 if no settings reach the error.
+    """
+    from crosscheck.loading.load import load_scene, with_excitation
+    from crosscheck.own_run.tune import tune
+    from crosscheck.report.tuning import report
+    from crosscheck.support.files import write_files
+    from crosscheck.support.time_limits import limited
+
+    options = with_excitation(file, scene_options(settings))
+    scene, mapping = load_scene(file, options)
+    if mapping is None or mapping.simulation is None:
+        raise CrosscheckError(f"{file} has no settings of an engine; needed: an MJCF or a URDF file")
+    warn_about_import(file, mapping, scene)
+    [path] = result_paths(output, "output/tune", "tuning", ["tune.json"], [file])
+    advice = "a larger --error or a shorter --set duration may end"
+    with progress_shown() as progress, limited("tuning", advice, progress):
+        tuning = tune(mapping.simulation, error, progress)
+    found = report(scene.name, tuning)
+    write_files({path: as_json({"source": file, "options": options, **tuning.summary()}, found)})
+    show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")
+    return AGREE if tuning.found else INACCURATE

@@ -1,0 +1,237 @@
+"""Find the cheapest settings with which a model file reaches a given error, on the motion of its scene.
+
+In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`) and a relative error, of the
+measure of `crosscheck.own_run.errors`. Out: a `Tuning` with settings, errors and costs, all of runs. The cost
+of settings is their number of evaluations of the equations of motion, so that results repeat exactly.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from crosscheck.own_run.errors import RunError
+from crosscheck.own_run.judge import _Comparison
+from newton_euler.reading.file_run import Event, FileSimulation
+
+MAX_ORDER = 6.0
+"""Largest order of convergence that the search allows for: the 4 of RK4, and a margin for steps that are too
+long for errors to follow their order."""
+
+MIN_SATURATED = 0.1
+"""Smallest relative error of a run that is too far from the reference for an order of convergence."""
+
+MAX_COST = 1000.0
+"""Largest number of evaluations of a run, as a multiple of those of the file's settings."""
+
+MAX_LONG_RUN = 10.0
+"""Largest number of evaluations of a run, as a multiple of `FileSimulation.max_evaluations`."""
+
+MAX_STEPS_BETWEEN_OUTPUTS = 100_000
+"""Largest number of time steps between two outputs."""
+
+MIN_RATIO = 2.0
+"""Smallest ratio of the errors of listed settings."""
+
+TIMINGS = 3
+"""Number of runs of which the shortest run time is reported."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Settings and the run with them.
+
+    Attributes:
+        changes: settings that differ from those of the file, by name.
+        fragment: text that gives the file these settings.
+        error: error of the run.
+        stopped: reason why the run ended early; "" for a complete run.
+        evaluations: evaluations of the equations of motion per second of motion.
+        run_time: measured run time, as a multiple of that with the settings of the file; None if the run
+            was not timed.
+    """
+
+    changes: Mapping[str, str]
+    fragment: str
+    error: RunError
+    stopped: str
+    evaluations: float
+    run_time: float | None = None
+
+    def reaches(self, target: float) -> bool:
+        """Return True if the run is complete and its relative error is at most `target`."""
+        return not self.stopped and self.error.relative <= target
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Result of a search for settings.
+
+    Attributes:
+        engine: name and version of the file's engine.
+        settings: settings of the file in words.
+        target: relative error to reach.
+        own: the run with the settings of the file.
+        found: the cheapest settings that reach the target; None if no tried settings do.
+        tradeoff: settings with a smaller error than all cheaper ones, the cheapest first; errors differ by
+            `MIN_RATIO` or more. The last ones are `found`, or have the smallest error of all.
+        runs: number of runs that were made.
+        events: elements of the file that act and that the reference does not have, in the order of time. If
+            they act with the settings of the file, all runs are without them.
+        until: time, s, at which the comparison ends because the motion is chaotic or unstable; None if the
+            comparison ends with the run.
+    """
+
+    engine: str
+    settings: str
+    target: float
+    own: Tried
+    found: Tried | None
+    tradeoff: tuple[Tried, ...]
+    runs: int
+    events: tuple[Event, ...]
+    until: float | None
+
+    def summary(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        return asdict(self)
+
+
+@dataclass(order=True)
+class _Candidate:
+    """Settings that wait for their run, in the order of their costs.
+
+    Attributes:
+        evaluations: evaluations per second of motion.
+        kind: number of the kind of settings: integrator, softness or gains, and solver.
+        steps: number of time steps between two outputs.
+        settings: the settings.
+    """
+
+    evaluations: float
+    kind: int
+    steps: int
+    settings: Any = field(compare=False)
+
+
+def tune(
+    simulation: FileSimulation[Any], target: float, progress: Callable[[str], None] = lambda _: None
+) -> Tuning:
+    """Find the cheapest settings whose run has at most a given error.
+
+    The search tries settings in the order of their costs, and ends at the first ones that reach the target.
+    Time steps of each kind of settings divide the time between two outputs by products of twos and fives. A
+    step is not tried if the error at a longer step excludes that it reaches the target, with convergence of
+    order `MAX_ORDER`.
+
+    Args:
+        simulation: the file in its own engine.
+        target: relative error to reach.
+        progress: shows a message to the user before each run.
+
+    Raises:
+        NewtonEulerError: if the scene has no reference solution.
+    """
+    progress("simulating the reference")
+    compared = _Comparison.of(simulation)
+    # without what the reference does not have, if any of that acts
+    events = compared.run(simulation.settings, reduced=False).events
+    reduced = bool(events)
+    runs = 0
+
+    def tried(settings: Any) -> Tried:
+        nonlocal runs
+        runs += 1
+        evaluations = simulation.evaluations(settings)
+        progress(f"run {runs}: {evaluations:.0f} evaluations per second of motion")
+        run = compared.run(settings, reduced)
+        changes, fragment = simulation.changes(settings), simulation.fragment(settings)
+        return Tried(changes, fragment, compared.error(run), run.stopped, evaluations)
+
+    own = tried(simulation.settings)
+    numbers = list(_numbers_of_steps(compared.every))
+    kinds = list(simulation.alternatives(1))
+
+    def candidate(kind: int, least: float) -> _Candidate | None:
+        """Return settings of a kind with `least` or more steps between outputs; None if there are none."""
+        number = next((number for number in numbers if number >= least), None)
+        if number is None:
+            return None
+        settings = simulation.at_divisor(kinds[kind], number / compared.every)
+        return _Candidate(simulation.evaluations(settings), kind, number, settings)
+
+    # each kind of settings has one candidate at a time: its longest step that can still reach the target
+    waiting = [first for kind in range(len(kinds)) if (first := candidate(kind, 1)) is not None]
+    heapq.heapify(waiting)
+    most = _largest_cost(compared)
+    tradeoff: list[tuple[Any, Tried]] = []
+    found: Tried | None = None
+    while waiting and waiting[0].evaluations <= most and found is None:
+        each = heapq.heappop(waiting)
+        result = tried(each.settings)
+        if not result.stopped and all(result.error.relative < one.error.relative for _, one in tradeoff):
+            tradeoff.append((each.settings, result))
+        if result.reaches(target):
+            found = result
+        is_far = result.stopped or result.error.relative >= MIN_SATURATED
+        refined = 1.0 if is_far else (result.error.relative / target) ** (1.0 / MAX_ORDER)
+        if (finer := candidate(each.kind, max(each.steps + 1, refined * each.steps))) is not None:
+            heapq.heappush(waiting, finer)
+    if found is not None and not reduced:
+        events = compared.run(tradeoff[-1][0], reduced=False).events
+
+    # measured run times, of the listed settings only
+    def wall_time(settings: Any) -> float:
+        return min(compared.run(settings, reduced).trajectory.wall_time for _ in range(TIMINGS))
+
+    progress("measuring run times")
+    own_time = wall_time(simulation.settings)
+    listed = tuple(
+        replace(one, run_time=wall_time(settings) / own_time) for settings, one in _thinned(tradeoff)
+    )
+    return Tuning(
+        simulation.engine,
+        simulation.words(),
+        target,
+        replace(own, run_time=1.0),
+        listed[-1] if found is not None else None,
+        listed,
+        runs,
+        events,
+        compared.until,
+    )
+
+
+def _largest_cost(compared: _Comparison) -> float:
+    """Return the largest number of evaluations per second of motion that the search tries."""
+    simulation = compared.simulation
+    affordable = MAX_LONG_RUN * simulation.max_evaluations / compared.scene.duration
+    return min(MAX_COST * simulation.evaluations(simulation.settings), affordable)
+
+
+def _thinned(tradeoff: list[tuple[Any, Tried]]) -> list[tuple[Any, Tried]]:
+    """Select settings whose errors differ by `MIN_RATIO` or more; the most accurate ones are kept.
+
+    Args:
+        tradeoff: settings and their runs, the largest error first.
+    """
+    kept: list[tuple[Any, Tried]] = []
+    for settings, one in reversed(tradeoff):
+        if not kept or one.error.relative >= MIN_RATIO * kept[-1][1].error.relative:
+            kept.append((settings, one))
+    return kept[::-1]
+
+
+def _numbers_of_steps(own: int) -> list[int]:
+    """List numbers of time steps between two outputs: products of twos and fives, and those of the file.
+
+    The steps are then short decimal numbers, if the file's own step is one.
+
+    Args:
+        own: number of the file's own steps between two outputs.
+    """
+    numbers = {own * 2**k for k in range(20)}
+    numbers |= {2**k * 5**m for k in range(20) for m in range(10)}
+    return sorted(number for number in numbers if number <= MAX_STEPS_BETWEEN_OUTPUTS)

@@ -1,0 +1,90 @@
+"""Report of `crosscheck tune`: found settings, their error and cost, and the text to paste into the file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from crosscheck.compare.outcome import Verdict
+from crosscheck.own_run.tune import Tried, Tuning
+from crosscheck.report.own_run import percent, size
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
+
+
+def report(name: str, tuning: Tuning) -> Report:
+    """Make the report of a search for settings.
+
+    Args:
+        name: name of the model.
+        tuning: result of the search.
+    """
+    found = tuning.found
+    parts: list[Part] = [_table(tuning), Lines("", list(_notes(tuning)))]
+    if found is not None and found.changes:
+        parts.append(Lines("paste into the model", found.fragment.splitlines()))
+    title = f"{name}: settings of {tuning.engine} for an error of {percent(tuning.target)} of the motion"
+    return Report(title, _verdict(tuning), Cell("", "holds" if found else "fails"), parts, summary=parts)
+
+
+def _verdict(tuning: Tuning) -> str:
+    """Word the found settings, or the smallest error without any."""
+    found = tuning.found
+    if found is None:
+        least = min(tuning.tradeoff, key=lambda one: one.error.relative, default=None)
+        reached = "every run diverged" if least is None else f"the smallest error is {_error(least)}"
+        return f"NOT REACHED: {reached}, of {tuning.runs} runs"
+    return f"REACHED: {_words(found)}: {_error(found)}, {_cost(found, tuning.own)}"
+
+
+def _words(one: Tried) -> str:
+    """Word settings by their differences from those of the file."""
+    return " ".join(f'{name}="{value}"' for name, value in one.changes.items()) or "the settings of the file"
+
+
+def _error(one: Tried) -> str:
+    """Word the error of a run, as a length or an angle and as a part of the motion."""
+    if one.stopped:
+        return "diverged"
+    return f"{size(one.error, one.error.is_of_position)}, {percent(one.error.relative)} of the motion"
+
+
+def _cost(one: Tried, own: Tried) -> str:
+    """Word the cost of settings relative to those of the file."""
+    ratio = one.evaluations / own.evaluations
+    if ratio == 1.0:
+        return "as many evaluations as with your settings"
+    return f"{ratio:.3g} times the evaluations of your settings"
+
+
+def _table(tuning: Tuning) -> Table:
+    """Make the table of the file's settings, and of settings with smaller errors than all cheaper ones."""
+
+    def row(words: str, one: Tried) -> list[str | Cell]:
+        verdict: Verdict = "holds" if one.reaches(tuning.target) else ""
+        error = "diverged" if one.stopped else percent(one.error.relative).removesuffix(" %")
+        time = "" if one.run_time is None else f"{one.run_time:.2g}"
+        return [words, Cell(error, verdict), f"{one.evaluations / tuning.own.evaluations:.3g}", time]
+
+    columns = [Column("settings"), *number_columns("error, %", "evaluations", "run time")]
+    rows: Rows = [row(f"yours: {tuning.settings}", tuning.own)]
+    rows += [row(_words(one), one) for one in tuning.tradeoff]
+    return Table("settings with smaller errors at higher costs; costs are relative to yours", columns, rows)
+
+
+def _notes(tuning: Tuning) -> Iterator[str]:
+    """Yield how the settings were found, and the limits of the result."""
+    yield (
+        f"{tuning.runs} runs, the cheapest settings first, by evaluations of the equations of motion; errors "
+        "are parts of the motion"
+    )
+    if tuning.events:
+        first = tuning.events[0]
+        others = f" and {len(tuning.events) - 1} more" if tuning.events[1:] else ""
+        yield (
+            f"note: the error is without {first.element}{others}: it acts from {first.time:.3g} s on and the "
+            "reference does not simulate it"
+        )
+    if tuning.until is not None:
+        yield (
+            f"note: compared until {tuning.until:.3g} s: from then on the motion multiplies any error by "
+            "more than 1000, and no run with other steps can match"
+        )

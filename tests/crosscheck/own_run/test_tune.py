@@ -1,0 +1,215 @@
+"""`crosscheck tune`: the found settings reach the error in plain MuJoCo, and no others are much cheaper."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from command_line import run, verdict_of
+
+import newton_euler
+from crosscheck.compare.outcome import ExitStatus
+from crosscheck.loading.load import load_scene
+from crosscheck.own_run import tune as tuning
+from crosscheck.own_run.judge import judge
+from crosscheck.own_run.tune import tune
+from mjcf.reading.softness import equalities_with_own_softness
+from newton_euler.model.euler_parameters import angle_between
+
+TARGET = 1e-3
+OPTIONS = {"duration": "0.5", "output_period": "0.01"}
+
+FOUR_BAR = """<mujoco model="loop"><option timestep="0.0025"/>
+  <worldbody>
+  <body name="crank"><joint name="a" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01" mass="0.3" contype="0"/>
+    <body name="coupler" pos="0.1 0 0"><joint name="b" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0.25 0 0.1" size="0.01" mass="0.5" contype="0"/></body></body>
+  <body name="rocker" pos="0.35 0 -0.1"><joint name="c" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.01" mass="0.4" contype="0"/></body></worldbody>
+  <equality><connect name="tip" body1="coupler" body2="rocker" anchor="0.25 0 0.1"/></equality></mujoco>"""
+
+OWN_SOFTNESS = FOUR_BAR.replace("<connect ", '<connect solref="0.05 1" ')
+
+CLASS_SOFTNESS = FOUR_BAR.replace(
+    "<worldbody>", '<default><default class="soft"><equality solref="0.05 1"/></default></default><worldbody>'
+).replace("<connect ", '<connect class="soft" ')
+
+WEAK_SOLVER = FOUR_BAR.replace("<option ", '<option solver="PGS" iterations="1" ')
+
+GYROSCOPE = """<mujoco model="top"><option timestep="0.0025" gravity="0 0 0"/><worldbody>
+  <body name="hull"><freejoint/><inertial pos="0 0 0" mass="0.12" diaginertia="18e-5 1.65e-5 18e-5"/></body>
+  </worldbody><keyframe><key name="go" qvel="0 0 0 3 60 2"/></keyframe></mujoco>"""
+
+SERVO = """<mujoco model="arm"><option timestep="0.0025"/><worldbody>
+  <body name="arm" euler="0 40 0"><joint name="a" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.01" mass="0.4" contype="0"/></body></worldbody>
+  <actuator><position name="servo" joint="a" kp="20" kv="5"/></actuator></mujoco>"""
+
+MODELS = {
+    "softness of the defaults": FOUR_BAR,
+    "softness of an element": OWN_SOFTNESS,
+    "softness of a class": CLASS_SOFTNESS,
+    "one iteration": WEAK_SOLVER,
+    "gyroscope": GYROSCOPE,
+    "servo": SERVO,
+}
+
+
+@pytest.fixture(params=MODELS)
+def path(request, tmp_path):
+    found = tmp_path / "model.xml"
+    found.write_text(MODELS[request.param])
+    return found
+
+
+def loaded(path, **options):
+    scene, report = load_scene(str(path), OPTIONS | options)
+    assert report is not None
+    assert report.simulation is not None
+    return scene, report.simulation
+
+
+def pasted(text, fragment):
+    """The file with the fragment at its end, and with the attributes of the comment in its equality."""
+    lines, _, comment = fragment.partition("<!--")
+    if comment:
+        attributes = re.match(r' (solref="[^"]*")?( solimp="[^"]*")?', comment)
+        text = re.sub(r' (?:solref="[^"]*"|class="soft")(?=[^>]*body1)', "", text)
+        text = text.replace("<connect ", f"<connect {attributes[0]} ")
+    return text.replace("</mujoco>", f"{lines}</mujoco>")
+
+
+def plain_error(text, scene):
+    """Run a file by plain MuJoCo, and compare it with newton_euler: the relative error at the outputs."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    every = round(scene.output_period / model.opt.timestep)
+    exact = newton_euler.simulate(scene, rtol=1e-11, atol=1e-12)
+    bodies = [model.body(name).id for name in exact.body_names[1:]]
+    lengths, angles = [0.0], [0.0]
+    for position, quaternion in zip(exact.position[1:, 1:], exact.quaternion[1:, 1:], strict=True):
+        mujoco.mj_step(model, data, every)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        lengths.append(np.max(np.linalg.norm(data.xipos[bodies] - position, axis=1)))
+        angles.append(np.max(angle_between(data.xquat[bodies], quaternion)))
+    moved = np.max(np.linalg.norm(exact.position - exact.position[0], axis=2))
+    start = np.broadcast_to(exact.quaternion[0], exact.quaternion.shape)
+    turned = min(np.max(angle_between(exact.quaternion, start)), 1.0)
+    return max(np.max(lengths) / max(moved, 1e-3 * scene.mechanism.size), np.max(angles) / turned)
+
+
+def test_found_settings_reach_the_error_when_pasted(path):
+    scene, simulation = loaded(path)
+    found = tune(simulation, TARGET)
+    assert found.own.error.relative > TARGET
+    assert found.found is not None
+    text = path.read_text()
+    assert plain_error(text, scene) == pytest.approx(found.own.error.relative, rel=0.01)
+    error = plain_error(pasted(text, found.found.fragment), scene)
+    assert error <= TARGET
+    assert error == pytest.approx(found.found.error.relative, rel=0.01)
+    # errors fall and costs rise down the table
+    errors = [one.error.relative for one in found.tradeoff]
+    costs = [one.evaluations for one in found.tradeoff]
+    assert errors == sorted(errors, reverse=True)
+    assert costs == sorted(costs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", [1e-2, 1e-3, 1e-4])
+def test_no_settings_of_a_grid_cost_less_than_half(path, target):
+    scene, simulation = loaded(path)
+    found = tune(simulation, target)
+    assert found.found is not None
+    outputs = round(scene.duration / scene.output_period)
+    for steps in range(1, 400):
+        step = scene.output_period / steps
+        for settings in grid(simulation.settings, step):
+            if 2.0 * simulation.evaluations(settings) >= found.found.evaluations:
+                continue
+            tried = simulation.run(settings, steps * outputs, steps, reduced=True)
+            assert tried.stopped or relative_error(tried.trajectory, scene) > target, settings
+
+
+def grid(own, step):
+    """Yield integrators, softness and solvers at a time step."""
+    default = {"solver": "Newton", "iterations": 100, "tolerance": 1e-8}
+    for integrator in ("Euler", "implicit", "implicitfast", "RK4"):
+        for solver in ({}, default):
+            for constant in (None, 2.0 * step, 3.0 * step, 6.0 * step):
+                for solimp in (None, (0.99, 0.99, 0.001), (0.9999, 0.9999, 0.001)):
+                    solref = None if constant is None else (constant, 1.0)
+                    changes = {"solref": solref, "solimp": solimp, **solver}
+                    yield replace(own, timestep=step, integrator=integrator, **changes)
+
+
+def relative_error(run, scene):
+    """Compare a run with newton_euler at its outputs."""
+    from crosscheck.own_run.errors import MotionScale, run_error
+
+    exact = newton_euler.simulate(scene, rtol=1e-11, atol=1e-12)
+    return run_error(run, exact, MotionScale.of(exact, scene.mechanism.size)).relative
+
+
+def test_the_settings_of_a_urdf_are_found_and_can_be_given(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        '<robot name="arm"><link name="ground"/><link name="body"><inertial><origin xyz="0.3 0 0"/>'
+        '<mass value="2"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="joint" type="continuous"><parent link="ground"/><child link="body"/><axis xyz="0 1 0"/>'
+        "</joint></robot>"
+    )
+    _, simulation = loaded(path)
+    found = tune(simulation, 1e-6).found
+    assert found is not None
+    (tmp_path / "own.yaml").write_text(found.fragment)
+    _, again = loaded(path, own_run=str(tmp_path / "own.yaml"))
+    assert again.evaluations(again.settings) == found.evaluations
+    assert judge(again).error.relative == pytest.approx(found.error.relative, rel=0.5)  # at other times
+
+
+def test_command(capsys, tmp_path):
+    path, out = tmp_path / "model.xml", tmp_path / "out"
+    path.write_text(GYROSCOPE)
+    limits = [word for key, value in OPTIONS.items() for word in ("--set", f"{key}={value}")]
+    status, text, _ = run(capsys, "tune", path, *limits, "--output", out)
+    assert status == 0
+    assert verdict_of(text).startswith('REACHED: timestep="')
+    assert '<option timestep="' in text
+    result = json.loads((out / "tune.json").read_text())
+    assert result["found"] == result["tradeoff"][-1]
+    assert result["own"]["run_time"] == 1.0
+    assert result["report"]["verdict"].startswith("REACHED")
+
+
+def test_an_error_that_cannot_be_reached(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(tuning, "MAX_COST", 4.0)
+    path = tmp_path / "model.xml"
+    path.write_text(GYROSCOPE)
+    status, text, _ = run(capsys, "tune", path, "--error", "1e-9", "--output", tmp_path / "out")
+    assert status == ExitStatus.INACCURATE
+    assert verdict_of(text).startswith("NOT REACHED: the smallest error is ")
+
+
+def test_scenes_without_an_engine_of_their_own_are_refused(capsys, tmp_path):
+    status, out, err = run(capsys, "tune", "pendulum", "--output", tmp_path / "out")
+    assert (status, out) == (2, "")
+    assert "pendulum has no settings of an engine; needed: an MJCF or a URDF file" in err
+
+
+def test_equalities_of_included_files(tmp_path):
+    (tmp_path / "loops.xml").write_text(
+        '<mujocoinclude><equality><joint joint1="a" joint2="b" solimp="0.9 0.9 0.001"/></equality>'
+        "</mujocoinclude>"
+    )
+    path = tmp_path / "model.xml"
+    path.write_text(CLASS_SOFTNESS.replace("<worldbody>", '<include file="loops.xml"/><worldbody>'))
+    assert equalities_with_own_softness(str(path)) == ("connect 'tip'", "joint 2")
