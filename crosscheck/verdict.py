@@ -224,7 +224,7 @@ def check(
             `MjSpec` or `MjModel` of MuJoCo, or a `Model` of Pinocchio. A `Model` may be paired with its
             constraints, see `urdf.read`.
         engines: names of the engines. If an engine cannot represent the model, the outcome is not `AGREE`.
-        advice: True to compute advice on engine settings and redundant constraints, which takes more runs.
+        advice: True to compute advice on redundant constraints.
         runs: runs of other simulators by name, which are compared with the reference from their own starts: a
             CSV or Parquet file, a DataFrame, a mapping of columns, or a `Log` of one of these with options.
             Also a function that simulates: from a `State` and times (n,), s, to n states.

@@ -70,7 +70,7 @@ OUTPUT = Path("output")
 @click.option(
     "--advice",
     is_flag=True,
-    help="Make further runs and print advice, such as the time step and solref that MuJoCo needs.",
+    help="Print advice on redundant constraints: joints with which all reactions are determined.",
 )
 @click.option(
     "--log",
@@ -148,7 +148,7 @@ def run_command(
     if against is not None and allow_reduced:
         raise CrosscheckError("--allow-reduced is on the runs of engines, without --against")
     if against is not None and advice:
-        raise CrosscheckError("--advice is on the runs of engines, without --against")
+        raise CrosscheckError("--advice is on one model, without --against")
     if against is not None and max_errors:
         raise CrosscheckError("--max-error is on the run with the settings of SCENE, without --against")
     if against is not None and logs:
@@ -265,7 +265,7 @@ def _engine_comparison(
         engines: names of the engines.
         settings: options of the scene, OPTION=VALUE.
         output: folder for the results; None for the default.
-        advised: whether to make further runs for advice on time steps and softness.
+        advised: whether to compute advice on redundant constraints.
         max_errors: largest errors of the run with the settings of the file, [ERROR=]VALUE[UNIT].
         logs: runs of other simulators to judge, by name.
     """

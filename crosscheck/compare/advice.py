@@ -1,6 +1,6 @@
-"""Advice on a crosscheck: MuJoCo's step for a wanted error, and joints without redundant constraints.
+"""Advice on a scene: joints without redundant constraints.
 
-In: the runs and checks of a crosscheck. Out: sentences of advice.
+In: a scene. Out: sentences of advice.
 
 Redundant constraints leave joint reactions undetermined. A planar four-bar linkage with four parallel hinges,
 for example, has three redundant constraints in space. With a ball joint in place of one hinge and a
@@ -9,16 +9,10 @@ cylindrical joint in place of another, no constraint is redundant and the motion
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from crosscheck.compare.check import Check
-from crosscheck.compare.runs import nothing_moves_in_rigid_runs
-from crosscheck.engines.engine import Engine
-from crosscheck.engines.stiffness import is_stable_in_rk4, modes_of_run
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.undetermined import undetermined
 from newton_euler.errors import NewtonEulerError
@@ -26,14 +20,9 @@ from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import Trajectory, distance
 from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
-
-WANTED_ERROR = 1e-6
-"""Error of a run, m and rad, that the advised step of MuJoCo is for."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +30,8 @@ class Advice:
     """One piece of advice.
 
     Attributes:
-        topic: "mujoco" (its step), "softness" (of its constraints) or "redundancy" (of constraints).
-        text: one or two sentences, with the measured numbers.
+        topic: "redundancy" of constraints.
+        text: one sentence, with the number of constraints.
     """
 
     topic: str
@@ -51,144 +40,6 @@ class Advice:
     def __str__(self) -> str:
         return f"{self.topic}: {self.text}"
 
-
-def advise(
-    scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Check]
-) -> tuple[Advice, ...]:
-    """Give advice on MuJoCo's settings and on redundant constraints; empty if there is none.
-
-    Runs in which nothing moves give no advice on settings, since their errors do not represent a motion.
-
-    Args:
-        scene: scene that was simulated.
-        engines: engines that were compared.
-        runs: runs by engine.
-        rows: all checks.
-    """
-    moving = not nothing_moves_in_rigid_runs(scene, engines, runs)
-    of_runs = soft_advice(scene, engines, runs, rows) if moving else ()
-    return (*of_runs, *redundancy_advice(scene))
-
-
-# MuJoCo's step and softness
-
-NAME = "mujoco"
-"""Name of the engine that the advice is on."""
-
-MAX_EXTRAPOLATION = 4.0
-"""Largest ratio of an advised step to the step of the run: a measured order is valid near that step only."""
-
-PLAUSIBLE_ORDERS = (0.5, 4.5)
-"""Range of measured orders of convergence that are used for advice."""
-
-STEP_MARGIN = 0.9
-"""Safety factor on the advised step, since the measured order is not exact."""
-
-
-def soft_advice(
-    scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory], rows: Sequence[Check]
-) -> Iterator[Advice]:
-    """Advise on MuJoCo's step and on the softness of its constraints.
-
-    There is no advice without a run of another engine, or if the equations of the engines differ. MuJoCo's
-    error is the distance to the closest other run. Softness is mentioned if trajectories differ and the scene
-    has soft constraints in MuJoCo.
-
-    Args:
-        scene, engines, runs, rows: see `advise`.
-    """
-    of_equations = [row for row in rows if not row.level.startswith(("trajectories", "drift", "energy"))]
-    if NAME not in runs or len(runs) < 2 or not of_equations:
-        return
-    if not all(row.agrees for row in of_equations):
-        return
-    # MuJoCo's error at its step, and at half the step
-    errors = {name: distance(runs[NAME], run) for name, run in runs.items() if name != NAME}
-    other = min(errors, key=lambda name: errors[name])
-    engine = next(engine for engine in engines if engine.name == NAME)
-    try:
-        error, refined_error = errors[other], distance(engine.refined(scene), runs[other])
-    except NewtonEulerError:
-        return
-    if min(error, refined_error) == 0.0:
-        return
-    differ = any(row.level == "trajectories" and NAME in row.between and not row.agrees for row in rows)
-    if differ and has_equalities(scene):
-        yield Advice(
-            "softness",
-            "MuJoCo's constraints are soft, the model is the same: made rigid they agree in all that was "
-            f"compared before the runs, and half the step takes MuJoCo's distance to {other} from "
-            f"{error:.2g} to {refined_error:.2g} (m, rad)",
-        )
-    yield _step_advice(scene, runs, error, refined_error)
-
-
-def _step_advice(scene: Scene, runs: Mapping[str, Trajectory], error: float, refined_error: float) -> Advice:
-    """Advise the step of MuJoCo for `WANTED_ERROR`, extrapolated from two measured errors.
-
-    Args:
-        scene: the scene.
-        runs: runs by engine, with MuJoCo's.
-        error: MuJoCo's error at the step of its run, m or rad.
-        refined_error: MuJoCo's error at half the step, m or rad.
-    """
-    # The order of convergence
-    settings = runs[NAME].settings
-    step, order = float(settings["timestep"]), float(np.log2(error / refined_error))
-    measured = (
-        f"at {step:.4g} s it is {error:.2g}, at half of that {refined_error:.2g}, an order of {order:.2g}"
-    )
-    if not PLAUSIBLE_ORDERS[0] <= order <= PLAUSIBLE_ORDERS[1]:
-        return Advice(NAME, f"its error does not follow its step, so that none can be advised: {measured}")
-    # The step, rounded to a decimal number and checked for stability
-    advised = STEP_MARGIN * step * (WANTED_ERROR / error) ** (1.0 / order)
-    advised = rounded_step(scene, min(advised, MAX_EXTRAPOLATION * step))
-    if advised > step and settings["integrator"] == "RK4":
-        modes = modes_of_run(scene, runs.get("newton_euler"))
-        advised = advised if is_stable_in_rk4(modes, advised) else step
-    # The sentence; with settings of constraints, since MuJoCo's default ones are much softer
-    relation = "is enough for" if advised >= step else "is needed for"
-    constraints = ""
-    if has_equalities(scene):
-        solimp = " ".join(f"{value:g}" for value in settings["solimp"])
-        constraints = f', solref "{2.0 * advised:.12g} 1" and solimp "{solimp}" of all equalities'
-    return Advice(
-        NAME,
-        f"{settings['integrator']} with timestep {advised:.12g} s{constraints} {relation} an error of "
-        f"{WANTED_ERROR:g} (m, rad): {measured}",
-    )
-
-
-def has_equalities(scene: Scene) -> bool:
-    """Return True if a scene has soft constraints in MuJoCo: loops, gears, screws or prescribed motions."""
-    return bool(SpanningTree(scene.mechanism).cuts or couplings(scene))
-
-
-def rounded_step(scene: Scene, step: float) -> float:
-    """Return the largest step, s, not above `step`, that divides the output period and can be written down.
-
-    The period is divided by an integer that is a product of twos and fives, so the step is a short decimal
-    number. With digital control, MuJoCo's default step is divided instead.
-    """
-    from mjcf.simulate import default_timestep
-
-    period = default_timestep(scene)
-    if not scene.sampled and scene.output_period <= scene.duration:
-        period = scene.output_period
-    number = max(1, int(np.ceil(period / step * (1.0 - 1e-9))))  # 1e-9 allows for round-off
-    while _without_factor(_without_factor(number, 2), 5) != 1:
-        number += 1
-    return period / number
-
-
-def _without_factor(number: int, prime: int) -> int:
-    """Divide a number by a prime as often as possible."""
-    while number % prime == 0:
-        number //= prime
-    return number
-
-
-# Redundant constraints
 
 SOFTER: dict[str, tuple[type[Joint], ...]] = {
     "revolute": (Cylindrical, Spherical),

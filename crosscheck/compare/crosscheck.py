@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from crosscheck.compare.activity import watched, what_acted
-from crosscheck.compare.advice import Advice, advise
+from crosscheck.compare.advice import Advice, redundancy_advice
 from crosscheck.compare.check import Check, finite
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.levels import in_order, reading_rows, stages
@@ -79,7 +79,7 @@ def crosscheck(
         source: name or file that the scene was loaded from; empty if it was made in Python.
         options: options of the scene or file that the user set.
         mapping: import report of a model file; None for other scenes.
-        advised: True to compute advice, which needs more runs, if all engines completed.
+        advised: True to compute advice on redundant constraints, if all engines completed.
 
     Raises:
         CrosscheckError: for a scene without the required outputs, or if no engine runs and no check could be
@@ -160,7 +160,7 @@ def crosscheck(
     if advised and not stops:
         what = "working out advice"
         with collecting_errors(what, note_stops), limited(what, "there is none", progress):
-            advice = advise(scene, usable, runs, rows)
+            advice = tuple(redundancy_advice(scene))
     run_errors: dict[str, float] = {}
     outliers = {diagnosis.outlier for diagnosis in diagnosed(scene, usable, rows, measured, stops)}
     what = "measuring each engine's error"

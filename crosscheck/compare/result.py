@@ -52,7 +52,7 @@ class ComparisonResult(ABC):
         measured: checks against reference values, for scenes of the library that have some.
         wall_time: total wall time, s.
         mapping: import report of the model file: how each element was imported. None for other scenes.
-        advice: advice on engine settings and redundant constraints, if it was requested.
+        advice: advice on redundant constraints, if it was requested.
         unfinished: engines that stopped, and parts of the comparison that did not complete.
         coverage: elements of the scene that the runs test; None if trajectories were not compared, or if the
             analysis did not complete (then `notes` has the reason).

@@ -69,6 +69,7 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("--vary", "crank.mass=normal(0.5, 0.01)", "--runs", "2", "--keep", "final:kinetic_energy",
          "--check", "0", "--rtol", "1e-6", "--output", "new"),
     ),
+    "tune": (("model.xml",), REFUSED_LATER),
     "view": (("new.rrd",), ()),
     "workspace": (("scene.json",), ("--vary", "motor=-0.1:0.1:3", "--output", "new")),
 }  # fmt: skip

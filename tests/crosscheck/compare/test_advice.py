@@ -1,4 +1,4 @@
-"""Advice after a crosscheck: it appears where it is due, it follows from the figures, and it works."""
+"""Advice on redundant constraints: it appears where it is due, and it works."""
 
 from __future__ import annotations
 
@@ -8,34 +8,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 from mechanisms import GRAVITY, ball_loop, pendulum, planar_four_bar
 
 import mjcf
 import newton_euler
-from crosscheck.compare.advice import WANTED_ERROR, Advice, redundancy_advice, rounded_step, soft_advice
-from crosscheck.compare.check import Check
+from crosscheck.compare.advice import Advice, redundancy_advice
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.report.render import terminal
 from crosscheck.report.table import Lines
-from mjcf.write import SOLIMP
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.undetermined import undetermined_joints
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.joint_kinds import Cylindrical, Fixed, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory, distance
 from newton_euler.runs.assemble import initial_state
-
-AGREED = Check("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
-MODEL_APART = replace(AGREED, value=1.0)
-RUNS_APART = Check("trajectories", "positions, m", ("newton_euler", "mujoco"), 1.0, 1e-9, "bar at 1 s")
 
 
 @pytest.fixture(scope="module")
@@ -43,125 +35,9 @@ def loop() -> Scene:
     return replace(planar_four_bar(), duration=1.0, output_period=0.05, gravity=GRAVITY, initial_state=None)
 
 
-@pytest.fixture(scope="module")
-def runs(loop: Scene) -> dict[str, Trajectory]:
-    return {engine.name: engine.simulate(loop) for engine in choose(["newton_euler", "mujoco"])}
-
-
-def softness(scene: Scene, runs: dict[str, Trajectory], *rows: Check) -> list[Advice]:
-    return list(soft_advice(scene, [ENGINES[name] for name in runs], runs, rows or (AGREED,)))
-
-
 def only(pieces: Any) -> Advice:
     (advice,) = pieces
     return advice
-
-
-def followed_by_hand(advice: Advice) -> tuple[str, ...]:
-    """Integrator, timestep, the two numbers of solref, and solimp, as texts."""
-    match = re.search(
-        r'(\w+) with timestep (\S+) s, solref "(\S+) (\S+)" and solimp "([^"]+)" of all equalities',
-        advice.text,
-    )
-    assert match
-    return match.groups()
-
-
-def test_the_advised_step_of_mujoco_reaches_the_error(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    advice = only(softness(loop, runs))
-    integrator, step, *solref, solimp = followed_by_hand(advice)
-    assert [float(x) for x in solimp.split()] == list(SOLIMP)
-    followed = mjcf.simulate(loop, float(step), integrator, [float(x) for x in solref])
-    # a factor 2: the order of two steps does not hold exactly for a third, and 0.9 of the step is taken
-    assert distance(followed, runs["newton_euler"]) < 2.0 * WANTED_ERROR
-    # and it is not short for nothing: four times as long a step misses the error
-    longer = rounded_step(loop, 4.0 * float(step))
-    assert distance(mjcf.simulate(loop, longer), runs["newton_euler"]) > WANTED_ERROR
-
-
-OWN_FILE = """
-<mujoco>
-  <compiler angle="degree"/>
-  <option gravity="0 0 -9.81"/>
-  <default>
-    <joint axis="0 1 0"/><geom type="capsule" size="0.02" density="800" contype="0" conaffinity="0"/>
-  </default>
-  <worldbody>
-    <body name="crank">
-      <joint name="a" damping="0.05" stiffness="2" springref="30"/><geom fromto="0 0 0 0 0 0.5"/>
-      <body name="coupler" pos="0 0 0.5"><joint name="b"/><geom fromto="0 0 0 1 0 0.2"/></body>
-    </body>
-    <body name="rocker" pos="1 0 0"><joint name="d"/><geom fromto="0 0 0 0 0 0.7"/></body>
-  </worldbody>
-  <equality><connect name="c" body1="coupler" body2="rocker" anchor="1 0 0.2"/></equality>
-</mujoco>"""
-
-
-def plain_mujoco(text: str, scene: Scene) -> np.ndarray:
-    """(n, bodies, 3) centers of mass at the outputs by MuJoCo, of a file as it is."""
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
-    bodies = [model.body(name).id for name in scene.mechanism.body_names[1:]]
-    rows = []
-    for time in scene.times:
-        while data.time < time - 0.5 * model.opt.timestep:
-            mujoco.mj_step(model, data)
-        mujoco.mj_forward(model, data)
-        rows.append(data.xipos[bodies].copy())
-    return np.array(rows)
-
-
-def test_the_advice_holds_in_the_file_that_it_is_given_for(tmp_path: Path) -> None:
-    (tmp_path / "own.xml").write_text(OWN_FILE)
-    scene = mjcf.read(tmp_path / "own.xml", duration=1.0, output_period=0.05).scene
-    runs = {engine.name: engine.simulate(scene) for engine in choose(["newton_euler", "mujoco"])}
-    integrator, step, *solref, solimp = followed_by_hand(only(softness(scene, runs)))
-    stepped = OWN_FILE.replace("<option", f'<option timestep="{step}" integrator="{integrator}"')
-    stiff = f'<connect solref="{" ".join(solref)}"'
-
-    def error(text: str) -> float:
-        gap = plain_mujoco(text, scene) - runs["newton_euler"].position[:, 1:]
-        return float(np.max(np.linalg.norm(gap, axis=-1)))
-
-    assert error(stepped.replace("<connect", f'{stiff} solimp="{solimp}"')) < WANTED_ERROR
-    assert error(stepped.replace("<connect", stiff)) > 10.0 * WANTED_ERROR  # MuJoCo's own solimp
-
-
-def test_mujoco_needs_rigid_company_and_the_same_model(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    assert not softness(loop, {"mujoco": runs["mujoco"]})
-    assert not softness(loop, {"newton_euler": runs["newton_euler"]})
-    assert not softness(loop, runs, MODEL_APART, RUNS_APART)
-
-
-def test_no_step_is_advised_where_the_error_does_not_follow_it(
-    loop: Scene, runs: dict[str, Trajectory]
-) -> None:
-    shifted = replace(runs["newton_euler"], position=runs["newton_euler"].position + 0.1)
-    advice = only(softness(loop, runs | {"newton_euler": shifted}))
-    assert advice.text.startswith("its error does not follow its step")
-
-
-def test_softness_is_told_apart_from_another_model(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    topics = [advice.topic for advice in softness(loop, runs, AGREED, RUNS_APART)]
-    assert topics == ["softness", "mujoco"]
-    assert [advice.topic for advice in softness(loop, runs)] == ["mujoco"]
-
-
-def test_nothing_is_soft_without_equalities() -> None:
-    scene = replace(pendulum(), duration=0.2)
-    runs = {name: ENGINES[name].simulate(scene) for name in ("newton_euler", "mujoco")}
-    off = replace(runs["mujoco"], position=runs["mujoco"].position + 1e-4)
-    advice = only(softness(scene, runs | {"mujoco": off}, AGREED, RUNS_APART))
-    assert advice.topic == "mujoco"
-    assert "solref" not in advice.text
-    text = only(softness(scene, runs)).text
-    assert "solref" not in text
-
-
-def test_steps_can_be_written_down(loop: Scene) -> None:
-    assert rounded_step(loop, 0.3) == 0.05
-    assert rounded_step(loop, 0.05 / 6.5) == 0.05 / 8
-    assert rounded_step(loop, 0.05 / 21) == 0.05 / 25
 
 
 SOFTER: dict[str, Callable[..., Any]] = {"cylindrical": Cylindrical, "spherical": Spherical}
@@ -294,7 +170,7 @@ def test_advice_is_in_reports(loop: Scene) -> None:
     assert not crosscheck(loop, engines, lambda _: None, "a_scene", {}).advice  # unless asked for
     result = crosscheck(loop, engines, lambda _: None, "a_scene", {}, advised=True)
     topics = [advice.topic for advice in result.advice]
-    assert topics == ["mujoco", "redundancy"]
+    assert topics == ["redundancy"]
     assert [entry["topic"] for entry in result.summary()["advice"]] == topics
     lines = [*notes(result), *(f"advice, {advice}" for advice in result.advice)]
     assert any(lines == part.lines for part in report(result).parts if isinstance(part, Lines))

@@ -208,7 +208,7 @@ def test_what_fails_beside_the_comparison_is_a_note(monkeypatch):
 
     scene = replace(pendulum(), duration=0.2)
     monkeypatch.setattr(run, "coverage", fail)
-    monkeypatch.setattr(run, "advise", fail)
+    monkeypatch.setattr(run, "redundancy_advice", fail)
     engines = choose(["newton_euler", "pinocchio"])
     found = run.crosscheck(scene, engines, lambda _: None, "a pendulum", {}, advised=True)
     assert found.agrees
