@@ -141,7 +141,7 @@ RUNS = {
     "divergence": (
         with_runs("mujoco", diverging),
         "UNFINISHED: mujoco: MuJoCo diverged at t = 0.",
-        "as far as compared mujoco differs; newton_euler and pinocchio agree to ",
+        "as far as compared mujoco differs; newton_euler and pinocchio agree within ",
     ),
     "crash": (
         with_runs("pinocchio", breaking),
@@ -158,7 +158,8 @@ def printed(capsys, monkeypatch, files, *arguments):
     monkeypatch.chdir(files)
     status, out, _ = run(capsys, "run", *arguments, "--output", "out")
     lines = out.splitlines()
-    assert (len(lines) <= 25, max(map(len, lines)) <= 80) == (True, True), out
+    most = 34 if "your settings" in out else 26  # the judgement of a file's own run takes up to eight lines
+    assert (len(lines) <= most, max(map(len, lines)) <= 80) == (True, True), out
     return status, " ".join(out.split())
 
 

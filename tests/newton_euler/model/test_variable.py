@@ -131,7 +131,7 @@ def test_units_are_known():
 def test_the_list_of_parameters_is_complete():
     """Names in its documentation are those of the examples."""
     documented = re.findall(
-        r"`(?:[A-Z]+\.)?(?:\d\.)?([a-z_.]+)`", parameters.__doc__.partition("\n\nJoint coordinates")[0]
+        r"`(?:[A-Z]+\.)?(?:\d\.)?([a-z_.]+)`", parameters.__doc__.partition("\n\nIn batches")[0]
     )
     names = set()
     for element in EXAMPLES.values():
