@@ -53,7 +53,7 @@ def _errors(judgement: LogJudgement) -> Iterator[str]:
         body, time = error.rotation_at
         yield f"rotation {math.degrees(error.rotation):.2g} deg at {body}, {time:.3g} s"
     if judgement.opening:
-        yield f"joints open by {length(judgement.opening)}"
+        yield f"loop opening {length(judgement.opening)}"
     if judgement.has_energy:
         yield f"energy {percent(error.energy)}"
 

@@ -122,7 +122,9 @@ def joint_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     # joints with constraints (a free joint has none), then couplings of joint coordinates, such as gears
     names = [equations.joint.name for equations in placed.mechanism.equations if equations.count]
     names += [coupling.name for coupling in couplings(placed.scene)]
-    yield worst_entry("joints open, sizes or rad", np.array([gaps for gaps, _ in found]), tolerances, names)
+    yield worst_entry(
+        "loop-closure error, sizes or rad", np.array([gaps for gaps, _ in found]), tolerances, names
+    )
     yield worst_entry("joints opening, 1/s", np.array([rates for _, rates in found]), tolerances, names)
     yield closest_to_failing(_free_motion_check(placed, place) for place in placed.placements)
 

@@ -219,7 +219,10 @@ def test_mimics_of_very_light_links_are_held_to_what_an_elimination_leaves_of_th
     path.write_text(hand(0.9999))
     (reference, scene), *_ = urdf.read(path, base="free").report.references
     assert all(figure.agrees for figure in verify(reference, Relative(scene)))
-    for error, quantity in ((1e-9, "joints open, sizes or rad"), (1e-8, "accelerations across loops, rel")):
+    for error, quantity in (
+        (1e-9, "loop-closure error, sizes or rad"),
+        (1e-8, "accelerations across loops, rel"),
+    ):
         path.write_text(hand(0.9999 + error))
         wrong = urdf.read(path, base="free").scene
         failing = [figure for figure in verify(reference, Relative(wrong)) if not figure.agrees]
