@@ -1,8 +1,8 @@
 """The pytest fixture `crosscheck`, by which a test suite verifies the dynamics of a model.
 
-The fixture simulates a model in all engines. A test can require that the engines agree, that the run with the
-settings of the file has a small error, and that the results have not changed since
-`pytest --crosscheck-update REASON` stored them in a baseline file:
+The fixture simulates a model in all engines. A test can require that the engines agree, and that the run with
+the settings of the file has a small error. A test can also require that the results are those in a baseline
+file, which `pytest --crosscheck-update REASON` writes:
 
     def test_arm(crosscheck):
         arm = crosscheck("arm.xml")

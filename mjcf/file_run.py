@@ -48,7 +48,7 @@ FINE_STEP_DIVISOR = 10
 MAX_LISTED = 5
 """Largest number of equalities that a text names."""
 
-STAGES = {"RK4": 4}
+EVALUATIONS_PER_STEP = {"RK4": 4}
 """Evaluations of forces per step, if more than one."""
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "RK4")
@@ -211,7 +211,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         return settings.timestep
 
     def evaluations(self, settings: MujocoSettings) -> float:
-        return STAGES.get(settings.integrator, 1) / settings.timestep
+        return EVALUATIONS_PER_STEP.get(settings.integrator, 1) / settings.timestep
 
     def words(self) -> str:
         settings = self.settings
@@ -267,7 +267,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         yield Cause(TIME_STEP, without=fine)
         for name in INTEGRATORS:
             if name != own.integrator:
-                cost = STAGES.get(name, 1) / STAGES.get(own.integrator, 1)
+                cost = EVALUATIONS_PER_STEP.get(name, 1) / EVALUATIONS_PER_STEP.get(own.integrator, 1)
                 yield Cause(INTEGRATOR, replace(own, integrator=name, timestep=own.timestep * cost))
         converged = replace(
             own, iterations=CONVERGED_ITERATIONS, tolerance=CONVERGED_TOLERANCE, solver="Newton"

@@ -37,7 +37,7 @@ from urdf.run_settings import (
     PinocchioSettings,
 )
 
-STAGES = {RK4: 4}
+EVALUATIONS_PER_STEP = {RK4: 4}
 """Evaluations of accelerations per step, if more than one."""
 
 FINE_STEP_DIVISORS = (10, 40)
@@ -56,7 +56,7 @@ CONVERGED: dict[str, Any] = {"accuracy": 1e-12, "mu": 1e-10, "iterations": 100}
 MAX_VELOCITY = 1e10
 """Largest velocity, m/s or rad/s, of a run that has not diverged; MuJoCo has the same limit."""
 
-MAX_EVALUATIONS = 20_000
+MAX_LOOP_EVALUATIONS = 20_000
 """Largest number of evaluations in the judged run, and in a run with a smaller step: 0.2 s in Python."""
 
 Acceleration = Callable[[Array, Array], Array]
@@ -90,7 +90,7 @@ def unsupported(reference: PinocchioReference) -> str:
 class PinocchioFile(FileSimulation[PinocchioSettings]):
     """URDF or Pinocchio model in a user's simulation loop, at the start of an imported scene."""
 
-    max_evaluations = MAX_EVALUATIONS
+    max_evaluations = MAX_LOOP_EVALUATIONS
     engine = f"Pinocchio {pin.__version__}"
 
     def __init__(
@@ -137,7 +137,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
 
     def evaluations(self, settings: PinocchioSettings) -> float:
         """Return the number of evaluations of the equations of motion per second of motion."""
-        return STAGES.get(settings.integrator, 1) / settings.timestep
+        return EVALUATIONS_PER_STEP.get(settings.integrator, 1) / settings.timestep
 
     def words(self) -> str:
         """Describe the settings of the loop in a few words, such as "RK4, 2 ms, kp 10, kd 6.32, mu 1e-10"."""
@@ -185,12 +185,12 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             base = _closing(converged, CLOSING_FACTORS.get(converged.integrator, 1.0))
         for divisor in FINE_STEP_DIVISORS:
             fine = self._scaled(base, base.timestep / divisor)
-            is_cheap = self.evaluations(fine) * self.scene.duration <= MAX_EVALUATIONS
+            is_cheap = self.evaluations(fine) * self.scene.duration <= MAX_LOOP_EVALUATIONS
             if is_cheap or divisor == FINE_STEP_DIVISORS[0]:
                 yield Cause("time step", without=fine, against=base)
         for name in INTEGRATORS:
             if name != base.integrator:
-                cost = STAGES.get(name, 1) / STAGES.get(base.integrator, 1)
+                cost = EVALUATIONS_PER_STEP.get(name, 1) / EVALUATIONS_PER_STEP.get(base.integrator, 1)
                 other = replace(base, integrator=name, timestep=base.timestep * cost)
                 other = replace(other, damping=self._dampings(name)[-1])
                 if not self._reference.closures:

@@ -34,7 +34,7 @@ KINDS_REFINED = 2
 STATES = 8
 """Number of states of the run at which the fastest mode is sought."""
 
-MAX_EVALUATIONS = 40.0
+MAX_REMEDY_COST = 40.0
 """Largest number of evaluations of a remedy, as a multiple of those of the judged run."""
 
 
@@ -399,7 +399,7 @@ def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[
     measured = list(completed((1, settings) for settings in simulation.alternatives(1)))
     if not measured:
         # the first kinds that complete at smaller steps, in the order of their evaluations
-        divisors = [2**k for k in range(1, int(np.log2(MAX_EVALUATIONS)) + 1)]
+        divisors = [2**k for k in range(1, int(np.log2(MAX_REMEDY_COST)) + 1)]
         smaller = [
             (divisor, settings) for divisor in divisors for settings in simulation.alternatives(divisor)
         ]
@@ -411,7 +411,7 @@ def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[
     for first_divisor, settings, remedy in measured[:KINDS_REFINED]:
         last, divisor = remedy, 2 * first_divisor
         while (
-            last.error.relative > TARGET and divisor / first_divisor * remedy.evaluations <= MAX_EVALUATIONS
+            last.error.relative > TARGET and divisor / first_divisor * remedy.evaluations <= MAX_REMEDY_COST
         ):
             divided = simulation.at_divisor(settings, divisor)
             if not compared.affords(divided):

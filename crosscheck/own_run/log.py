@@ -1,9 +1,9 @@
 """Judge the log of another simulator or of a test bench against the reference solution from the log's start.
 
 `judge_log` reads a log, finds the state of its first row, simulates the reference from there with the log's
-own inputs, and measures the error of every logged body. A log that is read wrongly has a large error: other
-readings (order of quaternions, units, points of bodies, times) are tried, and a reading that reduces the
-error by a large factor is reported with the option that selects it.
+own inputs, and measures the error of every logged body. A log that is read wrongly has a large error.
+Other readings are then tried: order of quaternions, units, points of bodies, times. A reading that reduces
+the error by a large factor is reported with the option that selects it.
 """
 
 from __future__ import annotations
@@ -117,9 +117,10 @@ class Log:
         Args:
             table: path of a CSV or Parquet file, DataFrame, or mapping from names to columns.
             options: statements on the columns; None for none.
-            statements: quaternion="wxyz" or "xyzw" for the order of columns, angle="deg", length="mm",
-                time="ms" for units that the names of columns do not have, offset=S for the time zero of the
-                scene, position="center" or "frame", zero="start", inputs="scene", columns={COLUMN: QUANTITY}.
+            statements: `LogOptions` by name. `quaternion` is "wxyz" or "xyzw", the order of columns. `angle`,
+                `length` and `time` are units that the names of columns do not have, such as "deg". `offset`
+                is the time of the log, s, at which the scene starts. `position` is "center" or "frame"; `zero`
+                may be "start", `inputs` "scene". `columns` maps columns to quantities.
 
         Raises:
             UnknownNameError, OptionError: for an unknown statement or value.

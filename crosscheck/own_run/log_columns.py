@@ -84,7 +84,7 @@ SECONDS_NAME = re.compile(r"(?:.*_)?(?:secs?|seconds)")
 NANOSECONDS_NAME = re.compile(r"(?:.*_)?(?:nsecs?|nanosecs?|nanoseconds)")
 """Names of the two columns of a time stamp of ROS."""
 
-KINDS = {
+COMPONENTS_OF = {
     "position": "xyz",
     "quaternion": "wxyz",
     "linear_velocity": "xyz",
@@ -167,7 +167,7 @@ class Target(NamedTuple):
     """Quantity that a column has.
 
     Attributes:
-        kind: "time", "coordinate", "rate", "force", "input", or a key of `KINDS`.
+        kind: "time", "coordinate", "rate", "force", "input", or a key of `COMPONENTS_OF`.
         element: name of the joint, body or actuator; "" for the time.
         component: index of the component of a vector or quaternion.
         point: point of the body that the name of the column states, see `LogOptions.position`.
@@ -405,7 +405,7 @@ class _Reader:
                 rotations.
         """
         frames: dict[str, FrameColumns] = {}
-        for kind, components in KINDS.items():
+        for kind, components in COMPONENTS_OF.items():
             for name in dict.fromkeys(each.target.element for each in self.of(kind)):
                 columns = {
                     each.target.component: each for each in self.of(kind) if each.target.element == name
@@ -516,7 +516,7 @@ def _found_columns(
 
 def _letter(target: Target) -> str:
     """Return the letter of a component; "" for a quantity without components."""
-    return KINDS[target.kind][target.component] if target.kind in KINDS else ""
+    return COMPONENTS_OF[target.kind][target.component] if target.kind in COMPONENTS_OF else ""
 
 
 def _canonical(text: str, name: str, elements: Elements) -> FoundColumn | None:
@@ -538,10 +538,10 @@ def _canonical(text: str, name: str, elements: Elements) -> FoundColumn | None:
     if kind in known and rest in known[kind]:
         return FoundColumn(name, Target(kind, rest), unit, 0)
     element, _, letter = rest.rpartition(".")
-    if kind in KINDS and element in elements.frames and letter and letter in KINDS[kind]:
+    if kind in COMPONENTS_OF and element in elements.frames and letter and letter in COMPONENTS_OF[kind]:
         # as in tables of trajectories, positions are those of centers of mass
         point: Origin = "center" if kind == "position" and text == name else ""
-        return FoundColumn(name, Target(kind, element, KINDS[kind].index(letter), point), unit, 0)
+        return FoundColumn(name, Target(kind, element, COMPONENTS_OF[kind].index(letter), point), unit, 0)
     return None
 
 
@@ -630,7 +630,7 @@ def _body_target(element: str, rest: list[str]) -> tuple[Target, int] | None:
         kind, of_kind = "quaternion", QUATERNION_WORDS | POSITION_WORDS
     else:
         kind, of_kind = "position", POSITION_WORDS
-    letters = KINDS[kind]
+    letters = COMPONENTS_OF[kind]
     number = int(letter) if letter.isdecimal() else letters.find(letter)
     if not 0 <= number < len(letters) or (letter.isdecimal() and not words & of_kind):
         return None

@@ -42,7 +42,7 @@ RATE_ROWS = 5
 MAX_RATE_STEP = 1e-5
 """Largest change of a coordinate, rad or m, by which rates of coordinates are converted to velocities."""
 
-RANK_TOLERANCE = 1e-6
+POSE_RANK_TOLERANCE = 1e-6
 """Smallest effect of a logged quantity on a free motion, relative to the largest one, that determines it."""
 
 
@@ -185,8 +185,8 @@ def _relative_pose(
         count: number n of times.
 
     Returns:
-        The vector (n, 3) from the first to the second center of mass, and the rotation (n, 4) of the second
-        body since the initial pose, both while the first body has its initial orientation.
+        The vector (n, 3) from the first to the second center of mass, m, and the rotation (n, 4) of the
+        second body since the initial pose. In both, the first body has its initial orientation.
     """
     centers = [mechanism.body(name).center_of_mass for name in (joint.first, joint.second)]
     here = joint.motion_points[0] if joint.motions else joint.reaction_point
@@ -421,7 +421,7 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
     # free motions at the scene's start, as columns
     rows = system.phi_jacobian(q) * units
     _, values, basis = np.linalg.svd(rows, full_matrices=True)
-    rank = int(np.sum(values > RANK_TOLERANCE * max(1.0, float(np.max(values, initial=0.0)))))
+    rank = int(np.sum(values > POSE_RANK_TOLERANCE * max(1.0, float(np.max(values, initial=0.0)))))
     free = basis[rank:].T * units[:, None]
 
     links = system.links(q, np.zeros(system.nv))
@@ -439,13 +439,13 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
     bodies = system.velocity_transformation(q).reshape(-1, 6, system.nv)
     # what the log determines: known bodies, then coordinates
     chosen = np.concatenate([bodies[body] for body in known]) @ free
-    count = np.linalg.matrix_rank(chosen, RANK_TOLERANCE)
+    count = np.linalg.matrix_rank(chosen, POSE_RANK_TOLERANCE)
     keys: list[Key] = []
     for key in [*data.coordinates, *mechanism.coordinate_labels]:
         if count == free.shape[1]:
             break
         more = np.concatenate([chosen, effect([key])])
-        if np.linalg.matrix_rank(more, RANK_TOLERANCE) > count:
+        if np.linalg.matrix_rank(more, POSE_RANK_TOLERANCE) > count:
             if key not in data.coordinates:
                 label = mechanism.coordinate_labels[key]
                 problem = f"column coordinate.{label} is missing: no column determines joint {quoted(label)}"
@@ -484,7 +484,7 @@ def _independent(effects: Array, keys: Sequence[Key]) -> list[Key]:
     """Choose coordinates whose effects (k, free motions) are independent, the earlier ones first."""
     found: list[int] = []
     for k in range(len(keys)):
-        if np.linalg.matrix_rank(effects[[*found, k]], RANK_TOLERANCE) > len(found):
+        if np.linalg.matrix_rank(effects[[*found, k]], POSE_RANK_TOLERANCE) > len(found):
             found.append(k)
     return [keys[k] for k in found]
 

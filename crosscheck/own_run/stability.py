@@ -31,7 +31,7 @@ MIN_STEP_GROWTH = 1e-4
 """Growth per step that round-off can feign: a double eigenvalue 1, such as that of a free motion, is known to
 the square root of the round-off of the differences."""
 
-MAX_DOUBLINGS, MAX_HALVINGS = 12, 24
+MAX_STEP_DOUBLINGS, MAX_STEP_HALVINGS = 12, 24
 """Number of times that a time step is doubled or halved in the search for the stability limit, and that a
 change of a model is."""
 
@@ -158,7 +158,7 @@ class StepStability:
         """
         stable, unstable = 0.0, math.inf
         rises = self.is_stable(timestep, without)
-        for _ in range(MAX_DOUBLINGS if rises else MAX_HALVINGS):
+        for _ in range(MAX_STEP_DOUBLINGS if rises else MAX_STEP_HALVINGS):
             if self.is_stable(timestep, without):
                 stable, timestep = timestep, 2.0 * timestep
             else:
@@ -306,14 +306,14 @@ def model_changes(
     motions, found = mode.steps.motions, mode.found
     # the smallest change that is stable, among powers of two
     if found.elements and all(element.can_be_scaled for element in found.elements):
-        for k in range(1, MAX_HALVINGS):
+        for k in range(1, MAX_STEP_HALVINGS):
             weaker = simulation.changed(motions.scaled(mode.elements, 0.5**k))
             if is_stable(weaker):
                 changed = run(weaker)
                 if not changed.stopped:
                     yield ModelChange(_weakened(found.elements, 2**k), error(changed))
                     break
-    for k in range(-MAX_DOUBLINGS, MAX_HALVINGS):
+    for k in range(-MAX_STEP_DOUBLINGS, MAX_STEP_HALVINGS):
         change, words = motions.with_armature(mode.steps.state, mode.shape, 2.0**k)
         heavier = simulation.changed(change)
         if is_stable(heavier):
