@@ -118,9 +118,9 @@ class Log:
             table: path of a CSV or Parquet file, DataFrame, or mapping from names to columns.
             options: statements on the columns; None for none.
             statements: `LogOptions` by name. `quaternion` is "wxyz" or "xyzw", the order of columns. `angle`,
-                `length` and `time` are units that the names of columns do not have, such as "deg". `offset`
-                is the time of the log, s, at which the scene starts. `position` is "center" or "frame"; `zero`
-                may be "start", `inputs` "scene". `columns` maps columns to quantities.
+                `length` and `time` are units that the names of columns do not have, such as "deg".
+                `offset` is the time of the log, s, at which the scene starts. `position` is "center" or
+                "frame"; `zero` may be "start", `inputs` "scene". `columns` maps columns to quantities.
 
         Raises:
             UnknownNameError, OptionError: for an unknown statement or value.
