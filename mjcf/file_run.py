@@ -25,7 +25,15 @@ from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import INTEGRATOR, TIME_STEP, Cause, Event, FileRun, FileSimulation
+from newton_euler.reading.file_run import (
+    INTEGRATOR,
+    TIME_STEP,
+    Cause,
+    Event,
+    FileRun,
+    FileSimulation,
+    evaluations_per_step,
+)
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
@@ -47,9 +55,6 @@ FINE_STEP_DIVISOR = 10
 
 MAX_LISTED = 5
 """Largest number of equalities that a text names."""
-
-EVALUATIONS_PER_STEP = {"RK4": 4}
-"""Evaluations of forces per step, if more than one."""
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "RK4")
 """MuJoCo's integrators by their name in MJCF."""
@@ -207,12 +212,6 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         rows = reference.kinematics(self._start, np.zeros(model.nv)).transformation
         self._velocity = least_squares(rows.reshape(-1, model.nv), motion.ravel())
 
-    def timestep(self, settings: MujocoSettings) -> float:
-        return settings.timestep
-
-    def evaluations(self, settings: MujocoSettings) -> float:
-        return EVALUATIONS_PER_STEP.get(settings.integrator, 1) / settings.timestep
-
     def words(self) -> str:
         settings = self.settings
         words = [settings.integrator, f"{1e3 * settings.timestep:g} ms"]
@@ -267,7 +266,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         yield Cause(TIME_STEP, without=fine)
         for name in INTEGRATORS:
             if name != own.integrator:
-                cost = EVALUATIONS_PER_STEP.get(name, 1) / EVALUATIONS_PER_STEP.get(own.integrator, 1)
+                cost = evaluations_per_step(name) / evaluations_per_step(own.integrator)
                 yield Cause(INTEGRATOR, replace(own, integrator=name, timestep=own.timestep * cost))
         converged = replace(
             own, iterations=CONVERGED_ITERATIONS, tolerance=CONVERGED_TOLERANCE, solver="Newton"

@@ -20,7 +20,7 @@ from newton_euler.equations.dense import least_squares
 from newton_euler.model.euler_parameters import angle_between, conjugate, continuous, product, rotations
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import Cause, FileRun, FileSimulation
+from newton_euler.reading.file_run import Cause, FileRun, FileSimulation, evaluations_per_step
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 from urdf.loops import REVOLUTE
@@ -36,9 +36,6 @@ from urdf.run_settings import (
     SEMI_IMPLICIT,
     PinocchioSettings,
 )
-
-EVALUATIONS_PER_STEP = {RK4: 4}
-"""Evaluations of accelerations per step, if more than one."""
 
 FINE_STEP_DIVISORS = (10, 40)
 """Divisors of the step of runs that show the error of the step: order 1 leaves a tenth of it, or less."""
@@ -114,7 +111,6 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         self._reference, self._are_assumed, self._gains = reference, are_assumed, gains
         self._start = np.array(reference.start)
         self._has_dampers = bool(np.any(reference.damping))
-        self._runs: dict[tuple[PinocchioSettings, int, int], FileRun] = {}
         # basis (nv, k) of the velocities that mimics and couplings allow
         self._free: Array | None = None
         if len(reference.couplings):
@@ -130,14 +126,6 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             self._velocity = least_squares(rows, motion)
         else:
             self._velocity = self._free @ least_squares(rows @ self._free, motion)
-
-    def timestep(self, settings: PinocchioSettings) -> float:
-        """Return the time step of settings, s."""
-        return settings.timestep
-
-    def evaluations(self, settings: PinocchioSettings) -> float:
-        """Return the number of evaluations of the equations of motion per second of motion."""
-        return EVALUATIONS_PER_STEP.get(settings.integrator, 1) / settings.timestep
 
     def words(self) -> str:
         """Describe the settings of the loop in a few words, such as "RK4, 2 ms, kp 10, kd 6.32, mu 1e-10"."""
@@ -190,7 +178,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
                 yield Cause("time step", without=fine, against=base)
         for name in INTEGRATORS:
             if name != base.integrator:
-                cost = EVALUATIONS_PER_STEP.get(name, 1) / EVALUATIONS_PER_STEP.get(base.integrator, 1)
+                cost = evaluations_per_step(name) / evaluations_per_step(base.integrator)
                 other = replace(base, integrator=name, timestep=base.timestep * cost)
                 other = replace(other, damping=self._dampings(name)[-1])
                 if not self._reference.closures:
@@ -242,17 +230,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         ]
 
     def run(self, settings: PinocchioSettings, steps: int, every: int, reduced: bool = False) -> FileRun:
-        """Simulate the model, see `FileSimulation.run`; the loop has nothing to switch off.
-
-        Runs are kept, because a judgement compares one run with several others.
-        """
-        key = settings, steps, every
-        if key not in self._runs:
-            self._runs[key] = self._run(settings, steps, every)
-        return self._runs[key]
-
-    def _run(self, settings: PinocchioSettings, steps: int, every: int) -> FileRun:
-        """Simulate the model."""
+        """Simulate the model, see `FileSimulation.run`; the loop has nothing to switch off."""
         accelerations = self._accelerations(settings)
         step = STEPS[settings.integrator]
         q, v = self._start.copy(), self._velocity.copy()

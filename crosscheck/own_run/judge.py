@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from crosscheck.engines.engine import native_method
-from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, errors_over_time, run_error
-from crosscheck.own_run.horizon import comparable_until
+from crosscheck.own_run.comparison import Comparison
+from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, errors_over_time
 from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
 from crosscheck.support.errors import CrosscheckError
-from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import INTEGRATOR, TIME_STEP, Event, FileRun, FileSimulation
-from newton_euler.runs.simulate import simulate
-
-MAX_STEPS = 200_000
-"""Largest number of time steps of the judged run; a longer run is judged as far as that."""
 
 TARGET = ACCURATE_BELOW
 """Relative error that remedies aim at."""
@@ -80,7 +74,7 @@ class Judgement:
     Attributes:
         engine: name and version of the file's engine.
         settings: settings of the file in words.
-        error: error of the judged run; None if it diverged before its first output.
+        error: error of the judged run, up to the time at which it ended.
         opening: largest error of the loop constraints, m or rad.
         stopped: reason why the run ended early; "" for a complete run.
         events: elements of the file that act and that the reference does not have, in the order of time. If
@@ -142,83 +136,6 @@ class Judgement:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class _Comparison:
-    """A file's simulation beside its reference solution."""
-
-    simulation: FileSimulation[Any]
-    scene: Scene
-    reference: Trajectory
-    scale: MotionScale
-    every: int
-    steps: int
-    until: float | None
-    completed: list[FileRun]
-
-    @classmethod
-    def of(
-        cls,
-        simulation: FileSimulation[Any],
-        method: Mapping[str, Any] | None = None,
-        until: float | None = None,
-    ) -> _Comparison:
-        """Choose output times that are multiples of the file's time step, and simulate the reference.
-
-        Args:
-            simulation: the file in its own engine.
-            method: arguments of `newton_euler.simulate` for the reference; those of crosschecks if None.
-            until: time, s, at which the comparison ends; found from the reference if `method` is None.
-        """
-        step = simulation.timestep(simulation.settings)
-        scene = simulation.scene
-        # a multiple of four, so that RK4 at four times the step has the same outputs
-        every = 4 * round(scene.output_period / step / 4.0) or max(1, round(scene.output_period / step))
-        max_duration = simulation.max_evaluations / simulation.evaluations(simulation.settings)
-        duration = min(scene.duration, max_duration, MAX_STEPS * step)
-        steps = int(duration / step * (1.0 + 1e-9)) // every * every
-        steps = max(steps, every)
-        sampled = replace(
-            scene,
-            output_period=every * step,
-            duration=steps * step,
-            outputs=frozenset({"velocities", "energy"}),
-        )
-        reference = simulate(sampled, **(method or native_method(sampled, refined=False)))
-        if method is None:
-            until = comparable_until(sampled, reference)
-        scale = MotionScale.of(reference, scene.mechanism.size)
-        return cls(simulation, sampled, reference, scale, every, steps, until, [])
-
-    def run(
-        self, settings: Any, reduced: bool = True, simulation: FileSimulation[Any] | None = None
-    ) -> FileRun:
-        """Simulate the file, or another simulation, with outputs at the times of the reference."""
-        ratio = self.simulation.timestep(self.simulation.settings) / self.simulation.timestep(settings)
-        every = max(1, round(self.every * ratio))
-        found = (simulation or self.simulation).run(
-            settings, self.steps // self.every * every, every, reduced
-        )
-        if reduced and not found.stopped:
-            self.completed.append(found)
-        return found
-
-    def affords(self, settings: Any) -> bool:
-        """Return True if a run with these settings has few enough evaluations for its engine."""
-        return self.simulation.evaluations(settings) * self.scene.duration <= self.simulation.max_evaluations
-
-    def error(self, run: FileRun) -> RunError:
-        """Compare a run with the reference, as far as a comparison means something."""
-        return run_error(self.until_end(run.trajectory), self.reference, self.scale)
-
-    def apart(self, one: FileRun, two: FileRun) -> RunError:
-        """Compare two runs, as far as a comparison means something."""
-        return run_error(self.until_end(one.trajectory), two.trajectory, self.scale)
-
-    def until_end(self, run: Trajectory) -> Trajectory:
-        """Return a run up to the time at which the comparison ends."""
-        return run if self.until is None else run.first(int(np.searchsorted(run.time, self.until)))
-
-
 def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judgement:
     """Judge the run of a file with its own settings.
 
@@ -229,7 +146,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     Raises:
         NewtonEulerError: if the scene has no reference solution.
     """
-    compared = _Comparison.of(simulation)
+    compared = Comparison.of(simulation)
     # the run as it stands, and without what the reference does not have
     run = compared.run(simulation.settings, reduced=False)
     as_it_stands = run.stopped
@@ -238,7 +155,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         first.setdefault(event.element, event)
     events = tuple(first.values())
     if events:
-        run = compared.run(simulation.settings, reduced=True)
+        run = compared.run_once(simulation.settings)
     error = compared.error(run)
     causes: tuple[MeasuredCause, ...] = ()
     remedies: tuple[MeasuredRemedy, ...] = ()
@@ -284,7 +201,7 @@ class MeasuredError:
 
 def horizon(simulation: FileSimulation[Any]) -> float | None:
     """Find the time, s, until which runs of a file can be compared; None means the whole run."""
-    return _Comparison.of(simulation).until
+    return Comparison.of(simulation).until
 
 
 def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | None) -> MeasuredError:
@@ -300,7 +217,7 @@ def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | N
     Raises:
         CrosscheckError: if the run diverges.
     """
-    compared = _Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, until)
+    compared = Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, until)
     run = compared.run(simulation.settings)
     if run.stopped:
         raise CrosscheckError(f"the run with the settings of the file diverges: {run.stopped}")
@@ -309,7 +226,7 @@ def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | N
     return MeasuredError(compared.error(run), opening, compared.scale)
 
 
-def _causes(compared: _Comparison, run: FileRun, of_position: bool) -> list[MeasuredCause]:
+def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[MeasuredCause]:
     """Measure the error of each property of the settings: how far a run without that error is from the run.
 
     Several changes of one property, such as other integrators, count by the one that is closest to the
@@ -326,8 +243,8 @@ def _causes(compared: _Comparison, run: FileRun, of_position: bool) -> list[Meas
     """
     best: dict[str, tuple[float, MeasuredCause]] = {}
     for cause in compared.simulation.causes():
-        removed = compared.run(cause.without)
-        kept = run if cause.against is None else compared.run(cause.against)
+        removed = compared.run_once(cause.without)
+        kept = run if cause.against is None else compared.run_once(cause.against)
         if removed.stopped:
             continue
         remaining = compared.error(removed).relative
@@ -344,7 +261,7 @@ def _causes(compared: _Comparison, run: FileRun, of_position: bool) -> list[Meas
     return [cause for _, cause in sorted(best.values(), key=place)]
 
 
-def _stability(compared: _Comparison, run: FileRun) -> tuple[Stability | None, tuple[ModelChange, ...]]:
+def _stability(compared: Comparison, run: FileRun) -> tuple[Stability | None, tuple[ModelChange, ...]]:
     """Find the fastest mode of the file, and changes of the model that make its time step stable.
 
     The file is linearized at states of the judged run. If that run diverged, states of the completed run with
@@ -373,7 +290,7 @@ def _stability(compared: _Comparison, run: FileRun) -> tuple[Stability | None, t
     return mode.found, tuple(model_changes(mode, simulation, is_stable, changed_run, compared.error))
 
 
-def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[MeasuredRemedy]:
+def _remedies(compared: Comparison, run: FileRun, error: RunError) -> Iterator[MeasuredRemedy]:
     """Try other settings: yield the best of similar cost, and the cheapest with an error below `TARGET`.
 
     All kinds of settings are tried at the file's time step. The two best kinds are tried at smaller steps. If
@@ -382,7 +299,7 @@ def _remedies(compared: _Comparison, run: FileRun, error: RunError) -> Iterator[
     simulation = compared.simulation
 
     def tried(settings: Any) -> MeasuredRemedy | None:
-        found = compared.run(settings)
+        found = compared.run_once(settings)
         if found.stopped:
             return None
         changes, fragment = simulation.changes(settings), simulation.fragment(settings)

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from crosscheck.own_run.comparison import Comparison
 from crosscheck.own_run.errors import RunError
-from crosscheck.own_run.judge import _Comparison
 from newton_euler.reading.file_run import Event, FileSimulation
 
 MAX_ORDER = 6.0
@@ -135,7 +135,7 @@ def tune(
         NewtonEulerError: if the scene has no reference solution.
     """
     progress("simulating the reference")
-    compared = _Comparison.of(simulation)
+    compared = Comparison.of(simulation)
     # without what the reference does not have, if any of that acts
     events = compared.run(simulation.settings, reduced=False).events
     reduced = bool(events)
@@ -204,7 +204,7 @@ def tune(
     )
 
 
-def _largest_cost(compared: _Comparison) -> float:
+def _largest_cost(compared: Comparison) -> float:
     """Return the largest number of evaluations per second of motion that the search tries."""
     simulation = compared.simulation
     affordable = MAX_LONG_RUN * simulation.max_evaluations / compared.scene.duration

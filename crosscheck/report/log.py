@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from crosscheck.own_run.allowed import length
 from crosscheck.own_run.log import LogJudgement
 from crosscheck.own_run.log_mistake import mistake_line
-from crosscheck.report.own_run import headline, percent, size
+from crosscheck.report.own_run import error_texts, headline, size
 from crosscheck.report.table import Lines
 
 MAX_NAMES = 4
@@ -39,23 +39,8 @@ def _lines(judgement: LogJudgement) -> Iterator[str]:
     yield f"  run     {'; '.join(words)}"
     yield from (f"  mistake {mistake_line(mistake)}" for mistake in judgement.mistakes)
     if error.position or error.rotation:
-        yield f"  errors  {'; '.join(_errors(judgement))}"
+        yield f"  errors  {'; '.join(error_texts(judgement, judgement.has_energy))}"
     yield from (f"  note    {note}" for note in _notes(judgement))
-
-
-def _errors(judgement: LogJudgement) -> Iterator[str]:
-    """Word all errors of a log, with body and time."""
-    error = judgement.error
-    if error.position:
-        body, time = error.position_at
-        yield f"position {length(error.position)} at {body}, {time:.3g} s"
-    if error.rotation:
-        body, time = error.rotation_at
-        yield f"rotation {math.degrees(error.rotation):.2g} deg at {body}, {time:.3g} s"
-    if judgement.opening:
-        yield f"loop opening {length(judgement.opening)}"
-    if judgement.has_energy:
-        yield f"energy {percent(error.energy)}"
 
 
 def _notes(judgement: LogJudgement) -> Iterator[str]:

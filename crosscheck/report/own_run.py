@@ -44,7 +44,7 @@ def _lines(judgement: Judgement) -> Iterator[str]:
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
     if (error.position or error.rotation) and not judgement.stopped:
-        yield f"  errors  {'; '.join(_errors(judgement))}"
+        yield f"  errors  {'; '.join(error_texts(judgement))}"
     if judgement.events:
         first = judgement.events[0]
         others = f" and {len(judgement.events) - 1} more" if judgement.events[1:] else ""
@@ -154,8 +154,8 @@ def size(error: RunError, by_position: bool) -> str:
     return length(error.position) if by_position else f"{math.degrees(error.rotation):.2g} deg"
 
 
-def _errors(judgement: Judgement) -> Iterator[str]:
-    """Word all errors of a run, with body and time."""
+def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
+    """Word all errors of a run, with body and time; without energy if the run does not determine it."""
     error = judgement.error
     if error.position:
         body, time = error.position_at
@@ -165,7 +165,8 @@ def _errors(judgement: Judgement) -> Iterator[str]:
         yield f"rotation {math.degrees(error.rotation):.2g} deg at {body}, {time:.3g} s"
     if judgement.opening:
         yield f"loop opening {length(judgement.opening)}"
-    yield f"energy {percent(error.energy)}"
+    if has_energy:
+        yield f"energy {percent(error.energy)}"
 
 
 def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:

@@ -11,13 +11,23 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.small_motions import ModelChange, SmallMotions
 
-SettingsT = TypeVar("SettingsT")
+
+class Settings(Protocol):
+    """Settings that all engines have: the time step, s, and the name of the integrator."""
+
+    @property
+    def timestep(self) -> float: ...
+    @property
+    def integrator(self) -> str: ...
+
+
+SettingsT = TypeVar("SettingsT", bound=Settings)
 """Type of an engine's settings (time step, integrator, solver); one class for each engine."""
 
 TIME_STEP, INTEGRATOR = "time step", "integrator"
@@ -73,6 +83,11 @@ class Cause(Generic[SettingsT]):
     against: SettingsT | None = None
 
 
+def evaluations_per_step(integrator: str) -> int:
+    """Return the number of evaluations of the equations of motion per step: four stages of RK4, else one."""
+    return 4 if integrator == "RK4" else 1
+
+
 class FileSimulation(ABC, Generic[SettingsT]):
     """A model file with its own settings, at the start of an imported scene and with the scene's inputs.
 
@@ -89,13 +104,13 @@ class FileSimulation(ABC, Generic[SettingsT]):
     scene: Scene
     settings: SettingsT
 
-    @abstractmethod
     def timestep(self, settings: SettingsT) -> float:
         """Return the time step of settings, s."""
+        return settings.timestep
 
-    @abstractmethod
     def evaluations(self, settings: SettingsT) -> float:
         """Return the number of evaluations of the equations of motion per second of motion."""
+        return evaluations_per_step(settings.integrator) / settings.timestep
 
     @abstractmethod
     def words(self) -> str:
@@ -147,8 +162,3 @@ class FileSimulation(ABC, Generic[SettingsT]):
     def changed(self, change: ModelChange) -> FileSimulation[SettingsT]:
         """Return the simulation of a changed model, for an engine with small motions."""
         raise NotImplementedError(f"{self.engine}: changes of the model")
-
-    @property
-    def options(self) -> Mapping[str, Any]:
-        """Settings of the file by name, for JSON."""
-        return vars(self.settings)

@@ -1,0 +1,118 @@
+"""Runs of a model file compared with a reference solution at the same output times.
+
+In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`). Out: runs with any settings,
+and their errors, for `crosscheck.own_run.judge` and `crosscheck.own_run.tune`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from crosscheck.engines.engine import native_method
+from crosscheck.own_run.errors import MotionScale, RunError, run_error
+from crosscheck.own_run.horizon import comparable_until
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_run import FileRun, FileSimulation
+from newton_euler.runs.simulate import simulate
+
+MAX_STEPS = 200_000
+"""Largest number of time steps of the judged run; a longer run is judged as far as that."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A file's simulation and its reference solution at the same output times.
+
+    Attributes:
+        simulation: the file in its own engine.
+        scene: scene of the reference, with the output times of the comparison.
+        reference: reference solution.
+        scale: extent of the motion, by which errors are divided.
+        every: number of the file's time steps from one output to the next.
+        steps: number of the file's time steps in the compared time.
+        until: time, s, at which the comparison ends because the motion is chaotic; None for the whole run.
+    """
+
+    simulation: FileSimulation[Any]
+    scene: Scene
+    reference: Trajectory
+    scale: MotionScale
+    every: int
+    steps: int
+    until: float | None
+    _runs: dict[Any, FileRun] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        simulation: FileSimulation[Any],
+        method: Mapping[str, Any] | None = None,
+        until: float | None = None,
+    ) -> Comparison:
+        """Choose output times that are multiples of the file's time step, and simulate the reference.
+
+        Args:
+            simulation: the file in its own engine.
+            method: arguments of `newton_euler.simulate` for the reference; those of crosschecks if None.
+            until: time, s, at which the comparison ends; found from the reference if `method` is None.
+        """
+        step = simulation.timestep(simulation.settings)
+        scene = simulation.scene
+        # a multiple of four, so that RK4 at four times the step has the same outputs
+        every = 4 * round(scene.output_period / step / 4.0) or max(1, round(scene.output_period / step))
+        max_duration = simulation.max_evaluations / simulation.evaluations(simulation.settings)
+        duration = min(scene.duration, max_duration, MAX_STEPS * step)
+        steps = int(duration / step * (1.0 + 1e-9)) // every * every
+        steps = max(steps, every)
+        sampled = replace(
+            scene,
+            output_period=every * step,
+            duration=steps * step,
+            outputs=frozenset({"velocities", "energy"}),
+        )
+        reference = simulate(sampled, **(method or native_method(sampled, refined=False)))
+        if method is None:
+            until = comparable_until(sampled, reference)
+        scale = MotionScale.of(reference, scene.mechanism.size)
+        return cls(simulation, sampled, reference, scale, every, steps, until)
+
+    def run(
+        self, settings: Any, reduced: bool = True, simulation: FileSimulation[Any] | None = None
+    ) -> FileRun:
+        """Simulate the file, or another simulation, with outputs at the times of the reference."""
+        ratio = self.simulation.timestep(self.simulation.settings) / self.simulation.timestep(settings)
+        every = max(1, round(self.every * ratio))
+        steps = self.steps // self.every * every
+        return (simulation or self.simulation).run(settings, steps, every, reduced)
+
+    def run_once(self, settings: Any) -> FileRun:
+        """Return the run without what the reference does not have; it is simulated at the first call."""
+        if settings not in self._runs:
+            self._runs[settings] = self.run(settings)
+        return self._runs[settings]
+
+    @property
+    def completed(self) -> list[FileRun]:
+        """Runs of `run_once` that came to their end."""
+        return [run for run in self._runs.values() if not run.stopped]
+
+    def affords(self, settings: Any) -> bool:
+        """Return True if a run with these settings has few enough evaluations for its engine."""
+        return self.simulation.evaluations(settings) * self.scene.duration <= self.simulation.max_evaluations
+
+    def error(self, run: FileRun) -> RunError:
+        """Compare a run with the reference, as far as a comparison means something."""
+        return run_error(self.until_end(run.trajectory), self.reference, self.scale)
+
+    def apart(self, one: FileRun, two: FileRun) -> RunError:
+        """Compare two runs, as far as a comparison means something."""
+        return run_error(self.until_end(one.trajectory), two.trajectory, self.scale)
+
+    def until_end(self, run: Trajectory) -> Trajectory:
+        """Return a run up to the time at which the comparison ends."""
+        return run if self.until is None else run.first(int(np.searchsorted(run.time, self.until)))
