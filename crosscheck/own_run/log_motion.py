@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.own_run.log_columns import Elements, LogData, Measured, Origin
-from crosscheck.own_run.log_velocities import fitted_velocities
+from crosscheck.own_run.log_velocities import RANK_TOLERANCE, fitted_velocities, free_motions
 from newton_euler.equations.applied_forces import energies, surroundings
 from newton_euler.equations.couplings import counted_angles
 from newton_euler.equations.relative import Relative
@@ -41,9 +41,6 @@ RATE_ROWS = 5
 
 MAX_RATE_STEP = 1e-5
 """Largest change of a coordinate, rad or m, by which rates of coordinates are converted to velocities."""
-
-POSE_RANK_TOLERANCE = 1e-6
-"""Smallest effect of a logged quantity on a free motion, relative to the largest one, that determines it."""
 
 
 class BodyPose(NamedTuple):
@@ -417,12 +414,7 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
     mechanism, where = scene.mechanism, data.where
     system = Relative(scene)
     q, _ = system.coordinates(initial_state(scene))
-    units = system.velocity_units
-    # free motions at the scene's start, as columns
-    rows = system.phi_jacobian(q) * units
-    _, values, basis = np.linalg.svd(rows, full_matrices=True)
-    rank = int(np.sum(values > POSE_RANK_TOLERANCE * max(1.0, float(np.max(values, initial=0.0)))))
-    free = basis[rank:].T * units[:, None]
+    free = free_motions(system, q)
 
     links = system.links(q, np.zeros(system.nv))
 
@@ -439,13 +431,13 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
     bodies = system.velocity_transformation(q).reshape(-1, 6, system.nv)
     # what the log determines: known bodies, then coordinates
     chosen = np.concatenate([bodies[body] for body in known]) @ free
-    count = np.linalg.matrix_rank(chosen, POSE_RANK_TOLERANCE)
+    count = np.linalg.matrix_rank(chosen, RANK_TOLERANCE)
     keys: list[Key] = []
     for key in [*data.coordinates, *mechanism.coordinate_labels]:
         if count == free.shape[1]:
             break
         more = np.concatenate([chosen, effect([key])])
-        if np.linalg.matrix_rank(more, POSE_RANK_TOLERANCE) > count:
+        if np.linalg.matrix_rank(more, RANK_TOLERANCE) > count:
             if key not in data.coordinates:
                 label = mechanism.coordinate_labels[key]
                 problem = f"column coordinate.{label} is missing: no column determines joint {quoted(label)}"
@@ -484,7 +476,7 @@ def _independent(effects: Array, keys: Sequence[Key]) -> list[Key]:
     """Choose coordinates whose effects (k, free motions) are independent, the earlier ones first."""
     found: list[int] = []
     for k in range(len(keys)):
-        if np.linalg.matrix_rank(effects[[*found, k]], POSE_RANK_TOLERANCE) > len(found):
+        if np.linalg.matrix_rank(effects[[*found, k]], RANK_TOLERANCE) > len(found):
             found.append(k)
     return [keys[k] for k in found]
 

@@ -25,8 +25,16 @@ PERIODS_PER_ROW = 10
 CHANGE = 1e-5
 """Change of poses, sizes or rad, by which derivatives by velocities are computed."""
 
-VELOCITY_RANK_TOLERANCE = 1e-6
+RANK_TOLERANCE = 1e-6
 """Smallest singular value of free motions and of their effects, relative to the largest one, that counts."""
+
+
+def free_motions(system: Relative, q: Array) -> Array:
+    """Return the velocities that constraints leave free at coordinates q, as columns (nv, f)."""
+    units = system.velocity_units
+    _, values, basis = np.linalg.svd(system.phi_jacobian(q) * units, full_matrices=True)
+    rank = int(np.sum(values > RANK_TOLERANCE * max(1.0, float(np.max(values, initial=0.0)))))
+    return np.asarray(basis[rank:].T * units[:, None])
 
 
 def fitted_velocities(
@@ -46,12 +54,8 @@ def fitted_velocities(
     """
     size = scene.mechanism.size
     system = Relative(scene)
-    # free motions of the mechanism in this pose, as columns
     q, v = system.coordinates(state)
-    units = system.velocity_units
-    _, values, basis = np.linalg.svd(system.phi_jacobian(q) * units, full_matrices=True)
-    rank = int(np.sum(values > VELOCITY_RANK_TOLERANCE * max(1.0, float(np.max(values, initial=0.0)))))
-    free = basis[rank:].T * units[:, None]
+    free = free_motions(system, q)
     if not free.shape[1]:
         return state
     periods = PERIODS_PER_ROW * (len(times) - 1)
@@ -90,7 +94,7 @@ def fitted_velocities(
         for _ in range(FITS):
             now, *changed = residuals([v, *(v + change * column for column in free.T)])
             slopes = np.stack([(each - now) / change for each in changed], axis=1)
-            steps, *_ = np.linalg.lstsq(slopes, -now, rcond=VELOCITY_RANK_TOLERANCE)
+            steps, *_ = np.linalg.lstsq(slopes, -now, rcond=RANK_TOLERANCE)
             v = v + free @ steps
         return system.state(q, v)
     except NewtonEulerError:
