@@ -55,6 +55,7 @@ def fitted_velocities(
     size = scene.mechanism.size
     system = Relative(scene)
     q, v = system.coordinates(state)
+    # velocities of the start that the constraints leave free
     free = free_motions(system, q)
     if not free.shape[1]:
         return state
