@@ -46,7 +46,7 @@ def asset(element: str, message: str, *prepare: Prepare) -> Edit:
 
 
 MJCF_EDITS: dict[str, Edit] = {
-    "includes itself": include("model.xml", "include of 'model.xml' by itself"),
+    "includes itself": include("model.xml", "includes itself"),
     "includes in a circle": include(
         "b.xml",
         "'model.xml' includes itself, through ",
@@ -72,7 +72,7 @@ MJCF_EDITS: dict[str, Edit] = {
     "includes a bomb": include(
         "b.xml", "b.xml: line 1: a document type declaration, refused", file_of("b.xml", LAUGHS + "<mujoco/>")
     ),
-    "attaches itself": asset('<model name="m" file="model.xml"/>', "by itself"),
+    "attaches itself": asset('<model name="m" file="model.xml"/>', "includes itself"),
     "attaches what leads outside": asset(
         '<model name="m" file="b.xml"/>',
         "b.xml: line 1: mesh file '/etc/passwd' leads outside of",
