@@ -1,9 +1,11 @@
 """Measure the quantities of a scene that `crosscheck regress` compares with a baseline.
 
-The quantities come in groups (`GROUPS`): properties of the model, equations and runs of newton_euler in two
-formulations, its other integrators, the engines MuJoCo and Pinocchio, and the error of the run that a model
-file's own engine makes with the settings of the file. A formulation is a choice of
-coordinates: "relative" are joint coordinates, "cartesian" are the positions and orientations of all bodies.
+A scene is a mechanism (bodies and joints) with forces, inputs, initial state and duration. The quantities
+come in groups (`GROUPS`): properties of the model; equations and runs of the solver newton_euler in each of
+its two formulations; its other integrators; the engines MuJoCo and Pinocchio; and the "own run". The own run
+is the run of a model file (MJCF or URDF) in the file's engine with the time step and solver settings of the
+file. A formulation is a choice of coordinates: "relative" are joint coordinates, "cartesian" are the
+positions and orientations of all bodies.
 
 newton_euler runs the whole scene in joint coordinates, and a tenth of its duration in Cartesian coordinates,
 at tight tolerances. The other integrators and engines make a few dozen steps of one size. Such short runs
@@ -11,8 +13,9 @@ execute all of their code, cost the same for every scene, and accumulate little 
 all engines are evaluated at the initial state and at one state of the run. newton_euler's equations are also
 evaluated with joints pulled apart, where Baumgarte's stabilization (feedback of constraint violations) acts.
 
-Tolerances follow `crosscheck.compare`. Tolerances of equations are round-off times condition number.
-Tolerances of runs add the change of each quantity in a second run with tighter error control.
+The tolerance of a quantity is the largest change that passes as round-off. Tolerances of equations are
+round-off times the condition numbers of constraints and mass matrix. Tolerances of runs add the change of
+each quantity in a second run with tighter error control.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,16 +68,19 @@ FIXED_STEP_COUNTS = {"newton_euler": 40, "mujoco": 40, "pinocchio": 10}
 """Numbers of steps of short runs, by engine. Python calls Pinocchio four times per step, therefore fewer."""
 
 CARTESIAN_FRACTION, MAX_CARTESIAN_STEPS = 0.1, 1000
-"""Limits of the run in Cartesian coordinates: fraction of the scene's duration, and number of fixed steps.
+"""Limits of the duration of the run in Cartesian coordinates: as a fraction of the scene's duration, and in
+multiples of `MeasurementPlan.step`.
 
-With redundant or nearly singular constraints a run costs a hundred times as much as in joint coordinates, and
-both use the same integrator."""
+With redundant or nearly singular constraints a Cartesian run costs a hundred times as much as in joint
+coordinates. It tests the same integrator, so a short one is enough."""
 
 MAX_SLOW_OPERATIONS = 1500
-"""Largest number of operations of a compiled right-hand side for which slow code is measured, too.
+"""Largest number of arithmetic operations of the compiled right-hand side dv/dt for which code that is slow
+to compile is measured, too.
 
-Slow to compile are the traced derivatives of Radau, and Cartesian equations with Baumgarte's stabilization.
-In larger scenes they would take longer than all other measurements, and test no further code."""
+Slow to compile are the derivatives of the right-hand side for Radau, and Cartesian equations with Baumgarte's
+stabilization. In larger scenes they would take longer than all other measurements, and test no further
+code."""
 
 RADAU_RTOL = 1e-10
 """Relative tolerance of Radau (implicit, order 5): a few hundred steps in a short run."""
@@ -86,30 +92,31 @@ At the tighter tolerances of other runs the number of steps depends on the round
 versions of libraries round constants differently, which can add or remove a step."""
 
 JOINT_GAP = 1e-3
-"""Distance by which joints are pulled apart, in sizes of the mechanism or rad; velocities the same per
-second."""
+"""Size of the steps by which coordinates are moved to pull joints apart, in sizes of the mechanism or rad;
+also the size of the steps in velocity, per second."""
 
 MUJOCO_SOLVER_TOLERANCE = 1e-8
-"""Relative improvement below which MuJoCo's iteration of soft constraint forces ends; MuJoCo's default."""
+"""Relative improvement below which MuJoCo's iteration for the forces of its soft (spring-like) constraints
+ends; MuJoCo's default."""
 
 CANDIDATE_RTOLS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
-"""Relative tolerances of runs: a plan takes the first at which a run, and a run with a tenth of it,
-complete."""
+"""Relative tolerances of runs, of which a plan takes the first feasible one: a run at this tolerance and a
+run at a tenth of it have to complete."""
 
 TIGHTER_FACTOR = 0.1
 """Factor of the relative tolerances in the second run, whose changes show the error of the first run."""
 
 MAX_ERROR_GROWTH, MIN_ERROR = 0.02, 1e-6
-"""Fraction by which errors of a file's own run may grow, and relative error below which growth is no change.
+"""Fraction by which errors of the own run may grow, and relative error below which growth is no change.
 
 Engines repeat a run to the last digit: an error that grows by 2 % shows a change of the model, its settings
-or the engine. Below a millionth of the motion, round-off and the tolerances of solvers decide."""
+or the engine. Errors below a millionth of the motion are dominated by round-off and solver tolerances."""
 
 ERROR_TOLERANCE_REASON = (
     f"{100 * MAX_ERROR_GROWTH:g} % of the error or {MIN_ERROR:g} of the motion, the larger one, plus "
     f"{OWN_ERROR:g} times the change of the error with a reference of a tenth of the tolerance"
 )
-"""Reason of the tolerances of a file's own run, stored beside them."""
+"""Text in a baseline that explains the tolerances of the own run."""
 
 RK4_EVALUATIONS = 4
 """Evaluations of the equations per step of RK4."""
@@ -119,7 +126,7 @@ XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
 
 
 def regress_scene(scene: Scene) -> Scene:
-    """Return the scene with all kinds of outputs at `OUTPUT_COUNT` times after the initial one.
+    """Return the scene with all kinds of outputs (such as energies) at `OUTPUT_COUNT` times after the start.
 
     With redundant constraints, reactions are computed in Python at each output: hundreds of outputs would
     take longer than all other measurements.
@@ -139,7 +146,8 @@ def measure_group(
         simulation: the model file in its own engine; None for scenes that are not read from such a file.
 
     Returns:
-        The quantities, or the message of the first error: an error of the tested code is a result, too.
+        The quantities, or the message of the first error of any kind: an error of the tested code is a result
+        that is compared with the baseline, too.
     """
     try:
         return list(GROUPS[group](Measurement(group, scene, plan, simulation)))
@@ -164,17 +172,17 @@ def measure_group_with_errors(
     Returns:
         The quantities, or the reason why the group is left out.
     """
-    found = measure_group(group, scene, plan, simulation)
+    measured = measure_group(group, scene, plan, simulation)
     tighter = measure_group(group, scene, plan.tighter(TIGHTER_FACTOR), simulation)
-    if isinstance(found, str) or isinstance(tighter, str):
-        return found if isinstance(found, str) else tighter
-    if wrong := [quantity.name for quantity in found if not np.all(np.isfinite(quantity.array))]:
+    if isinstance(measured, str) or isinstance(tighter, str):  # the message of an error
+        return measured if isinstance(measured, str) else tighter
+    if wrong := [quantity.name for quantity in measured if not np.all(np.isfinite(quantity.array))]:
         return f"{wrong[0]} is not finite"
     quantities = []
-    for quantity, other in zip(found, tighter, strict=True):
-        changes = np.max(np.abs(other.array - quantity.array), axis=1, initial=0.0)
-        if quantity.over_time:
-            changes = np.maximum.accumulate(changes)  # errors grow along a run
+    for quantity, other in zip(measured, tighter, strict=True):
+        changes = np.max(np.abs(other.array - quantity.array), axis=1, initial=0.0)  # one per row
+        if quantity.over_time:  # rows are times; errors grow along a run
+            changes = np.maximum.accumulate(changes)
         else:
             changes = np.full(len(changes), np.max(changes, initial=0.0))
         tolerance = (np.array(quantity.tolerance) + OWN_ERROR * changes).tolist()
@@ -196,7 +204,8 @@ def make_plan(scene: Scene) -> MeasurementPlan:
     assert run.kinetic_energy is not None
     # the state nearest to half of the largest kinetic energy: all bodies move, and no velocity is extreme
     n = int(np.argmin(np.abs(run.kinetic_energy - 0.5 * np.max(run.kinetic_energy))))
-    # as many evaluations per second as the adaptive run needs, so that RK4 is stable but not exact
+    # as many evaluations of dv/dt per second as the adaptive run needs, so that RK4 is stable but not exact;
+    # rounded to two digits, as the plan is stored
     step = float(f"{RK4_EVALUATIONS * scene.duration / run.settings['evaluations']:.1e}")
     for formulation in FORMULATIONS:
         if formulation != MAIN_FORMULATION:
@@ -205,17 +214,19 @@ def make_plan(scene: Scene) -> MeasurementPlan:
 
 
 def _feasible_rtol(scene: Scene, formulation: FormulationName) -> float:
-    """Return the first of `CANDIDATE_RTOLS` at which runs complete, also with a tenth of it.
+    """Return the first of `CANDIDATE_RTOLS` at which a run and a run at a tenth of it complete.
+
+    Without a feasible candidate, the last one is returned for a formulation other than `MAIN_FORMULATION`.
+    The measurement of its group then fails, and the baseline leaves the group out with the reason.
 
     Raises:
-        NewtonEulerError: if no run in `MAIN_FORMULATION` completes. For other formulations the last candidate
-            is returned: their group fails later, and is left out with the reason.
+        NewtonEulerError: for `MAIN_FORMULATION` without a feasible candidate.
     """
     compiled = compile_scene(scene, formulation)
     for rtol in CANDIDATE_RTOLS:
         try:
-            for each in (rtol, TIGHTER_FACTOR * rtol):
-                compiled.simulate(rtol=each, atol=0.01 * each)
+            for tried in (rtol, TIGHTER_FACTOR * rtol):
+                compiled.simulate(rtol=tried, atol=0.01 * tried)
             return rtol
         except NewtonEulerError:
             if rtol == CANDIDATE_RTOLS[-1] and formulation == MAIN_FORMULATION:
@@ -229,10 +240,10 @@ def main_run(scene: Scene, rtol: float) -> Trajectory:
 
 
 def shortened_scene(scene: Scene, formulation: str, step: float) -> Scene:
-    """Return the scene with the duration of its run in a formulation.
+    """Return the scene with the duration that it is run for in a formulation.
 
-    In `MAIN_FORMULATION` this is the whole duration. In other formulations it is a fraction with one output
-    at its end, see `CARTESIAN_FRACTION`.
+    The run in `MAIN_FORMULATION` has the whole duration. In other formulations, the run ends after a fraction
+    of the duration, see `CARTESIAN_FRACTION`, with one output at its end.
 
     Args:
         scene: a result of `regress_scene`.
@@ -247,7 +258,7 @@ def shortened_scene(scene: Scene, formulation: str, step: float) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Measurement of one group of quantities of a scene.
+    """Measurement of one group of quantities of a scene, with the parts that several groups share.
 
     Attributes:
         group: name of the group.
@@ -267,19 +278,21 @@ class Measurement:
         return ("start", 0.0, initial_state(self.scene)), ("moving", self.plan.time, self.plan.state.state())
 
     def samples(self, system: System, time: float, state: State) -> Samples:
-        """Evaluate the equations of a system at a state, time in s."""
+        """Return the equations of motion of a system at one state and its time, s."""
         return Samples(at_time(system, time), States(self.scene, (state,)))
 
     @cached_property
     def run_tolerance(self) -> dict[str, float]:
-        """Relative tolerance of accelerations at both states, by formulation; also that of all short runs.
+        """Relative tolerance of all values at the end of a run, by formulation.
 
-        In a few dozen steps, velocities sum up accelerations, and positions sum up velocities.
+        It is the larger tolerance of accelerations at the two `states`. In a few dozen steps, velocities sum
+        up accelerations, and positions sum up velocities.
         """
         systems = {name: formulate(self.scene, name) for name in FORMULATIONS}
         return {
             name: max(
-                _relative_tolerances(self.samples(system, time, state))[0] for _, time, state in self.states
+                _relative_tolerances(self.samples(system, time, state)).acceleration
+                for _, time, state in self.states
             )
             for name, system in systems.items()
         }
@@ -318,15 +331,11 @@ class Measurement:
         """Measure accelerations and reactions of a system at both states."""
         for label, time, state in self.states:
             samples = self.samples(system, time, state)
-            yield from self.evaluation(label, samples, samples.evaluations[0], *_relative_tolerances(samples))
+            (solution,) = samples.evaluations
+            yield from self.evaluation(label, samples, solution, _relative_tolerances(samples))
 
     def evaluation(
-        self,
-        label: str,
-        samples: Samples,
-        found: Evaluation,
-        acceleration_tolerance: float,
-        reaction_tolerance: float,
+        self, label: str, samples: Samples, solution: Evaluation, relative: RelativeTolerances
     ) -> Iterator[StoredQuantity]:
         """Measure accelerations of all bodies and reactions at all joints.
 
@@ -334,19 +343,21 @@ class Measurement:
 
         Args:
             label: start of the names, such as "moving".
-            samples: equations at one state, with their typical acceleration and force.
-            found: accelerations and reactions at the state.
-            acceleration_tolerance, reaction_tolerance: relative to typical acceleration and force.
+            samples: equations at one state, with the largest acceleration and force there as units.
+            solution: accelerations and reactions at the state.
+            relative: tolerances relative to these units.
         """
         mechanism, scales = self.scene.mechanism, samples.scales
-        bodies, joints, size = mechanism.body_names[1:], mechanism.joint_names, scales.size
-        reactions = found.reaction_force[None], found.reaction_torque[None]
+        bodies, joints, size = mechanism.body_names[1:], mechanism.joint_names, scales.size  # without ground
+        # `determined` takes and returns arrays with an axis of states, here one state
+        reactions = solution.reaction_force[None], solution.reaction_torque[None]
         (force,), (torque,) = determined(*reactions, samples.states.undetermined, size)
-        acceleration = acceleration_tolerance * scales.acceleration
-        reaction = reaction_tolerance * scales.force
+        acceleration = relative.acceleration * scales.acceleration
+        reaction = relative.reaction * scales.force
+        linear, angular = solution.linear_acceleration[1:], solution.angular_acceleration[1:]
         for name, unit, rows, array, allowed in (
-            ("linear acceleration", "m/s^2", bodies, found.linear_acceleration[1:], acceleration),
-            ("angular acceleration", "rad/s^2", bodies, found.angular_acceleration[1:], acceleration / size),
+            ("linear acceleration", "m/s^2", bodies, linear, acceleration),
+            ("angular acceleration", "rad/s^2", bodies, angular, acceleration / size),
             ("reaction force", "N", joints, force, reaction),
             ("reaction torque", "N m", joints, torque, reaction * size),
         ):
@@ -358,26 +369,30 @@ class Measurement:
         The tolerance uses the condition number of the constraints in this state: constraints that are
         redundant with closed joints are only nearly redundant with open joints.
         """
-        system = at_time(formulate(self.scene, formulation, PAPER_ALPHA), self.plan.time)
+        system = at_time(formulate(self.scene, formulation, alpha=PAPER_ALPHA), self.plan.time)
         q, v = system.coordinates(self.plan.state.state())
+        # the cosines move each coordinate by another amount, so that joints do not stay closed
         step = JOINT_GAP * system.velocity_units * np.cos(1.0 + np.arange(system.nv))
         opened = system.retract(q, step)
         acceleration = system.acceleration(opened, v + step) / system.velocity_units
         columns = [str(k) for k in range(system.nv)]
         states = States(self.scene, (self.plan.state.state(),))
-        condition = admissible_basis(system, opened, states.units)[1] * states.mass_condition
+        _, constraint_condition = admissible_basis(system, opened, states.units)
+        condition = constraint_condition * states.mass_condition
         allowed = round_off(condition, states.noise) * float(np.max(np.abs(acceleration), initial=0.0))
         return self.quantity("open joints: acceleration", "1/s^2", acceleration, allowed, columns=columns)
 
     def over_time(self, run: Trajectory) -> Iterator[StoredQuantity]:
         """Measure positions and quaternions of all bodies at all output times of a run."""
         rows = [f"{time:.9g} s" for time in run.time]
+        largest_coordinate = reach(self.scene, run.position)  # m, at least the size of the mechanism
         for name, unit, array, letters, scale in (
-            ("position over time", "m", run.position, XYZ, reach(self.scene, run.position)),
+            ("position over time", "m", run.position, XYZ, largest_coordinate),
             ("quaternion over time", "", run.quaternion, WXYZ, 1.0),
         ):
             columns = [f"{body} {letter}" for body in run.body_names[1:] for letter in letters]
-            yield self.quantity(name, unit, array[:, 1:], round_off(1.0) * scale, rows, columns)
+            allowed = round_off(condition=1.0) * scale
+            yield self.quantity(name, unit, array[:, 1:], allowed, rows, columns)  # without the ground
 
     def end_of_run(
         self, label: str, run: Trajectory, formulation: str = "relative"
@@ -395,7 +410,7 @@ class Measurement:
         assert run.constraint_violation is not None
         bodies, size = run.body_names[1:], self.scene.mechanism.size
         relative = self.run_tolerance[formulation]
-        length = relative * reach(self.scene, run.position)
+        length = relative * reach(self.scene, run.position)  # m, relative to the largest coordinate
         linear, angular = run.linear_velocity, run.angular_velocity
         speed = relative * max(size, float(np.max(np.abs(linear))), size * float(np.max(np.abs(angular))))
         for name, unit, array, allowed, letters in (
@@ -404,7 +419,8 @@ class Measurement:
             ("linear velocity", "m/s", linear, speed, XYZ),
             ("angular velocity", "rad/s", angular, speed / size, XYZ),
         ):
-            yield self.quantity(f"{label}: {name} at the end", unit, array[-1, 1:], allowed, bodies, letters)
+            at_end = array[-1, 1:]  # without the ground
+            yield self.quantity(f"{label}: {name} at the end", unit, at_end, allowed, bodies, letters)
         drift = np.max(run.constraint_violation, initial=0.0)
         yield self.quantity(f"{label}: drift", "m or rad", drift, relative * max(size, 1.0))
 
@@ -425,18 +441,29 @@ class Measurement:
         return replace(self.scene, duration=duration, output_period=duration, initial_state=start)
 
 
-def _relative_tolerances(samples: Samples) -> tuple[float, float]:
-    """Return the relative tolerances of accelerations and of reactions for round-off.
+class RelativeTolerances(NamedTuple):
+    """Tolerances relative to the largest acceleration and the largest force."""
 
-    Condition numbers of constraints and masses magnify round-off, see `crosscheck.compare.accelerations`.
+    acceleration: float
+    reaction: float
+
+
+def _relative_tolerances(samples: Samples) -> RelativeTolerances:
+    """Compute the relative tolerances for round-off, magnified by condition numbers.
+
+    Accelerations are magnified by the condition number of the constraints times that of the mass matrix.
+    Reactions are magnified by the constraints twice, see `crosscheck.compare.accelerations`.
     """
     masses, noise = samples.states.mass_condition, samples.states.noise
-    return round_off(samples.condition * masses, noise), round_off(samples.condition**2 * masses, noise)
+    return RelativeTolerances(
+        acceleration=round_off(samples.condition * masses, noise),
+        reaction=round_off(samples.condition**2 * masses, noise),
+    )
 
 
-def _measure_model(here: Measurement) -> Iterator[StoredQuantity]:
+def _measure_model(measurement: Measurement) -> Iterator[StoredQuantity]:
     """Measure properties of the model at its initial pose."""
-    mechanism = here.scene.mechanism
+    mechanism = measurement.scene.mechanism
     bodies, joints = mechanism.bodies[1:], mechanism.joints
     inertias = [rotation(body.quaternion) @ body.inertia @ rotation(body.quaternion).T for body in bodies]
     moments = {"xx": 0, "yy": 4, "zz": 8, "xy": 1, "xz": 2, "yz": 5}  # indices of a flattened 3 x 3 matrix
@@ -446,51 +473,54 @@ def _measure_model(here: Measurement) -> Iterator[StoredQuantity]:
         ("center of mass", "m", [body.center_of_mass for body in bodies], mechanism.body_names[1:], XYZ),
         ("inertia in world axes", "kg m^2", tensors, mechanism.body_names[1:], tuple(moments)),
         ("joint point", "m", [joint.point for joint in joints], mechanism.joint_names, XYZ),
-        ("gravity", "m/s^2", [here.scene.gravity], ("",), XYZ),
+        ("gravity", "m/s^2", [measurement.scene.gravity], ("",), XYZ),
     ):
-        allowed = round_off(1.0) * float(np.max(np.abs(array), initial=0.0))
-        yield here.quantity(name, unit, array, allowed, rows, columns)
+        allowed = round_off(condition=1.0) * float(np.max(np.abs(array), initial=0.0))
+        yield measurement.quantity(name, unit, array, allowed, rows, columns)
 
 
-def _measure_formulation(here: Measurement) -> Iterator[StoredQuantity]:
-    """Measure equations, compiled code and an adaptive run of newton_euler in one formulation."""
-    formulation, plan = cast(FormulationName, here.group), here.plan
-    yield from here.equations(formulate(here.scene, formulation))
-    yield here.open_joints(formulation)
-    compiled = compile_scene(shortened_scene(here.scene, formulation, plan.step), formulation)
-    for name, operations in compiled.operations.items():
-        yield here.count(f"{OPERATIONS_PREFIX}{name}", operations)
-    run = compiled.simulate(rtol=plan.rtol[formulation], atol=0.01 * plan.rtol[formulation])
+def _measure_formulation(measurement: Measurement) -> Iterator[StoredQuantity]:
+    """Measure equations, compiled code and an adaptive run of newton_euler in the formulation that the group
+    is named after."""
+    formulation, plan = cast(FormulationName, measurement.group), measurement.plan
+    yield from measurement.equations(formulate(measurement.scene, formulation))
+    yield measurement.open_joints(formulation)
+    compiled = compile_scene(shortened_scene(measurement.scene, formulation, plan.step), formulation)
+    for function, operations in compiled.operations.items():  # numbers of arithmetic operations
+        yield measurement.count(f"{OPERATIONS_PREFIX}{function}", operations)
+    run = compiled.simulate(rtol=plan.rtol[formulation], atol=0.01 * plan.rtol[formulation])  # by DOP853
     if formulation == MAIN_FORMULATION:
-        yield from here.over_time(run)
-    yield from here.end_of_run("DOP853", run, formulation)
-    balance = energy_balance(here.scene, run)
+        yield from measurement.over_time(run)
+    yield from measurement.end_of_run("DOP853", run, formulation)
+    # error: change of the energy minus work; relative to the energy exchanged in the run
+    balance = energy_balance(measurement.scene, run)
     assert balance is not None
     error = float(np.max(np.abs(balance.residual))) / (balance.exchanged or 1.0)
-    yield here.quantity("DOP853: energy error", "relative", error, here.run_tolerance[formulation])
-    yield from here.counts(compiled, "DOP853")
+    allowed = measurement.run_tolerance[formulation]
+    yield measurement.quantity("DOP853: energy error", "relative", error, allowed)
+    yield from measurement.counts(compiled, "DOP853")
 
 
-def _measure_integrators(here: Measurement) -> Iterator[StoredQuantity]:
+def _measure_integrators(measurement: Measurement) -> Iterator[StoredQuantity]:
     """Measure short runs of newton_euler's other integrators, and runs with Baumgarte's stabilization."""
-    step, short = here.plan.step, here.short(FIXED_STEP_COUNTS["newton_euler"])
+    step, short = measurement.plan.step, measurement.short(FIXED_STEP_COUNTS["newton_euler"])
     compiled = compile_scene(short, MAIN_FORMULATION)
     for integrator in ("RK4", "Euler"):
         with _naming_integrator(integrator):
             run = compiled.simulate(integrator, step=step)
-        yield from here.end_of_run(integrator, run)
+        yield from measurement.end_of_run(integrator, run)
     is_small = compiled.operations["derivative"] <= MAX_SLOW_OPERATIONS
     for formulation in FORMULATIONS if is_small else (MAIN_FORMULATION,):
         name = f"RK4, {formulation}, Baumgarte"
         with _naming_integrator(name):
             run = compile_scene(short, formulation, "baumgarte").simulate("RK4", step=step)
-        yield from here.end_of_run(name, run, formulation)
+        yield from measurement.end_of_run(name, run, formulation)
     if is_small:
-        rtol = here.plan.rtol["Radau"]
+        rtol = measurement.plan.rtol["Radau"]
         with _naming_integrator("Radau"):
             run = compiled.simulate("Radau", rtol=rtol, atol=0.01 * rtol)
-        yield from here.end_of_run("Radau", run)
-        yield from here.counts(compiled, "Radau")
+        yield from measurement.end_of_run("Radau", run)
+        yield from measurement.counts(compiled, "Radau")
 
 
 @contextmanager
@@ -502,17 +532,20 @@ def _naming_integrator(integrator: str) -> Iterator[None]:
         raise CrosscheckError(f"{integrator}: {error}") from error
 
 
-def _measure_engine(here: Measurement) -> Iterator[StoredQuantity]:
+def _measure_engine(measurement: Measurement) -> Iterator[StoredQuantity]:
     """Measure equations and a short run of MuJoCo or Pinocchio, whichever the group is named after."""
-    engine, short = ENGINES[here.group], here.short(FIXED_STEP_COUNTS[here.group])
-    (system,) = engine.systems(here.scene)
-    yield from here.equations(system)
-    if engine.evaluate_soft_constraints is not None:
-        samples = here.samples(system, 0.0, initial_state(here.scene))
+    name, scene = measurement.group, measurement.scene
+    engine = ENGINES[name]
+    (system,) = engine.systems(scene)  # the engine's equations of motion with rigid constraints
+    yield from measurement.equations(system)
+    if engine.evaluate_soft_constraints is not None:  # MuJoCo
+        samples = measurement.samples(system, 0.0, initial_state(scene))
         soft = MUJOCO_SOLVER_TOLERANCE * samples.condition**2
-        found = engine.evaluate_soft_constraints(here.scene)
-        yield from here.evaluation("soft constraints", samples, found, soft, soft)
-    yield from here.end_of_run("RK4", _run_fixed_steps(here.group, short, here.plan.step))
+        solution = engine.evaluate_soft_constraints(scene)
+        tolerances = RelativeTolerances(acceleration=soft, reaction=soft)
+        yield from measurement.evaluation("soft constraints", samples, solution, tolerances)
+    short = measurement.short(FIXED_STEP_COUNTS[name])
+    yield from measurement.end_of_run("RK4", _run_fixed_steps(name, short, measurement.plan.step))
 
 
 def _run_fixed_steps(engine: str, scene: Scene, step: float) -> Trajectory:
@@ -521,26 +554,27 @@ def _run_fixed_steps(engine: str, scene: Scene, step: float) -> Trajectory:
     import urdf
 
     if engine == "mujoco":
-        return mjcf.simulate(scene, timestep=step)
+        return mjcf.simulate(scene, timestep=step)  # RK4 is the default
     assert engine == "pinocchio"
     return urdf.simulate(scene, "RK4", step=step)
 
 
-def _measure_own_run(here: Measurement) -> Iterator[StoredQuantity]:
-    """Measure the errors of the run with the settings of the model file."""
-    if here.simulation is None:
+def _measure_own_run(measurement: Measurement) -> Iterator[StoredQuantity]:
+    """Measure the errors of the run with the settings of the model file, against a run of newton_euler."""
+    if measurement.simulation is None:
         raise CrosscheckError("the model has no run with settings of its own")
-    found = measure_error(here.simulation, here.plan.rtol[MAIN_FORMULATION], here.plan.own_run_until)
-    error, scale = found.error, found.scale
-    for name, unit, value, motion in (
+    plan = measurement.plan
+    measured = measure_error(measurement.simulation, plan.rtol[MAIN_FORMULATION], plan.own_run_until)
+    error, motion = measured.error, measured.scale  # `scale` is the extent of the motion
+    for name, unit, value, extent in (
         ("relative error", "", error.relative, 1.0),
-        ("error of position", "m", error.position, scale.length),
-        ("error of rotation", "rad", error.rotation, scale.angle),
-        ("loop opening", "m or rad", found.opening, scale.length),
+        ("error of position", "m", error.position, motion.length),
+        ("error of rotation", "rad", error.rotation, motion.angle),
+        ("loop opening", "m or rad", measured.opening, motion.length),
         ("error of energy", "relative", error.energy, 1.0),
     ):
-        allowed = max(MAX_ERROR_GROWTH * value, MIN_ERROR * motion)
-        quantity = here.quantity(name, unit, value, allowed)
+        allowed = max(MAX_ERROR_GROWTH * value, MIN_ERROR * extent)
+        quantity = measurement.quantity(name, unit, value, allowed)
         yield quantity.model_copy(update={"reason": ERROR_TOLERANCE_REASON})
 
 
