@@ -1,9 +1,10 @@
 """Baseline files of `crosscheck regress`: the stored results that later runs of a scene are compared with.
 
-A baseline holds quantities of one scene (masses, accelerations, trajectories, counts of steps) with the
-tolerance of each, the settings of their measurement, and the history of its updates. The file is JSON with
-one quantity per line, so that a version control system shows which quantity changed. A checksum at its end
-detects damaged files and lines lost in a merge.
+A scene is a mechanism with its forces, inputs, initial state and duration. A baseline holds quantities of one
+scene (masses, accelerations, trajectories, counts of steps) with the tolerance of each, the settings of their
+measurement, and the history of its updates. The file is JSON with one quantity per line, so that a version
+control system shows which quantity changed. A checksum at its end detects damaged files and lines lost in a
+merge.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio", "own_run"]
-"""Name of a group of quantities that are measured together, see `crosscheck.regress.measure.GROUPS`."""
+"""Name of a group of quantities that are measured together, see `crosscheck.regress.measure.GROUPS`.
+
+"relative" and "cartesian" are the two formulations (choices of coordinates) of newton_euler, crosscheck's
+solver; "integrators" are its integrators other than the default one."""
 
 OPERATIONS_PREFIX = "operations of "
 """Start of the names of quantities that count arithmetic operations of compiled code."""
@@ -45,7 +49,6 @@ COUNT_SUFFIXES = (": steps", ": evaluations")
 
 FILE_FORMAT = 3
 """Version of the file format that `read_baseline` accepts and `Baseline.text` writes."""
-
 
 OWN_RUN_GROUP: GroupName = "own_run"
 """Group of the errors of the run that a model file's own engine makes with the settings of the file."""
@@ -61,7 +64,7 @@ class StoredQuantity(_Strict):
     """One measured quantity: a table of numbers in SI units, vectors in the world frame.
 
     Attributes:
-        group: group of the measurement; all quantities of a group are measured, or none.
+        group: group of the quantity; a baseline has all quantities of a group, or none.
         name: name of the quantity, unique within its group, such as "start: reaction force".
         unit: unit of all numbers; empty for counts and ratios.
         rows, columns: labels of the table: names of bodies or joints, times, or components of vectors. A
@@ -125,8 +128,9 @@ class StoredState(_Strict):
         quaternion: (w, x, y, z), orientations.
         linear_velocity: m/s, in the world frame.
         angular_velocity: rad/s, in the world frame.
-        angles: rad including full revolutions, as triples (joint name, number of its coordinate, angle). The
-            file has no such field if the list is empty.
+        angles: joint angles whose full revolutions count (for springs, for example) but do not show in poses:
+            triples (joint name, number of its coordinate, angle in rad). The file has no such field if the
+            list is empty.
     """
 
     position: list[Vector]
@@ -179,8 +183,9 @@ class MeasurementPlan(_Strict):
         step: s, step of runs with fixed steps.
         time: s, time of `state`.
         state: a state of the scene's own run at which all bodies that can move do move.
-        own_run_until: s, time at which the comparison of the file's own run with the reference ends, because
-            the motion is chaotic or unstable; None for the whole run, then the file has no such field.
+        own_run_until: s, time at which the comparison of the "own run" (with the settings of the model file)
+            and the reference ends, because the motion is chaotic or unstable; None for the whole run, then
+            the baseline has no such field.
     """
 
     rtol: dict[str, Annotated[float, Field(gt=0.0, lt=0.1)]]
@@ -190,7 +195,7 @@ class MeasurementPlan(_Strict):
     own_run_until: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
 
     @model_serializer(mode="wrap")
-    def _omit_no_end(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _omit_unset_end(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Return the content of the file, without `own_run_until` if it is None."""
         content: dict[str, Any] = serialize(self)
         if self.own_run_until is None:
@@ -227,9 +232,10 @@ class Baseline(_Strict):
     Attributes:
         format: version of the file format, `FILE_FORMAT`.
         scene: name of the scene.
-        options: options that the scene was loaded with.
-        unsimulated: a line of text for each element of a model file that no quantity covers because the
-            element is not simulated; None for a scene that is not read from a model file.
+        options: options that the scene was loaded with, by name, as given on the command line.
+        unsimulated: a line of text for each element of a model file (such as a contact or a joint limit) that
+            no quantity covers because the element is not simulated; None for a scene that is not read from a
+            model file.
         history: all updates of the baseline, the last one last.
         plan: settings of the measurement.
         left_out: groups without quantities, and the reason for each.
@@ -276,9 +282,9 @@ class Baseline(_Strict):
         return list(dict.fromkeys(quantity.group for quantity in self.quantities))
 
     def find(self, group: str, name: str) -> StoredQuantity | None:
-        """Return the quantity of a name; None if the baseline has none."""
-        found = (quantity for quantity in self.quantities if (quantity.group, quantity.name) == (group, name))
-        return next(found, None)
+        """Return the quantity with a name in a group; None if the baseline has no such quantity."""
+        matching = (each for each in self.quantities if (each.group, each.name) == (group, name))
+        return next(matching, None)
 
     def text(self) -> str:
         """Format the JSON file: one line per field, and one line per entry of `unsimulated` and `figures`."""
@@ -300,4 +306,5 @@ def read_baseline(path: Path) -> Baseline:
     """
     if not os.path.lexists(path):
         raise CrosscheckError(f"no baseline {path}; create it with --update REASON")
-    return read_json(path, Baseline, "restore the file, or delete it and create it with --update REASON")
+    remedy = "restore the file, or delete it and create it with --update REASON"
+    return read_json(path, Baseline, remedy=remedy)

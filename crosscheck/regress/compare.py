@@ -1,9 +1,12 @@
 """Compare a scene with its baseline: which stored quantities changed, by how much, and from which time on.
 
-`compare` measures all quantities of a baseline again and makes one check for each. A check fails if the
-quantity changed by more than its stored tolerance. Counts of operations, steps and evaluations are costs, and
-the file's own run has errors: both fail only if they grow. If one of them falls by more than its tolerance,
-that is an improvement.
+A baseline is a JSON file with measured quantities of a scene and their tolerances. `compare` measures all
+quantities of a baseline again and makes one check for each. A check fails if the quantity changed by more
+than its stored tolerance; the quantity then "moved", and a scene without such quantities is "quiet".
+
+Two kinds of quantities fail only if they grow: costs (counts of operations, steps and evaluations), and the
+errors of the run that a model file's engine makes with the settings of the file. If one of them falls by more
+than its tolerance, the check is an improvement.
 """
 
 from __future__ import annotations
@@ -29,19 +32,20 @@ from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.scalars import Array
 
 MODEL_FILE = "model file"
-"""Level of checks of the elements of a model file that are not simulated; other levels are names of
-groups."""
+"""Level (group of checks) of the elements of a model file that are not simulated; other levels are names of
+groups of quantities."""
 
 BETWEEN = ("baseline", "now")
-"""Names of the two compared results in each check."""
+"""Names of the two compared results in each check: the stored and the present one."""
 
 
 @dataclass(frozen=True)
 class BaselineCheck(Check):
     """Check of one stored quantity against its present value, at the number that changed most.
 
-    The inherited `level` is the group of the quantity, and `value` is the absolute change. The value is
-    infinite if the quantity cannot be compared.
+    Of the inherited attributes, `level` is the group of the quantity, `value` the absolute change, and
+    `agrees` is True if the change is within `tolerance`. The value is infinite if the quantity cannot be
+    compared.
 
     Attributes:
         unit: unit of the quantity.
@@ -74,7 +78,7 @@ class BaselineCheck(Check):
 
     @property
     def more_accurate(self) -> bool:
-        """True for an error of the file's own run that fell by more than its tolerance."""
+        """True for an error of the run with the file's settings that fell by more than its tolerance."""
         return self.is_error and self.fell
 
     @property
@@ -93,7 +97,8 @@ class Comparison:
             in the order of the baseline.
         last_update: date, reason and versions of the baseline's last update.
         versions: installed versions of Python and of the packages, by name.
-        diverges: s, first output time at which the pose of a body is out of its tolerance; None if none is.
+        diverges: s, first output time at which the pose of a body is out of its tolerance; None if all poses
+            are within their tolerances.
         wall_time: s, duration of the comparison.
         acting: elements of the model file that act during the run and are not simulated.
     """
@@ -125,7 +130,7 @@ class Comparison:
 
     @property
     def more_accurate(self) -> list[BaselineCheck]:
-        """Checks of errors of the file's own run that fell by more than their tolerance."""
+        """Checks of errors of the run with the file's settings that fell by more than their tolerance."""
         return [check for check in self.checks if check.more_accurate]
 
     @property
@@ -191,26 +196,31 @@ def compare(
         scene: the scene as it was loaded.
         baseline: stored quantities, and the settings with which to measure them.
         progress: function that receives the name of the scene and of each group before its measurement.
-        mapping: how each element of the model file was imported; None for a scene that is not of a model
-            file.
+        mapping: import report: how each element of the model file was imported; None for a scene that was not
+            read from a model file.
     """
     start = time.perf_counter()
-    measured_scene = regress_scene(scene)
+    measured_scene = regress_scene(scene)  # with the outputs that the quantities need
+    # the import report after a run, which shows the elements that act and are not simulated
     watched = watched_in_own_run(scene, mapping) if mapping else None
     checks = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping, watched) or [])
     diverges = None
     simulation = mapping.simulation if mapping else None
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
-        found = measure_group(group, measured_scene, baseline.plan, simulation)
+        measured = measure_group(group, measured_scene, baseline.plan, simulation)
         stored = [quantity for quantity in baseline.quantities if quantity.group == group]
-        checks.extend(check_group(stored, found))
-        if group == MAIN_FORMULATION and not isinstance(found, str):
-            diverges = divergence_time(stored, found, measured_scene.times)
-    wall_time = time.perf_counter() - start
-    acting = tuple(watched.acting) if watched else ()
+        checks.extend(check_group(stored, measured))
+        if group == MAIN_FORMULATION and not isinstance(measured, str):  # the group with poses over time
+            diverges = divergence_time(stored, measured, measured_scene.times)
     return Comparison(
-        scene.name, tuple(checks), baseline.last_update, versions(), diverges, wall_time, acting
+        scene=scene.name,
+        checks=tuple(checks),
+        last_update=baseline.last_update,
+        versions=versions(),
+        diverges=diverges,
+        wall_time=time.perf_counter() - start,
+        acting=tuple(watched.acting) if watched else (),
     )
 
 
@@ -218,7 +228,7 @@ def unsimulated(mapping: ImportReport | None, watched: ImportReport | None) -> l
     """List the elements of a model file that can move bodies and are not simulated exactly, one line each.
 
     Args:
-        mapping: how each element of the file was imported; None for a scene that is not of a model file.
+        mapping: import report: how each element of the file was imported; None without a model file.
         watched: the same report after a run, which shows which of the elements act.
 
     Returns:
@@ -227,40 +237,42 @@ def unsimulated(mapping: ImportReport | None, watched: ImportReport | None) -> l
     """
     if mapping is None or watched is None:
         return None
+    # an inert element (such as a camera) moves nothing
     lines = [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
     return lines + [f"acts, and is not simulated: {what_acted(entry)}" for entry in watched.acting]
 
 
-def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[BaselineCheck]:
-    """Check that the elements that are not simulated are the same as in the baseline.
+def check_unsimulated(stored: Sequence[str], present: Sequence[str]) -> list[BaselineCheck]:
+    """Check that the elements that are not simulated are the same as in the baseline: one check per line.
 
     Args:
         stored: lines of `unsimulated` in the baseline.
-        found: lines of `unsimulated` of the present model file.
+        present: lines of `unsimulated` of the present model file.
     """
-    gone, new = Counter(stored) - Counter(found), Counter(found) - Counter(stored)
-    same = [BaselineCheck(MODEL_FILE, line, BETWEEN, 0.0, 0.0, "") for line in stored if line not in gone]
+    make_check = partial(BaselineCheck, MODEL_FILE, between=BETWEEN, tolerance=0.0, where="")
+    gone, new = Counter(stored) - Counter(present), Counter(present) - Counter(stored)
+    same = [make_check(quantity=line, value=0.0) for line in stored if line not in gone]
     return same + [
-        BaselineCheck(MODEL_FILE, line, BETWEEN, np.inf, 0.0, "", problem=problem)
+        make_check(quantity=line, value=np.inf, problem=problem)
         for lines, problem in ((gone, "no longer so"), (new, "new"))
         for line in lines.elements()
     ]
 
 
-def check_group(stored: Iterable[StoredQuantity], found: list[StoredQuantity] | str) -> list[BaselineCheck]:
+def check_group(stored: Iterable[StoredQuantity], present: list[StoredQuantity] | str) -> list[BaselineCheck]:
     """Check all quantities of a group.
 
     Args:
         stored: quantities of the baseline.
-        found: present quantities, or the error message of the measurement.
+        present: present quantities, or the error message of the measurement.
     """
-    now = {} if isinstance(found, str) else {quantity.name: quantity for quantity in found}
-    problem = found if isinstance(found, str) else "no longer measured"
+    now = {} if isinstance(present, str) else {quantity.name: quantity for quantity in present}
+    problem = present if isinstance(present, str) else "no longer measured"
     return [_check(quantity, now.get(quantity.name), problem) for quantity in stored]
 
 
 def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> BaselineCheck:
-    """Check one quantity at the number that changed by the most tolerances.
+    """Check one quantity at the number whose change is the largest multiple of its tolerance.
 
     Args:
         stored: quantity of the baseline.
@@ -269,9 +281,9 @@ def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> 
     """
     make_check = partial(
         BaselineCheck,
-        stored.group,
-        stored.name,
-        BETWEEN,
+        level=stored.group,
+        quantity=stored.name,
+        between=BETWEEN,
         unit=stored.unit,
         is_cost=stored.is_cost,
         is_error=stored.is_error,
@@ -284,11 +296,9 @@ def _check(stored: StoredQuantity, now: StoredQuantity | None, problem: str) -> 
     if stored.array.size == 0:
         return make_check(value=0.0, tolerance=0.0, where="")
     row, column = np.unravel_index(int(np.argmax(_change_ratios(stored, now))), stored.array.shape)
-    was, found = float(stored.array[row, column]), float(now.array[row, column])
+    old, new = float(stored.array[row, column]), float(now.array[row, column])
     where = ", ".join(filter(None, (stored.rows[row], stored.columns[column])))
-    return make_check(
-        value=abs(found - was), tolerance=stored.tolerance[row], where=where, was=was, now=found
-    )
+    return make_check(value=abs(new - old), tolerance=stored.tolerance[row], where=where, was=old, now=new)
 
 
 def _change_ratios(stored: StoredQuantity, now: StoredQuantity) -> Array:
@@ -303,15 +313,18 @@ def _change_ratios(stored: StoredQuantity, now: StoredQuantity) -> Array:
 
 
 def divergence_time(
-    stored: Iterable[StoredQuantity], found: Iterable[StoredQuantity], times: Array
+    stored: Iterable[StoredQuantity], present: Iterable[StoredQuantity], times: Array
 ) -> float | None:
-    """Return the first output time at which a quantity over time is out of its tolerance; None if none is.
+    """Return the first output time, s, at which a quantity over time (a pose) is out of its tolerance.
 
     Args:
-        stored, found: quantities of the baseline, and present quantities.
+        stored, present: quantities of the baseline, and present quantities.
         times: (n,) s, output times; the rows of quantities over time.
+
+    Returns:
+        The time; None if all quantities stay within their tolerances.
     """
-    now = {quantity.name: quantity for quantity in found if quantity.over_time}
+    now = {quantity.name: quantity for quantity in present if quantity.over_time}
     is_out = np.zeros(len(times), dtype=bool)
     for quantity in stored:
         if quantity.name in now and len(quantity.rows) == len(times):

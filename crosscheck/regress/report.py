@@ -1,6 +1,8 @@
 """Report of `crosscheck regress`: verdict and tables for the terminal and Markdown, JSON and JUnit XML.
 
-The input is a list of `Comparison`, one for each scene that was compared with its baseline.
+The input is a list of `Comparison`, one for each scene that was compared with its baseline (stored results).
+A check of a quantity against the baseline fails if the quantity "moved". Costs and errors that fell are
+improvements: "cheaper" or "more accurate".
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ CHECK_COLUMNS = [*text_columns("quantity", "where"), *number_columns("was", "cha
 
 
 def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
-    """Make tables of failed checks, cheaper costs and smaller errors for each scene that has any.
+    """Make tables of failed checks, lower costs and smaller errors for each scene that has any.
 
     Each table has at most `MAX_SHOWN_CHECKS` checks, and a line with the number of the others.
     """
@@ -45,12 +47,12 @@ def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
     unit = f", {check.unit}" if check.unit else ""
     name = f"{prefix}{check.quantity}{unit}"
     better = "cheaper" if check.cheaper else "more accurate" if check.more_accurate else ""
-    verdict: Verdict = "fails" if check.moved else "improved" if better else "holds"
-    if check.was is None or check.now is None:
+    verdict: Verdict = "fails" if check.moved else "improved" if better else "holds"  # selects a color
+    if check.was is None or check.now is None:  # no numbers, as for an element of a model file
         return [name, Cell(check.problem or "the same", verdict), "", "", ""]
     change = f"{check.now - check.was:+.2e}"
-    ratio = f"{check.tolerance_ratio:.3g} {better}".rstrip()
-    return [name, check.where, f"{check.was:.9g}", change, Cell(ratio, verdict, check.reason)]
+    ratio = Cell(f"{check.tolerance_ratio:.3g} {better}".rstrip(), verdict, about=check.reason)
+    return [name, check.where, f"{check.was:.9g}", change, ratio]
 
 
 def outcome(comparisons: Sequence[Comparison]) -> Outcome:
@@ -112,15 +114,16 @@ def report(
             rows.append("acts in the file, and is not simulated")
             for entry in comparison.acting:
                 rows.append([what_acted(entry), Cell(f"from {entry.since:.4g} s on", unsimulated)])
+        # folded: pages show the table on demand
         all_checks.append(Table(comparison.scene, CHECK_COLUMNS, rows, folded=True))
     lines += [f"{name}: left out: {why}" for name, why in left_out.items()]
     result = outcome(comparisons)
     return Report(
-        "crosscheck regress",
-        verdict(comparisons, left_out),
-        Cell(result.value, result.judged),
-        [Lines("", lines), *tables(comparisons), *all_checks],
-        sum(comparison.wall_time for comparison in comparisons),
+        title="crosscheck regress",
+        verdict=verdict(comparisons, left_out),
+        judged=Cell(result.value, result.judged),
+        parts=[Lines("", lines), *tables(comparisons), *all_checks],
+        wall_time=sum(comparison.wall_time for comparison in comparisons),
     )
 
 
@@ -157,5 +160,5 @@ def as_json(
 
 def junit(whole: Report) -> str:
     """Format the report as JUnit XML: a suite per scene, a case per check and per element that acts."""
-    all_checks = [part for part in whole.parts if part.folded]  # the other tables repeat some of their rows
+    all_checks = [part for part in whole.parts if part.folded]  # other tables repeat some of these rows
     return render.junit(replace(whole, parts=all_checks))

@@ -1,9 +1,10 @@
 """Run `crosscheck regress`: create baselines of scenes and model files, or compare scenes with their
 baselines.
 
-`guard_scene` loads a scene and locates its baseline. `update_baselines` measures scenes and writes baseline
-files. `check_baselines` compares scenes with their baselines and writes reports, and recordings of scenes
-that changed.
+A baseline is a JSON file with measured quantities of a scene (masses, accelerations, trajectories), which
+guards the scene against unnoticed changes. `guard_scene` loads a scene and locates its baseline.
+`update_baselines` measures scenes and writes baseline files. `check_baselines` compares scenes with their
+baselines and writes reports, and recordings (for the Rerun viewer) of scenes that changed.
 """
 
 from __future__ import annotations
@@ -56,14 +57,15 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class GuardedScene:
-    """A scene and the location of its baseline.
+    """A scene that is guarded by a baseline, and the location of the baseline.
 
     Attributes:
         source: name of a library scene, or path of a scene or model file.
         options: options that the scene was loaded with.
         scene: the scene as it was loaded.
         path: baseline file.
-        mapping: how each element of a model file was imported; None for a scene that is not of a model file.
+        mapping: import report: how each element of a model file was imported; None for a scene that was not
+            read from a model file.
     """
 
     source: str
@@ -78,15 +80,15 @@ class GuardedScene:
         Raises:
             CrosscheckError: if the file is missing or damaged, or is of another scene or of other options.
         """
-        found = read_baseline(self.path)
-        if found.scene != self.scene.name:
-            raise CrosscheckError(f"{self.path}: scene: it is of {found.scene!r}, not of {self.scene.name!r}")
-        if found.options != self.options:
+        stored, name = read_baseline(self.path), self.scene.name
+        if stored.scene != name:
+            raise CrosscheckError(f"{self.path}: scene: it is of {stored.scene!r}, not of {name!r}")
+        if stored.options != self.options:
             raise CrosscheckError(
-                f"{self.path}: options: of {titled(found.scene, found.options)}, not of "
-                f"{titled(self.scene.name, self.options)}; delete it to create one with other options"
+                f"{self.path}: options: of {titled(stored.scene, stored.options)}, not of "
+                f"{titled(name, self.options)}; delete it to create one with other options"
             )
-        return found
+        return stored
 
 
 def stored_options(source: str, path: Path, options: dict[str, str]) -> dict[str, str]:
@@ -113,14 +115,15 @@ def usual_path(source: str) -> Path:
 
 
 def guard_scene(source: str, options: dict[str, str], baseline: Path | None = None) -> GuardedScene:
-    """Load a scene or model file with its options and those of its baseline.
+    """Load a scene or model file with the options that the user gave and those that its baseline stores.
 
     Args:
         source: name of a library scene, or path of a scene or model file.
-        options: options that the user gave.
+        options: options that the user gave; they take precedence.
         baseline: baseline file; `usual_path` if None.
     """
     path = baseline or usual_path(source)
+    # model files are excited (initial velocities, inputs of actuators) unless an option says otherwise
     options = with_excitation(source, stored_options(source, path, options))
     scene, mapping = load_scene(source, options)
     return GuardedScene(source, options, scene, path, mapping)
@@ -132,12 +135,12 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
     Args:
         guarded: the scene.
         reason: why the baseline is created or updated.
-        progress: function that receives the name of each group before its measurement.
+        progress: function that receives the name of each group of quantities before its measurement.
 
     Raises:
         CrosscheckError: for a scene that newton_euler cannot run at any tolerance.
     """
-    scene = regress_scene(guarded.scene)
+    scene = regress_scene(guarded.scene)  # with the outputs that the quantities need
     history = guarded.baseline().history if guarded.path.exists() else []
     try:
         plan = make_plan(scene)
@@ -145,20 +148,21 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
         raise CrosscheckError(f"scene {scene.name!r} cannot be run: {error}") from error
     mapping = guarded.mapping
     simulation = mapping.simulation if mapping else None
-    if simulation is not None:
+    if simulation is not None:  # the file also runs in its own engine, with its own settings
         plan = plan.model_copy(update={"own_run_until": horizon(simulation)})
     quantities, left_out = list[StoredQuantity](), dict[GroupName, str]()
     for group in GROUPS:
         if group == OWN_RUN_GROUP and simulation is None:
             continue
         progress(f"{scene.name}: {group}")
-        found = measure_group_with_errors(group, scene, plan, simulation)
-        if isinstance(found, str):
-            left_out[group] = found
+        measured = measure_group_with_errors(group, scene, plan, simulation)
+        if isinstance(measured, str):  # the reason why the group cannot be measured
+            left_out[group] = measured
         else:
-            quantities.extend(found)
+            quantities.extend(measured)
     if MAIN_FORMULATION in left_out:
         raise CrosscheckError(f"scene {scene.name!r} cannot be measured: {left_out[MAIN_FORMULATION]}")
+    # the import report after a run, which shows the elements that act and are not simulated
     watched = watched_in_own_run(guarded.scene, mapping) if mapping else None
     return Baseline(
         scene=scene.name,
@@ -226,8 +230,8 @@ def check_baselines(
     # find all errors of files before any scene is run
     baselines = [each.baseline() for each in guarded]
     reports = [folder / name for name in REPORTS]
-    for each in guarded:
-        loops = [each.options["loops"]] if "loops" in each.options else []
+    for each in guarded:  # the reports must not overwrite a file that is read
+        loops = [each.options["loops"]] if "loops" in each.options else []  # file of a URDF's loop closures
         check_no_source(reports, [each.source, each.path, *loops])
     check_writable(*reports)
     # compare, and record the scene and its baseline side by side if they differ
@@ -238,7 +242,7 @@ def check_baselines(
         if comparison.moved and (runs := both_runs(each.scene, baseline)):
             progress(f"{each.scene.name}: recording")
             path, title = folder / f"{each.scene.name}.rrd", f"{each.scene.name} against its baseline"
-            text = markdown(report([comparison], {}, {}))
+            text = markdown(report([comparison], recordings={}, left_out={}))
             recordings[each.scene.name] = path
             contents[path] = recorded(log_run, regress_scene(each.scene), runs, text, title)
     # write everything together
@@ -255,7 +259,9 @@ def check_baselines(
 def both_runs(scene: Scene, baseline: Baseline) -> dict[str, Trajectory]:
     """Run a scene and take the run of its baseline, by the names that a recording shows.
 
-    The result is empty if the scene cannot be run, or if its bodies or times are not those of the baseline.
+    Returns:
+        The runs "newton_euler" and "baseline"; empty if the scene cannot be run, or if its bodies or times
+        are not those of the baseline.
     """
     scene = regress_scene(scene)
     stored = stored_run(scene, baseline)
@@ -268,17 +274,18 @@ def both_runs(scene: Scene, baseline: Baseline) -> dict[str, Trajectory]:
 
 
 def stored_run(scene: Scene, baseline: Baseline) -> Trajectory | None:
-    """Return the run that the baseline stores; None if its bodies or times are not the scene's.
+    """Return the poses that the baseline stores as a run; None if its bodies or times are not the scene's.
 
-    The baseline has no poses of the ground: the scene's own are added.
+    The baseline has no poses of the ground, which is body 0 of a trajectory: those of the scene are added.
     """
-    count, ground, *bodies = len(scene.times), *scene.mechanism.bodies
+    ground, *moving = scene.mechanism.bodies
+    count = len(scene.times)
     poses = list[Array]()
     for name, ground_pose in (("position", ground.center_of_mass), ("quaternion", ground.quaternion)):
         stored = baseline.find(MAIN_FORMULATION, f"{name} over time")
-        if stored is None or stored.array.shape != (count, len(ground_pose) * len(bodies)):
+        if stored is None or stored.array.shape != (count, len(ground_pose) * len(moving)):
             return None
-        others = stored.array.reshape(count, len(bodies), len(ground_pose))
+        others = stored.array.reshape(count, len(moving), len(ground_pose))
         poses.append(np.concatenate([np.tile(ground_pose, (count, 1, 1)), others], axis=1))
     return Trajectory(
         engine="baseline",
