@@ -1,8 +1,9 @@
-"""Checks: the atoms of a comparison of engines, each a value with its tolerance, at a level.
+"""Checks: each compares one value with its tolerance, for a pair of engines or for a single engine.
 
-The comparison modules of this package make checks; the diagnosis, the verdict and the reports read them. A
-level is a group of checks, such as "dynamics". This module also has the tolerances that several levels use
-and the sentences about checks that were not made or have no verdict.
+A level is a group of checks, such as "dynamics"; levels follow each other from the model to whole simulations
+(runs). The comparison modules of this package make checks; the diagnosis, the verdict and the reports read
+them. This module also has the tolerances that several levels use and the sentences about checks that were not
+made or are not judged (can neither pass nor fail).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crosscheck.engines.engine import UNRESOLVED
+from crosscheck.engines.engine import MAX_RELATIVE_ERROR
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -45,40 +46,39 @@ CONSTRAINT_VIOLATION = "constraint violation, m or rad"
 START = "start"
 """Level after "model" if two models are compared, since each model has its own initial state."""
 
-OWN_ERROR = 4.0
+ERROR_PER_CHANGE = 4.0
 """Bound on the error of a run, divided by the change between the run and a refined run.
 
-Refined means half the step or a hundred times tighter tolerances. A method of order 2 has an error of 4/3 of
-the change, a method of order 1 of twice the change, and tighter tolerances give once the change. The bound is
-three times 4/3.
+Refined means half the step or a hundred times tighter tolerances. For half the step, the error is 4/3 of the
+change with a method of order 2, and twice the change with a method of order 1. For tighter tolerances, the
+error is about equal to the change. The bound is three times 4/3.
 """
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
 """Distance from 1 to the next double precision number."""
 
 ROUND_OFF = 1e-12
-"""Relative round-off of some hundred operations in double precision. Engines differ by up to a fiftieth of
-this
-number in the scenes of the library."""
+"""Relative round-off of some hundred operations in double precision. In the scenes of the library, engines
+differ by at most a fiftieth of this number."""
 
 MIN_VALUE_DIGITS, MAX_VALUE_DIGITS = 4, 17
 """Range of the number of significant digits of values in texts."""
 
-NOISE = 10.0
-"""Relative difference caused by a nearly redundant constraint, divided by the singular value of the
-constraint.
-Two forms of the equations omit different constraint equations, so they satisfy different ones exactly."""
+NOISE_FACTOR = 10.0
+"""Relative difference of two engines that a nearly redundant constraint causes, divided by the singular value
+of that constraint. Each engine omits one of the nearly redundant equations, not always the same one, and
+satisfies the others exactly."""
 
 
 def round_off(condition: float, noise: float = 0.0) -> float:
     """Return the relative tolerance for round-off that a condition number magnifies.
 
     Args:
-        condition: condition number of the matrices that are solved with.
-        noise: relative noise of the constraints, for example the largest singular value that is treated as
-            redundant. Motions are not determined better than that.
+        condition: condition number of the matrices of the equations that are solved.
+        noise: relative error of the constraints themselves, such as the largest singular value that is
+            treated as redundant. Motions are not determined better than that.
     """
-    return min(max(ROUND_OFF, NOISE * noise) * condition, UNRESOLVED)
+    return min(max(ROUND_OFF, NOISE_FACTOR * noise) * condition, MAX_RELATIVE_ERROR)
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,11 @@ class Check:
     Attributes:
         level: one of `LEVELS`, or `START`.
         quantity: compared quantity, with its unit.
-        between: one or two names of engines or systems, or an engine and `FILE`.
+        between: one or two names of engines or systems (formulations of an engine), or an engine and `FILE`.
         value, tolerance: value, and the largest value that passes.
         where: body, joint, term or time of the largest difference.
-        judged: False for a check that can neither pass nor fail: it describes an engine, or the engine is
-            `unconverged`.
+        judged: False for a check that can neither pass nor fail: the value is for information only (such as a
+            condition number), or an engine is `unconverged`.
         unconverged: name of the engine whose error does not decrease in a refined run; such a check is not
             judged. Empty if there is none.
         detail: the values that differ, as text; empty if unknown.
@@ -127,7 +127,7 @@ class Check:
 
 
 def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str) -> str:
-    """Format the values of two engines or models, with as many digits as show the difference.
+    """Format the values of two engines or models, with enough digits to show the difference.
 
     Args:
         pair: names of the two engines or models.
@@ -157,12 +157,12 @@ def worst_check(
         gap: (n,) differences of n elements (bodies, joints), or (m, n) at m states.
         names: n names of the elements.
     """
-    each = gap.max(axis=0) if gap.ndim == 2 else gap
-    where = int(np.argmax(each))
-    return Check(level, quantity, between, float(each[where]), tolerance, names[where])
+    largest = gap.max(axis=0) if gap.ndim == 2 else gap
+    worst = int(np.argmax(largest))
+    return Check(level, quantity, between, float(largest[worst]), tolerance, names[worst])
 
 
-def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
+def chain_despite_errors(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
     """Yield the checks of all generators, even if some stop with an error; then raise the first error."""
     errors = []
     for part in parts:
@@ -176,9 +176,9 @@ def in_full(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
 
 def not_judged(rows: Sequence[Check]) -> str:
     """Report how many checks are not judged because an engine is unconverged, and why; empty if none."""
-    found = [row.unconverged for row in rows if row.unconverged]
-    count = "1 more check is" if len(found) == 1 else f"{len(found)} more checks are"
-    return f"; {count} not judged: {unconverged_reason(found)}" if found else ""
+    engines = [row.unconverged for row in rows if row.unconverged]
+    count = "1 more check is" if len(engines) == 1 else f"{len(engines)} more checks are"
+    return f"; {count} not judged: {unconverged_reason(engines)}" if engines else ""
 
 
 def unconverged_reason(engines: Iterable[str]) -> str:
@@ -187,7 +187,8 @@ def unconverged_reason(engines: Iterable[str]) -> str:
 
 
 def not_compared(rows: Sequence[Check]) -> Iterator[str]:
-    """Yield a line for each level at which pairs differ: these are not compared at later levels."""
+    """Yield a line for each level at which pairs of engines differ: a pair that differs is not compared at
+    later levels."""
     # Group the pairs by the last level at which they differ
     levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
@@ -197,14 +198,14 @@ def not_compared(rows: Sequence[Check]) -> Iterator[str]:
         last = max((levels.index(row.level) for row in failed), default=len(levels) - 1)
         if last + 1 < len(levels):
             pairs_by_level.setdefault(levels[last], []).append(pair)
-    # Name an engine that all pairs of a level have in common once
     for level, differing in pairs_by_level.items():
         words = "; ".join(" and ".join(pair) for pair in differing)
+        # If all pairs of a level have one engine in common, name that engine once
         shared = set(differing[0]).intersection(*differing[1:])
         if len(shared) == 1:
-            (one,) = shared
-            others = [name for pair in differing for name in pair if name != one]
-            words = f"{one} with {' and '.join(others)}"
+            (common,) = shared
+            others = [name for pair in differing for name in pair if name != common]
+            words = f"{common} with {' and '.join(others)}"
         yield f"not compared after {level!r}: {words}"
 
 
@@ -220,16 +221,17 @@ def reach(scene: Scene, position: Array) -> float:
     return max(scene.mechanism.size, float(np.max(np.abs(position))))
 
 
-def finite(rows: Iterable[Check]) -> Iterator[Check]:
-    """Yield the finite checks; then raise `CrosscheckError` for the first check that is not finite."""
+def require_finite(rows: Iterable[Check]) -> Iterator[Check]:
+    """Yield the checks with finite values; then raise `CrosscheckError` for the first other check."""
     not_finite = []
     for row in rows:
         if np.isfinite(row.value):
             yield row
         else:
             not_finite.append(row)
-    for row in not_finite:
+    if not_finite:
+        first = not_finite[0]
         raise CrosscheckError(
-            f"no check of {row.quantity} at level {row.level!r} between "
-            f"{' and '.join(row.between)}: {row.value:g} at {row.where}"
+            f"no check of {first.quantity} at level {first.level!r} between "
+            f"{' and '.join(first.between)}: {first.value:g} at {first.where}"
         )

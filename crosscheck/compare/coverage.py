@@ -27,10 +27,10 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.compare.changes import CHANGE, Element, TimePoint, elements
-from crosscheck.compare.check import OWN_ERROR, POSES, ROUND_OFF, Check, reach
+from crosscheck.compare.check import ERROR_PER_CHANGE, POSES, ROUND_OFF, Check, reach
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
-from crosscheck.engines.engine import UNRESOLVED, native_method, native_refined, native_run
+from crosscheck.engines.engine import MAX_RELATIVE_ERROR, native_method, native_refined, native_run
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError
@@ -164,7 +164,7 @@ class _ChangedRuns:
             float(np.max(difference(self.run, finer))) for difference in (positions_apart, orientations_apart)
         )
         self._length, self._angle = (
-            tolerance + 2.0 * min(OWN_ERROR * change, UNRESOLVED * unit)
+            tolerance + 2.0 * min(ERROR_PER_CHANGE * change, MAX_RELATIVE_ERROR * unit)
             for tolerance, change, unit in zip((length, angle), changes_if_refined, units, strict=True)
         )
 

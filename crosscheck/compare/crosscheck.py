@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from crosscheck.compare.activity import watched, what_acted
 from crosscheck.compare.advice import Advice, redundancy_advice
-from crosscheck.compare.check import Check, finite
+from crosscheck.compare.check import Check, require_finite
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.levels import in_order, reading_rows, stages
 from crosscheck.compare.reference_values import ReferenceCheck, known_of, measure
@@ -96,7 +96,7 @@ def crosscheck(
     file_stops: list[Stop] = []
     what = "comparing with the file"
     with collecting_errors(what, file_stops), limited(what, SHORTER_RUN_ADVICE, progress):
-        for row in finite(reading_rows(usable, mapping)):
+        for row in require_finite(reading_rows(usable, mapping)):
             rows.append(row)  # one by one, to keep the checks before an error
     if misread(usable, rows):
         return Crosscheck(
@@ -134,7 +134,7 @@ def crosscheck(
     comparable = {} if any(stop.undetermined for stop in stops) else runs
     for what, stage in stages(scene, usable, comparable, _random_states(scene), until).items():
         with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
-            for row in finite(stage(tuple(rows))):
+            for row in require_finite(stage(tuple(rows))):
                 rows.append(row)
     if not (rows or runs):
         raise CrosscheckError(stops_text(stops))

@@ -17,7 +17,7 @@ from functools import cache
 from itertools import combinations, product
 
 from crosscheck.compare.accelerations import acceleration_rows, softness_row
-from crosscheck.compare.check import FILE, LEVELS, READING, Check, in_full
+from crosscheck.compare.check import FILE, LEVELS, READING, Check, chain_despite_errors
 from crosscheck.compare.dynamics import dynamics_rows
 from crosscheck.compare.kinematics import kinematics_rows
 from crosscheck.compare.model import model_rows
@@ -83,7 +83,9 @@ def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iter
     pairs = (
         compare_pair((a.name, b.name), samples[a.name], samples[b.name]) for a, b in combinations(engines, 2)
     )
-    return in_full([*pairs, *(_compare_formulations(engine, engines, samples) for engine in engines)])
+    return chain_despite_errors(
+        [*pairs, *(_compare_formulations(engine, engines, samples) for engine in engines)]
+    )
 
 
 def _compare_formulations(

@@ -1,7 +1,8 @@
 """Comparison of an engine's runs with reference values: published or exact results of scenes of the library.
 
-In: a scene of the library, an engine and its run. Out: one `ReferenceCheck` for each reference value. The
-reference values are in `crosscheck/library/references`.
+In: a scene of the library, an engine and its run. Out: one `ReferenceCheck` for each reference value. A
+reference value is the value of one quantity (such as an angle) at one time, with an uncertainty; the values
+are in `crosscheck/library/references`.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.check import OWN_ERROR, REFERENCE, Check
-from crosscheck.engines.engine import UNRESOLVED, Engine
+from crosscheck.compare.check import ERROR_PER_CHANGE, REFERENCE, Check
+from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine
 from crosscheck.library import REFERENCE_QUANTITIES, SCENES
 from crosscheck.library.measure import Quantity
 from crosscheck.library.options import options_of
@@ -31,7 +32,7 @@ STEPS_ROUND_OFF = 1e-14
 
 @dataclass(frozen=True)
 class ReferenceCheck(Check):
-    """Check of an engine's result against a reference value.
+    """Check of an engine's result against a reference value. The inherited `value` is the difference.
 
     Attributes:
         known: the reference value.
@@ -49,11 +50,19 @@ class ReferenceCheck(Check):
             engine: name of the engine.
             known: the reference value.
             result: value in the engine's most accurate run.
-            own_error: error of the engine; the tolerance is this plus the uncertainty of the reference.
+            own_error: integration error of the engine. The tolerance is the sum of this error and the
+                uncertainty of the reference value.
         """
-        tolerance, where = known.uncertainty + own_error, f"{engine} at {known.time:g} s"
-        error = abs(result - known.value)
-        return cls(REFERENCE, known.quantity, (engine,), error, tolerance, where, known=known, result=result)
+        return cls(
+            level=REFERENCE,
+            quantity=known.quantity,
+            between=(engine,),
+            value=abs(result - known.value),
+            tolerance=known.uncertainty + own_error,
+            where=f"{engine} at {known.time:g} s",
+            known=known,
+            result=result,
+        )
 
     @property
     def engine(self) -> str:
@@ -90,9 +99,10 @@ def measure(
 ) -> Iterator[ReferenceCheck]:
     """Compare an engine with all reference values of a scene.
 
-    The engine's own error is measured by two runs, the second with ten or a hundred times looser tolerances
-    or with twice the step. It is `OWN_ERROR` times the largest difference up to the time of the reference
-    value, at most `UNRESOLVED` times the largest value, plus round-off.
+    The integration error of the engine is estimated from two runs, the second with ten or a hundred times
+    looser tolerances or with twice the step. The error is `ERROR_PER_CHANGE` times the largest difference of
+    the two runs up to the time of the reference value, but at most `MAX_RELATIVE_ERROR` times the largest
+    value of the quantity; round-off is added.
 
     Args:
         source: name of the scene in the library.
@@ -110,16 +120,17 @@ def measure(
         n = int(np.argmin(np.abs(fine.time - entry.time)))
         if abs(fine.time[n] - entry.time) > 1e-9 * scene.output_period:
             raise CrosscheckError(f"scene {scene.name!r} has no output at {entry.time:g} s")
-        figure = REFERENCE_QUANTITIES[source][entry.quantity]
-        values = _values(figure, fine)[: n + 1]
-        change = float(np.max(np.abs(values - _values(figure, coarse)[: n + 1])))
+        quantity = REFERENCE_QUANTITIES[source][entry.quantity]  # function of a run
+        values = _values(quantity, fine)[: n + 1]
+        change = float(np.max(np.abs(values - _values(quantity, coarse)[: n + 1])))
         scale = float(np.max(np.abs(values)))
-        own_error = min(OWN_ERROR * change, UNRESOLVED * scale) + STEPS_ROUND_OFF * scale
+        own_error = min(ERROR_PER_CHANGE * change, MAX_RELATIVE_ERROR * scale) + STEPS_ROUND_OFF * scale
         yield ReferenceCheck.of(engine.name, entry, float(values[n]), own_error)
 
 
-def _values(figure: Quantity, run: Trajectory) -> Array:
-    values = figure(run)
+def _values(quantity: Quantity, run: Trajectory) -> Array:
+    """Compute a quantity at all output times of a run, (n,)."""
+    values = quantity(run)
     assert values.shape == run.time.shape
     return values
 
@@ -127,9 +138,12 @@ def _values(figure: Quantity, run: Trajectory) -> Array:
 def _two_runs(scene: Scene, engine: Engine, run: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Return the engine's two most accurate runs, the more accurate one first.
 
-    Near a singular configuration runs with tight tolerances may stop because of round-off; then the less
-    accurate ones are used. `run` is the run with default settings. If no other run completes, the error
-    cannot be measured, and the error of the refined run is raised.
+    From the most to the least accurate, the runs are `Engine.exact` (which not every engine has),
+    `Engine.refined` and `run`, the run with default settings. Near a singular configuration the runs with
+    tight tolerances may stop because of round-off; then the next less accurate ones are used.
+
+    Raises:
+        NewtonEulerError: the error of the refined run, if `run` is the only run that completes.
     """
     if engine.exact is not None:
         with suppress(NewtonEulerError):

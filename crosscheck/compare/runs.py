@@ -1,9 +1,10 @@
 """Comparison of whole runs: trajectories of each pair of engines, drift and energy balance of each engine.
 
-In: the runs of the engines. Out: checks at the levels "trajectories", "drift" and "energy". The tolerance of
-a check is the expected integration error of the engines. If a check exceeds it, the engines are run again
-with a smaller step or tighter tolerances (refined runs), and the tolerance is extended by the measured error.
-If the refined run does not reduce the difference, the check is not judged.
+In: the runs (simulations) of one scene in several engines. Out: checks at the levels "trajectories", "drift"
+(violation of the joint constraints) and "energy". The tolerance of a check is the expected integration error
+of the engines. If a check exceeds its tolerance, the engines are run again with a smaller step or tighter
+tolerances (refined runs), and the tolerance is extended by the measured error. If the refined run does not
+reduce the difference, the check is not judged: it can neither pass nor fail.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ import numpy as np
 
 from crosscheck.compare.check import (
     CONSTRAINT_VIOLATION,
-    NOISE,
-    OWN_ERROR,
+    ERROR_PER_CHANGE,
+    NOISE_FACTOR,
     POSES,
     ROUND_OFF,
     Check,
-    in_full,
+    chain_despite_errors,
     reach,
 )
 from crosscheck.compare.energy import energy_balance
 from crosscheck.compare.samples import States
-from crosscheck.engines.engine import UNRESOLVED, Engine
+from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError
@@ -37,19 +38,20 @@ from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
-Gap = Callable[[Trajectory, Trajectory], Array]
-"""Function that returns the differences of two runs: (n,) at n times, or (n, b or j) for bodies or joints."""
+Difference = Callable[[Trajectory, Trajectory], Array]
+"""Function that returns the differences of one quantity in two runs: (n,) at n times, or (n, b or j) for b
+bodies or j joints."""
 
 Runs = Mapping[str, Trajectory]
 """Runs by the name of the engine."""
 
-MAX_REMAINING_ERROR = 1.0 - 1.0 / OWN_ERROR
+MAX_REMAINING_ERROR = 1.0 - 1.0 / ERROR_PER_CHANGE
 """Largest fraction of an error that may remain in a refined run. If more remains, the error exceeds
-`OWN_ERROR` times the change of the run."""
+`ERROR_PER_CHANGE` times the change of the run."""
 
 
-def _until_shorter_ends(difference: Gap) -> Gap:
-    """Decorate a `Gap` so that it compares two runs up to the end of the shorter one."""
+def _until_shorter_ends(difference: Difference) -> Difference:
+    """Decorate a `Difference` so that it compares two runs up to the end of the shorter one."""
 
     @wraps(difference)
     def shortened(x: Trajectory, y: Trajectory) -> Array:
@@ -107,27 +109,28 @@ def measure_run_errors(scene: Scene, engines: Sequence[Engine], runs: Runs) -> d
     rigid = next((engine for engine in engines if engine.evaluate_soft_constraints is None), None)
     if rigid is None or not runs:
         return {}
-    finest = rigid.refined(scene)
-    return {name: distance(run, finest.first(len(run.time))) for name, run in runs.items()}
+    reference = rigid.refined(scene)
+    return {name: distance(run, reference.first(len(run.time))) for name, run in runs.items()}
 
 
 def displacements(runs: Mapping[str, Trajectory]) -> dict[str, float]:
     """Return the largest displacement of any body from its start, m or rad, by engine."""
-    found = {}
+    largest = {}
     for name, run in runs.items():
         start = np.broadcast_to(run.quaternion[0], run.quaternion.shape)
-        gaps = np.linalg.norm(run.position - run.position[0], axis=-1), angle_between(run.quaternion, start)
-        found[name] = float(np.max(gaps))
-    return found
+        moved = np.linalg.norm(run.position - run.position[0], axis=-1)
+        turned = angle_between(run.quaternion, start)
+        largest[name] = float(np.max((moved, turned)))
+    return largest
 
 
 def nothing_moves_in_rigid_runs(
     scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory]
 ) -> bool:
-    """Return True if nothing moves in the runs, see `nothing_moves`.
+    """Return True if nothing moves in the runs of the engines with rigid constraints, see `nothing_moves`.
 
-    Engines with soft constraints are ignored if there are others, since soft constraints yield a little in a
-    mechanism at rest.
+    Soft constraints yield a little even in a mechanism at rest. Engines with soft constraints count only if
+    no other engine has a run.
     """
     engines_with_run = [engine for engine in engines if engine.name in runs]
     rigid = [engine for engine in engines_with_run if engine.evaluate_soft_constraints is None]
@@ -136,9 +139,14 @@ def nothing_moves_in_rigid_runs(
 
 
 def nothing_moves(runs: Mapping[str, Trajectory], scene: Scene) -> bool:
-    """Return True if all displacements in runs are round-off, relative to reach (at least 1 m) or 1 rad."""
+    """Return True if all displacements in the runs, m or rad, are round-off.
+
+    The round-off is relative to the mechanism's reach (its size or its largest coordinate), at least to 1.
+    """
     reaches = {name: max(1.0, reach(scene, run.position)) for name, run in runs.items()}
-    return all(far <= ROUND_OFF * reaches[name] for name, far in displacements(runs).items())
+    return all(
+        displacement <= ROUND_OFF * reaches[name] for name, displacement in displacements(runs).items()
+    )
 
 
 def compare_runs(
@@ -150,25 +158,26 @@ def compare_runs(
 ) -> Iterator[Check]:
     """Compare runs at the levels "trajectories", "drift" and "energy".
 
-    Each engine has a fixed relative tolerance for its expected error. If a check exceeds that, the engine is
-    run again, once, with a smaller step or tighter tolerances, and its tolerance is extended by `OWN_ERROR`
-    times the change. This assumes that refining reduces the error. If the difference does not decrease in the
-    refined run, and exceeds the fixed tolerances and round-off, the check is not judged.
+    Each engine has a fixed relative tolerance for its expected error. If a check exceeds that tolerance, the
+    engine is run again, once, with a smaller step or tighter tolerances, and the tolerance of the check is
+    extended by `ERROR_PER_CHANGE` times the change of the run. This assumes that refining reduces the error.
+    If the difference does not decrease in the refined run, and exceeds the fixed tolerances and round-off,
+    the check is not judged.
 
-    Tolerances of angles are relative to 1 rad. Those of lengths are relative to the mechanism's reach in the
-    runs, at least 1 m, as in the error control of integrators. Those of energies are relative to the larger
-    of the run's kinetic energy and `energy`.
+    Tolerances of angles are relative to 1 rad. Those of lengths are relative to the mechanism's reach (its
+    size or its largest coordinate in the runs), at least 1 m, as in the error control of integrators. Those
+    of energies are relative to the run's kinetic energy or to `energy`, whichever is larger.
 
     Args:
         scene: scene that was simulated.
         engines: engines that have a run.
         runs: runs by engine. Partial runs are compared up to their ends.
-        energy: smallest unit of energy differences, J.
+        energy: smallest unit of energy differences, J, such as weight times size of the mechanism.
         differing: pairs of engines that differ at an earlier level and are not compared.
     """
-    # Refined runs, computed when a check first needs them
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
-    noise = _noise(scene)
+    noise = _redundancy_noise(scene)
+    # Refined runs, computed when a check first needs them
     refined_runs: dict[str, Trajectory] = {}
     not_refinable: set[str] = set()
 
@@ -190,30 +199,35 @@ def compare_runs(
                 raise
             refined_runs[engine.name] = error.partial
 
-    def own_change(engine: Engine, difference: Gap) -> float:
+    def change_if_refined(engine: Engine, difference: Difference) -> float:
         """Measure the largest difference between an engine's run and its refined run."""
         if engine.name not in refined_runs:
             refine(engine)
         return float(np.max(difference(runs[engine.name], refined_runs[engine.name])))
 
     def unconverged_engine(
-        between: Sequence[Engine], gap: Callable[[Runs], Array], difference: Gap, floor: float
+        between: Sequence[Engine],
+        compared_value: Callable[[Runs], Array],
+        difference: Difference,
+        floor: float,
     ) -> str:
-        """Return the engine whose refined run does not reduce the difference of a check; empty if none.
+        """Return the engine whose refined run does not reduce the value of a check; empty if none.
 
-        The difference is computed with the given runs of the other engines first, which costs nothing, and
-        then with their refined runs, in which their own errors are smaller. Each check is tested separately,
-        since a run may converge in one quantity or towards one engine only.
+        Of the engines of the check, the one whose run changes most when refined is tested. The value is
+        computed with the given run of the other engine first, which costs nothing, and then with its refined
+        run, which has a smaller error. Each check is tested separately, since a run may converge in one
+        quantity or towards one engine only.
 
         Args:
-            between, gap, difference: see `row`.
-            floor: difference that is small enough in any case.
+            between, compared_value, difference: see `make_check`.
+            floor: value that is small enough in any case.
         """
         refined = [engine for engine in between if engine.name in refined_runs]
-        name = max(refined, key=lambda engine: own_change(engine, difference)).name
+        name = max(refined, key=lambda engine: change_if_refined(engine, difference)).name
 
         def decreases(others: Runs) -> bool:
-            before, after = (float(np.max(gap({**others, name: own[name]}))) for own in (runs, refined_runs))
+            before = float(np.max(compared_value({**others, name: runs[name]})))
+            after = float(np.max(compared_value({**others, name: refined_runs[name]})))
             return after <= max(MAX_REMAINING_ERROR * before, floor)
 
         if decreases(runs):
@@ -228,12 +242,12 @@ def compare_runs(
 
     # One check: the largest difference, with a tolerance that is extended by measured errors if needed
 
-    def row(
+    def make_check(
         level: str,
         quantity: str,
         between: Sequence[Engine],
-        gap: Callable[[Runs], Array],
-        difference: Gap,
+        compared_value: Callable[[Runs], Array],
+        difference: Difference,
         fixed: float,
         unit: float,
         shown_unit: float = 1.0,
@@ -243,51 +257,50 @@ def compare_runs(
         Args:
             level, quantity: attributes of the check.
             between: one or two engines.
-            gap: computes the compared value at all times from a set of runs.
+            compared_value: computes the compared value from a set of runs: (n,) at n times, or (n, b or j).
             difference: measures the change of the value between a run of an engine and its refined run.
             fixed: fixed tolerance, relative to `unit`.
             unit: unit of the tolerance, m, rad or J.
             shown_unit: unit in which value and tolerance are shown.
         """
-        gaps = gap(runs)
-        value, tolerance = float(np.max(gaps)), fixed * unit
-        where = worst(gaps, joints if level == "drift" else bodies)
+        values = compared_value(runs)
+        value, tolerance = float(np.max(values)), fixed * unit
+        where = place_of_largest(values, joints if level == "drift" else bodies)
         # Extend the tolerance by measured errors, beginning with the fastest engine
         coarse: list[str] = []
         for engine in sorted(between, key=lambda engine: runs[engine.name].wall_time):
             if value <= tolerance:
                 break
-            change = own_change(engine, difference)
-            tolerance += min(OWN_ERROR * change, UNRESOLVED * unit)
-            if OWN_ERROR * change > UNRESOLVED * unit:
+            change = change_if_refined(engine, difference)
+            tolerance += min(ERROR_PER_CHANGE * change, MAX_RELATIVE_ERROR * unit)
+            if ERROR_PER_CHANGE * change > MAX_RELATIVE_ERROR * unit:
                 coarse.append(f"{engine.name}'s own run changes by {change / shown_unit:.2g} when refined")
         # A check that passes by the extension only is judged only if refining reduces the difference
         extended = fixed * unit < value <= tolerance
         floor = max(fixed, ROUND_OFF) * unit
-        name = unconverged_engine(between, gap, difference, floor) if extended else ""
-        names = tuple(engine.name for engine in between)
+        unconverged = unconverged_engine(between, compared_value, difference, floor) if extended else ""
         return Check(
             level,
             quantity,
-            names,
-            value / shown_unit,
-            tolerance / shown_unit,
-            where,
-            judged=not name,
-            unconverged=name,
+            between=tuple(engine.name for engine in between),
+            value=value / shown_unit,
+            tolerance=tolerance / shown_unit,
+            where=where,
+            judged=not unconverged,
+            unconverged=unconverged,
             detail="; ".join(coarse) if value > tolerance else "",
         )
 
-    def worst(gaps: Array, names: Sequence[str]) -> str:
+    def place_of_largest(values: Array, names: Sequence[str]) -> str:
         """Return the time of the largest value, after the name of its body or joint if there is one."""
-        if gaps.ndim == 1:
-            return f"{times[int(np.argmax(gaps))]:.3g} s"
-        n, k = divmod(int(np.argmax(gaps)), gaps.shape[1])
+        if values.ndim == 1:
+            return f"{times[int(np.argmax(values))]:.3g} s"
+        n, k = divmod(int(np.argmax(values)), values.shape[1])
         return f"{names[k]} at {times[n]:.3g} s"
 
     # The checks of each level
 
-    def between_two(a: Engine, b: Engine, difference: Gap) -> Callable[[Runs], Array]:
+    def between_two(a: Engine, b: Engine, difference: Difference) -> Callable[[Runs], Array]:
         """Return a function that computes the difference of two engines from a set of runs."""
         return lambda some_runs: difference(some_runs[a.name], some_runs[b.name])
 
@@ -298,40 +311,61 @@ def compare_runs(
             (POSES[0], positions_apart, length((a, b))),
             (POSES[1], orientations_apart, 1.0),
         ):
-            gap = between_two(a, b, difference)
-            found = row("trajectories", quantity, (a, b), gap, difference, fixed, unit)
-            if not found.agrees:
+            compared_value = between_two(a, b, difference)
+            check = make_check("trajectories", quantity, (a, b), compared_value, difference, fixed, unit)
+            if not check.agrees:
                 differing_pairs.add((a.name, b.name))
-            yield found
+            yield check
 
     def drift(engine: Engine) -> Iterator[Check]:
         """Check the constraint violation of one engine."""
         if runs[engine.name].constraint_violation is not None:
-            violation, unit = partial(_violation, engine.name), length((engine,))
-            fixed = engine.drift + noise
-            yield row("drift", CONSTRAINT_VIOLATION, (engine,), violation, _violations_apart, fixed, unit)
+            yield make_check(
+                "drift",
+                CONSTRAINT_VIOLATION,
+                between=(engine,),
+                compared_value=partial(_violation, engine.name),
+                difference=_violations_apart,
+                fixed=engine.drift + noise,
+                unit=length((engine,)),
+            )
 
     def kinetic_energy(a: Engine, b: Engine) -> Iterator[Check]:
         """Compare kinetic energies of two engines, unless their trajectories differ."""
         kinetic = runs[a.name].kinetic_energy
         if kinetic is not None and (a.name, b.name) not in differing_pairs:
             unit = max(energy, float(np.max(kinetic[: len(runs[b.name].time)])))
-            fixed, gap = a.energy_error + b.energy_error + noise, between_two(a, b, _kinetic_energies_apart)
-            quantity = "kinetic energy, rel"
-            yield row("energy", quantity, (a, b), gap, _kinetic_energies_apart, fixed, unit, unit)
+            yield make_check(
+                "energy",
+                "kinetic energy, rel",
+                between=(a, b),
+                compared_value=between_two(a, b, _kinetic_energies_apart),
+                difference=_kinetic_energies_apart,
+                fixed=a.energy_error + b.energy_error + noise,
+                unit=unit,
+                shown_unit=unit,
+            )
 
     def energy_balance_error(engine: Engine) -> Iterator[Check]:
         """Check the energy balance of one engine."""
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
-            unit, difference = max(energy, balance.exchanged), _balances_apart(scene)
-            gap, fixed = partial(_residual, scene, engine.name), engine.energy_error + noise
-            yield row("energy", "energy balance error, rel", (engine,), gap, difference, fixed, unit, unit)
+            unit = max(energy, balance.exchanged)  # of the energy that is exchanged in the run
+            yield make_check(
+                "energy",
+                "energy balance error, rel",
+                between=(engine,),
+                compared_value=partial(_balance_error, scene, engine.name),
+                difference=_balances_apart(scene),
+                fixed=engine.energy_error + noise,
+                unit=unit,
+                shown_unit=unit,
+            )
 
     # All checks, of pairs that do not differ at an earlier level
     differing_pairs = set(differing)
     pairs = [(a, b) for a, b in combinations(engines, 2) if (a.name, b.name) not in differing_pairs]
-    yield from in_full(
+    yield from chain_despite_errors(
         [
             *(trajectories(a, b) for a, b in pairs),
             *(drift(engine) for engine in engines),
@@ -351,8 +385,8 @@ def compare_runs_until(
 ) -> Iterator[Check]:
     """Compare trajectories up to a time, with tolerances that are measured up to that time only.
 
-    Elements of a model file that are not simulated, such as contacts, would act from that time on. There are
-    no checks if the time is before the second output, or after the last one.
+    Used with the time from which elements of a model file would act that are not simulated, such as contacts.
+    There are no checks if the time is before the second output, or after the last one.
 
     Args:
         until: time, s.
@@ -368,12 +402,12 @@ def compare_runs_until(
             yield replace(row, quantity=f"{quantity} until {until:.4g} s, {unit}")
 
 
-def _noise(scene: Scene) -> float:
+def _redundancy_noise(scene: Scene) -> float:
     """Return the relative difference of runs that nearly redundant constraints may cause; 0 without them."""
-    residual = mobility(scene).residual
+    residual = mobility(scene).residual  # largest singular value that is treated as redundant
     if residual == 0.0:
         return 0.0
-    return min(NOISE * residual * States(scene, (initial_state(scene),)).condition, UNRESOLVED)
+    return min(NOISE_FACTOR * residual * States(scene, (initial_state(scene),)).condition, MAX_RELATIVE_ERROR)
 
 
 def _violation(engine: str, runs: Runs) -> Array:
@@ -383,15 +417,15 @@ def _violation(engine: str, runs: Runs) -> Array:
     return violation
 
 
-def _residual(scene: Scene, engine: str, runs: Runs) -> Array:
-    """Return absolute energy balance errors (n,) of an engine's run, J."""
+def _balance_error(scene: Scene, engine: str, runs: Runs) -> Array:
+    """Return absolute energy balance errors (n,) of an engine's run, J: change of energy minus work."""
     balance = energy_balance(scene, runs[engine])
     assert balance is not None
     return np.abs(balance.residual)
 
 
-def _balances_apart(scene: Scene) -> Gap:
-    """Return a function that computes differences (n,) of the energy balances of two runs, J."""
+def _balances_apart(scene: Scene) -> Difference:
+    """Return a function that computes differences (n,) of the energy balance errors of two runs, J."""
 
     @_until_shorter_ends
     def difference(x: Trajectory, y: Trajectory) -> Array:

@@ -27,7 +27,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 from newton_euler.runs.assemble import initial_state
 
-UNRESOLVED = 1e-2
+MAX_RELATIVE_ERROR = 1e-2
 """Largest tolerance that a refined run can add, relative to reach, 1 rad or energy."""
 
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
@@ -243,7 +243,7 @@ def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | 
     if expected is None or len(expected.time) != len(run.time):
         return run
     size = scene.mechanism.size
-    while distance(run, expected, length=size) > UNRESOLVED:
+    while distance(run, expected, length=size) > MAX_RELATIVE_ERROR:
         half = 0.5 * run.settings["timestep"]
         if scene.duration > half * MAX_RK4_STEPS:
             break
@@ -252,7 +252,7 @@ def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | 
         except DivergenceError:
             break
         change, run = distance(run, finer, length=size), finer
-        if change < UNRESOLVED:
+        if change < MAX_RELATIVE_ERROR:
             break
     return run
 

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crosscheck.compare.check import OWN_ERROR, reach, round_off
+from crosscheck.compare.check import ERROR_PER_CHANGE, reach, round_off
 from crosscheck.compare.energy import energy_balance
 from crosscheck.compare.samples import Samples, States, admissible_basis
 from crosscheck.engines.engine import ENGINES
@@ -114,7 +114,7 @@ or the engine. Errors below a millionth of the motion are dominated by round-off
 
 ERROR_TOLERANCE_REASON = (
     f"{100 * MAX_ERROR_GROWTH:g} % of the error or {MIN_ERROR:g} of the motion, the larger one, plus "
-    f"{OWN_ERROR:g} times the change of the error with a reference of a tenth of the tolerance"
+    f"{ERROR_PER_CHANGE:g} times the change of the error with a reference of a tenth of the tolerance"
 )
 """Text in a baseline that explains the tolerances of the own run."""
 
@@ -160,8 +160,8 @@ def measure_group_with_errors(
 ) -> list[StoredQuantity] | str:
     """Measure the quantities of one group for a new baseline.
 
-    The group is measured twice, the second time with tighter error control. `OWN_ERROR` times the change of
-    each quantity is added to its tolerance.
+    The group is measured twice, the second time with tighter error control. `ERROR_PER_CHANGE` times the
+    change of each quantity is added to its tolerance.
 
     Args:
         group: name of the group.
@@ -185,7 +185,7 @@ def measure_group_with_errors(
             changes = np.maximum.accumulate(changes)
         else:
             changes = np.full(len(changes), np.max(changes, initial=0.0))
-        tolerance = (np.array(quantity.tolerance) + OWN_ERROR * changes).tolist()
+        tolerance = (np.array(quantity.tolerance) + ERROR_PER_CHANGE * changes).tolist()
         quantities.append(quantity.model_copy(update={"tolerance": tolerance}))
     return quantities
 

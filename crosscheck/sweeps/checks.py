@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.check import OWN_ERROR, Check
+from crosscheck.compare.check import ERROR_PER_CHANGE, Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.runs import MAX_REMAINING_ERROR
-from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, UNRESOLVED, Engine
+from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, MAX_RELATIVE_ERROR, Engine
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import with_progress
 from crosscheck.sweeps.analysis import KeptNumber
@@ -256,9 +256,10 @@ def _check_kept(
     for each reason why numbers are not judged.
 
     The tolerance is the fixed relative error of the engine and of newton_euler, times `KeptNumber.scale`. If
-    the difference is larger, both runs are repeated at finer tolerances, and their changes times `OWN_ERROR`
-    are added. A number is not judged in these cases: the tolerance exceeds `UNRESOLVED`; the difference does
-    not decrease in finer runs; the number is a reaction of soft or redundant constraints.
+    the difference is larger, both runs are repeated at finer tolerances, and their changes times
+    `ERROR_PER_CHANGE` are added. A number is not judged in these cases: the tolerance exceeds
+    `MAX_RELATIVE_ERROR`; the difference does not decrease in finer runs; the number is a reaction of soft or
+    redundant constraints.
     """
     plan, scene = swept.plan, result.scene
     reductions = {each.name: each for each in plan.kept}
@@ -308,10 +309,10 @@ def _check_kept(
                 change = max(
                     abs(of_engine - fine_of_engine), _change(reduction, scalar, outputs, finer_outputs)
                 )
-                tolerance += OWN_ERROR * float(change + abs(repeated_of_sweep - fine_of_sweep))
+                tolerance += ERROR_PER_CHANGE * float(change + abs(repeated_of_sweep - fine_of_sweep))
                 largest = max(MAX_REMAINING_ERROR * max(difference, change), fixed)
                 decreases = abs(fine_of_engine - fine_of_sweep) <= largest
-                if tolerance > UNRESOLVED * scale or (difference <= tolerance and not decreases):
+                if tolerance > MAX_RELATIVE_ERROR * scale or (difference <= tolerance and not decreases):
                     unconverged = engine.name
             checks.setdefault(scalar.variable, []).append(
                 Check(

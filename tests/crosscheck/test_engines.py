@@ -9,7 +9,7 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.compare.check import UNRESOLVED
+from crosscheck.compare.check import MAX_RELATIVE_ERROR
 from crosscheck.compare.runs import compare_runs
 from crosscheck.engines.engine import ENGINES, LOOSER_TOLERANCE_FACTOR, REFINED_RTOL
 from crosscheck.library import load
@@ -33,9 +33,9 @@ def fast_linkage() -> Scene:
 
 def test_mujoco_halves_its_step_until_the_run_is_resolved(fast_linkage: Scene) -> None:
     own = ENGINES["newton_euler"].simulate(fast_linkage)
-    assert distance(mjcf.simulate(fast_linkage, timestep=COARSE), own) > UNRESOLVED
+    assert distance(mjcf.simulate(fast_linkage, timestep=COARSE), own) > MAX_RELATIVE_ERROR
     run = ENGINES["mujoco"].simulate(fast_linkage)
-    assert distance(run, own) < UNRESOLVED
+    assert distance(run, own) < MAX_RELATIVE_ERROR
     assert run.settings["timestep"] == pytest.approx(0.5 * COARSE)
 
 

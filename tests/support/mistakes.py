@@ -55,8 +55,8 @@ MISTAKES = {
     ),
     "an own error that excuses anything": (
         "crosscheck/compare/runs.py",
-        "min(OWN_ERROR * change, UNRESOLVED * unit)",
-        "OWN_ERROR * change",
+        "min(ERROR_PER_CHANGE * change, MAX_RELATIVE_ERROR * unit)",
+        "ERROR_PER_CHANGE * change",
         "crosscheck/compare/test_unconverged.py",
     ),
     "a check of NaN agrees": (

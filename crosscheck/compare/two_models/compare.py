@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.check import Check, finite, not_judged
+from crosscheck.compare.check import Check, not_judged, require_finite
 from crosscheck.compare.crosscheck import Progress
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.levels import compare_pair
@@ -178,7 +178,7 @@ def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelC
         }
         what = "comparing runs"
         with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
-            for row in finite(compare_runs(aligned.first, engines, compared, states.energy)):
+            for row in require_finite(compare_runs(aligned.first, engines, compared, states.energy)):
                 rows.append(row)  # one by one, to keep the checks before an error
     # Notes, and differences of elements that are not simulated
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
@@ -240,7 +240,7 @@ def _equations_compared(
         return [bodies_row(pair, states.aligned)], []
     first, second = (engine.systems(states.scene)[0] for engine in engines)
     one, two = Samples(first, states), _SecondSamples(second, states)
-    rows = list(finite(compare_pair(pair, [one], [two], LEVELS)))
+    rows = list(require_finite(compare_pair(pair, [one], [two], LEVELS)))
     differences = [
         f"{row.quantity}: {row.value:.1e} at {row.where}"
         for row in start_rows(pair, one, two)

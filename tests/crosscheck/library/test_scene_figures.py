@@ -15,7 +15,7 @@ from crosscheck import check
 from crosscheck.cli import run_all
 from crosscheck.cli.run_all import SceneOutcome, outcome_lines, outcomes_table, run_scene
 from crosscheck.cli.shared import UNFINISHED
-from crosscheck.compare.check import OWN_ERROR, UNRESOLVED
+from crosscheck.compare.check import ERROR_PER_CHANGE, MAX_RELATIVE_ERROR
 from crosscheck.compare.reference_values import STEPS_ROUND_OFF, known_of, measure
 from crosscheck.engines import engine as engines
 from crosscheck.library import REFERENCE_QUANTITIES, SCENES, load
@@ -88,7 +88,8 @@ def test_a_run_is_judged_by_its_uncertainty_and_its_own_error(swing):
         change = abs(figure(fine) - figure(coarse)).max()
         assert each.result == figure(fine)[-1]
         assert each.tolerance == pytest.approx(
-            each.known.uncertainty + OWN_ERROR * change + STEPS_ROUND_OFF * abs(figure(fine)).max(), rel=1e-12
+            each.known.uncertainty + ERROR_PER_CHANGE * change + STEPS_ROUND_OFF * abs(figure(fine)).max(),
+            rel=1e-12,
         )
         assert each.agrees
         assert each.summary()["reference"] == each.known.value
@@ -106,7 +107,7 @@ def test_a_coarse_run_excuses_no_more_than_a_hundredth(swing):
     engine = own(exact=lambda _: fine, refined=lambda _: elsewhere)
     for each in measure("pendulum", swing, engine, fine, half_second()):
         largest = abs(REFERENCE_QUANTITIES["pendulum"][each.known.quantity](fine)).max()
-        own_error = (UNRESOLVED + STEPS_ROUND_OFF) * largest
+        own_error = (MAX_RELATIVE_ERROR + STEPS_ROUND_OFF) * largest
         assert each.tolerance == pytest.approx(each.known.uncertainty + own_error, rel=1e-12)
 
 
@@ -140,7 +141,8 @@ def test_an_exact_run_without_a_finer_one_is_judged_by_the_usual(swing):
     figure = REFERENCE_QUANTITIES["pendulum"]["x"]
     assert found.result == figure(exact)[-1]
     own_error = (
-        OWN_ERROR * abs(figure(exact) - figure(usual)).max() + STEPS_ROUND_OFF * abs(figure(exact)).max()
+        ERROR_PER_CHANGE * abs(figure(exact) - figure(usual)).max()
+        + STEPS_ROUND_OFF * abs(figure(exact)).max()
     )
     assert found.tolerance == pytest.approx(found.known.uncertainty + own_error, rel=1e-12)
 

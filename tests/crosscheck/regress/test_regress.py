@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from crosscheck.compare.check import OWN_ERROR
+from crosscheck.compare.check import ERROR_PER_CHANGE
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.regress import measure
@@ -61,7 +61,7 @@ def tolerances(monkeypatch, measured, plain, tighter):
 def test_a_tolerance_is_that_of_the_level_and_the_own_error(monkeypatch, measured, name, changes, grown):
     """The largest of all rows; over time it grows and never shrinks."""
     plain, tighter = (quantity([[x] for x in values], name=name) for values in ([0.0] * 3, changes))
-    wanted = [1e-9 + OWN_ERROR * each for each in grown]
+    wanted = [1e-9 + ERROR_PER_CHANGE * each for each in grown]
     assert tolerances(monkeypatch, measured, plain, tighter) == pytest.approx(wanted, rel=1e-12)
 
 
