@@ -1,10 +1,12 @@
 """Registry of the engines: how each one simulates a scene, and how accurate its runs are expected to be.
 
 An `Engine` bundles the functions of one simulator; `ENGINES` has newton_euler, MuJoCo and Pinocchio by name.
-This file also chooses the settings of each run: integrator, tolerances and step. newton_euler and Pinocchio
-are integrated with adaptive steps (DOP853, or Radau for stiff scenes), MuJoCo with a fixed step.
+newton_euler is this project's own solver. A scene is a mechanism with its forces, inputs, initial state,
+duration and outputs. This file also chooses the settings of each run: integrator, tolerances and step.
+newton_euler and Pinocchio are integrated with adaptive steps (DOP853, or Radau for stiff scenes), MuJoCo with
+a fixed step. "Native" means that the equations are compiled; in Pinocchio, Python evaluates the equations.
 
-A refined run has half the step or a hundred times tighter tolerances; its difference from the usual run
+A refined run has half the step or a hundred times tighter tolerances; its difference from the default run
 measures the integration error.
 """
 
@@ -28,7 +30,8 @@ from newton_euler.model.trajectory import StoppedError, Trajectory, distance
 from newton_euler.runs.assemble import initial_state
 
 MAX_RELATIVE_ERROR = 1e-2
-"""Largest tolerance that a refined run can add, relative to reach, 1 rad or energy."""
+"""Largest error of a run that comparisons accept, relative to the mechanism's reach (its size or its largest
+coordinate), 1 rad or the energy. A run with a larger error has too coarse steps to test a model."""
 
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
 """Tolerances of refined runs, a hundredth of the default ones. DOP853 accepts no rtol below 2.2e-14."""
@@ -37,19 +40,16 @@ EXACT_RTOL, EXACT_ATOL = 1e-13, 1e-15
 """Tolerances of runs for reference values of twelve digits; tighter ones only add round-off."""
 
 MIN_MUJOCO_STEPS = 500
-"""Smallest number of steps of a run in MuJoCo, for short runs of fast machines: MuJoCo's default step of 1 ms
-is
+"""Smallest number of steps of a run in MuJoCo, for short runs of fast machines: the default step of 1 ms is
 too long for a machine that reaches 1000 rad/s after 50 ms."""
 
 MAX_HALVINGS = 4
-"""Largest number of halvings of MuJoCo's step if a run diverges. If it still diverges, `IMPLICIT` is used
-with
-the smallest step."""
+"""Largest number of halvings of MuJoCo's step if a run diverges. If the run with the smallest step diverges,
+too, `IMPLICIT` is used with that step."""
 
 MAX_RK4_STEPS = 100_000
 """Largest number of steps of MuJoCo's RK4, which take some seconds. If stability would require more steps,
-for
-example because of stiff dampers, `IMPLICIT` is used instead."""
+for example because of stiff dampers, `IMPLICIT` is used instead."""
 
 IMPLICIT: Final = "implicitfast"
 """Name of MuJoCo's implicit integrator, a method of order 1."""
@@ -59,11 +59,12 @@ NATIVE_STEP_BUDGET = 100_000
 needs more, Radau is used, see `crosscheck.engines.stiffness`."""
 
 PYTHON_STEP_BUDGET = 60
-"""Largest number of such steps if Python evaluates the equations; at least one step per output is allowed.
+"""Largest number of steps that DOP853 may need for stability if Python evaluates the equations; the number of
+outputs is used instead if that is larger.
 
-With so many steps DOP853 costs about as much as Radau. DOP853 took 4 to 7 times as many steps on damped
-trackers and servo-driven arms, with 13 evaluations each. Radau took 500 to 900 steps for a second of an arm's
-motion, with 7 evaluations each."""
+At this limit, DOP853 costs about as much as Radau: on damped solar trackers and servo-driven arms, DOP853
+took 4 to 7 times as many steps as stability requires, with 13 evaluations each. Radau took 500 to 900 steps
+for a second of an arm's motion, with 7 evaluations each."""
 
 NATIVE_MAX_STEPS, PYTHON_MAX_STEPS = 200_000, 10_000
 """Largest numbers of steps of adaptive runs in native code and in Python, so that none lasts for hours."""
@@ -76,9 +77,8 @@ STIFF_REFINEMENT = 0.1
 """Factor on the tolerances of Radau in refined runs."""
 
 LOOSER_TOLERANCE_FACTOR = 5.0
-"""Factor on the tolerances of a refined run in Python that stops. Accelerations of nearly singular loops and
-of
-stiff machines may have too few accurate digits for the usual tolerances of refined runs."""
+"""Factor on the tolerances of a refined run in Python that is repeated because it stopped. Accelerations of
+nearly singular loops and of stiff machines may have too few accurate digits for `REFINED_RTOL`."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,8 @@ class Engine:
         name: name in files and options.
         simulate: simulates a scene with crosscheck's default settings for the engine.
         refined: simulates a scene with half the step or a hundredth of the tolerance.
-        systems: returns the engine's equations of motion with rigid constraints, one per formulation.
+        systems: returns the engine's equations of motion with rigid constraints, one per formulation (choice
+            of coordinates).
         trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad.
         drift: expected constraint violation, relative to the mechanism's reach (lengths) or in rad.
         energy_error: expected energy balance error, relative to the largest energy.
@@ -121,29 +122,29 @@ def native_method(scene: Scene, refined: bool) -> dict[str, Any]:
         scene: the scene.
         refined: True for a refined run.
     """
-    return {"most_steps": NATIVE_MAX_STEPS} | _by_stiffness(scene, NATIVE_STEP_BUDGET, refined)
+    return {"most_steps": NATIVE_MAX_STEPS} | _integrator_by_stiffness(scene, NATIVE_STEP_BUDGET, refined)
 
 
 def python_method(scene: Scene, refined: bool) -> dict[str, Any]:
     """Choose the same options as `native_method` for runs whose equations are evaluated in Python."""
     steps = max(PYTHON_STEP_BUDGET, len(scene.times))
-    return {"most_steps": PYTHON_MAX_STEPS} | _by_stiffness(scene, steps, refined)
+    return {"most_steps": PYTHON_MAX_STEPS} | _integrator_by_stiffness(scene, steps, refined)
 
 
-def _by_stiffness(scene: Scene, stability_steps: int, refined: bool) -> dict[str, Any]:
-    """Choose integrator and tolerances: Radau if stability requires more DOP853 steps than allowed.
+def _integrator_by_stiffness(scene: Scene, step_budget: int, refined: bool) -> dict[str, Any]:
+    """Choose integrator and tolerances: Radau if stability requires too many steps of DOP853, else DOP853.
 
     Args:
         scene: the scene.
-        stability_steps: largest number of DOP853 steps that stability may require.
+        step_budget: largest number of DOP853 steps that stability may require.
         refined: True for a refined run.
     """
     from crosscheck.engines.stiffness import explicit_steps
 
-    if explicit_steps(scene) > stability_steps:
+    if explicit_steps(scene) > step_budget:
         factor = STIFF_REFINEMENT if refined else 1.0
         return {"integrator": "Radau", "rtol": factor * STIFF_RTOL, "atol": factor * STIFF_ATOL}
-    return {"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {}
+    return {"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {}  # {}: the default, DOP853
 
 
 @lru_cache(maxsize=1)
@@ -177,7 +178,7 @@ def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
 
 
 def _expected_run(scene: Scene) -> Trajectory | None:
-    """Return newton_euler's run, partial if it stopped; MuJoCo's step is chosen along this run."""
+    """Return newton_euler's run, by which MuJoCo's step is chosen; partial if it stopped, None on failure."""
     try:
         return native_run(scene)
     except StoppedError as error:
@@ -190,33 +191,35 @@ def _expected_run(scene: Scene) -> Trajectory | None:
 def _mujoco_run(scene: Scene) -> Trajectory:
     """Simulate a scene in MuJoCo, at the default step divided by a whole number.
 
-    The step gives at least `MIN_MUJOCO_STEPS`, is stable in RK4, and does not diverge. If the run is still
-    far from newton_euler's, the step is halved: RK4 is too coarse for fast machines, and loops with very
-    different masses are soft.
+    The step is short enough for at least `MIN_MUJOCO_STEPS` steps, for a stable RK4, and for a run that does
+    not diverge. If the run is still far from newton_euler's, the step is halved further: RK4 is inaccurate
+    for fast machines, and the soft constraints of loops with very different masses yield too much.
 
     Raises:
-        DivergenceError: with the step that RK4 would need, if all steps diverge.
+        DivergenceError: if the runs with all steps diverge; the message names the step that RK4 would need.
     """
     import mjcf
     from crosscheck.engines.stiffness import is_stable_in_rk4, modes_of_run
     from mjcf.errors import DivergenceError
     from mjcf.simulate import default_timestep
 
-    # The candidate steps: the default step, divided by whole numbers. 1 - 1e-9 allows for round-off of `ceil`
+    # The candidate steps: the default step divided by a whole number, and its halves. The factor 1 - 1e-9
+    # keeps round-off from raising the result of `ceil`
     step = default_timestep(scene)
     step /= max(1.0, np.ceil(MIN_MUJOCO_STEPS * step / scene.duration * (1.0 - 1e-9)))
     expected = _expected_run(scene)
-    modes = modes_of_run(scene, expected)
+    modes = modes_of_run(scene, expected)  # eigenvalues, 1/s
     halvings = max(MAX_HALVINGS, int(np.log2(max(1.0, MAX_RK4_STEPS * step / scene.duration))))
     steps = [step * 0.5**k for k in range(halvings + 1)]
-    # The first stable step at which RK4 does not diverge; else the implicit method
-    for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: MAX_HALVINGS + 1]:
+    # RK4 with the longest stable step at which it does not diverge; else the implicit method
+    stable_steps = [each for each in steps if is_stable_in_rk4(modes, each)]
+    for stable_step in stable_steps[: MAX_HALVINGS + 1]:
         with suppress(DivergenceError):
-            return _halve_until_accurate(scene, mjcf.simulate(scene, timestep=tried), expected)
+            return _halve_until_accurate(scene, mjcf.simulate(scene, timestep=stable_step), expected)
     try:
         return mjcf.simulate(scene, timestep=steps[MAX_HALVINGS], integrator=IMPLICIT)
     except DivergenceError as error:
-        # Explain a divergence by the fastest decay of the motions
+        # Explain the divergence by the fastest decay of the motions, if that is too fast for RK4
         rate = max(0.0, -float(np.min(modes.real, initial=0.0)))
         if RK4_LIMIT / steps[-1] >= rate:
             raise
@@ -230,12 +233,12 @@ def _mujoco_run(scene: Scene) -> Trajectory:
 
 
 def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | None) -> Trajectory:
-    """Halve the step of MuJoCo's RK4 while its run is far from the expected run and halving changes it.
+    """Halve the step of MuJoCo's RK4 while the run is far from the expected run and halving changes the run.
 
     Args:
         scene: the scene.
         run: MuJoCo's run.
-        expected: newton_euler's run; `run` is returned unchanged if it is missing or partial.
+        expected: newton_euler's run. If there is none, or a partial one, `run` is returned unchanged.
     """
     import mjcf
     from mjcf.errors import DivergenceError
@@ -258,7 +261,12 @@ def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | 
 
 
 def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:
-    """Simulate a scene in MuJoCo with half the step; `in_full` also with reactions and actuator forces."""
+    """Simulate a scene in MuJoCo with half the step.
+
+    Args:
+        scene: the scene.
+        in_full: True to compute all outputs of the scene; False to omit reactions and actuator forces.
+    """
     import mjcf
 
     settings = _mujoco_run(scene).settings
@@ -270,7 +278,8 @@ def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:
 def _without_forces(scene: Scene) -> Scene:
     """Return the scene without the outputs of reactions and actuator forces.
 
-    Comparisons do not need them in refined runs, except for scenes of the library with reference values.
+    Comparisons do not need these outputs in refined runs, except for scenes of the library with reference
+    values, which are returned unchanged.
     """
     if scene.name in REFERENCE_QUANTITIES:
         return scene
@@ -300,7 +309,12 @@ def _pinocchio_run(scene: Scene) -> Trajectory:
 
 
 def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
-    """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops."""
+    """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops.
+
+    Args:
+        scene: the scene.
+        in_full: True to compute all outputs of the scene; False to omit reactions and actuator forces.
+    """
     import urdf
 
     wanted = scene if in_full else _without_forces(scene)
@@ -319,7 +333,7 @@ def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
     return (PinocchioSystem(scene),)
 
 
-# The registry. Where errors depend on the mechanism, refined runs measure them
+# The expected errors below are those of well-conditioned mechanisms; refined runs measure larger errors
 ENGINES: dict[str, Engine] = {
     engine.name: engine
     for engine in (
@@ -332,11 +346,11 @@ ENGINES: dict[str, Engine] = {
             trajectory_error=1e-9,
             drift=1e-13,
             energy_error=1e-8,
-            package="numpy",
+            package="numpy",  # newton_euler has the version of crosscheck itself
             exact=_newton_euler_exact,
         ),
-        # RK4 at a fixed step; its constraints are springs with a time constant of two steps, whose effect on
-        # a run depends on the mechanism
+        # RK4 at a fixed step; MuJoCo's constraints are springs with a time constant of two steps, whose
+        # effect on a run depends on the mechanism
         Engine(
             "mujoco",
             _mujoco_run,
@@ -363,6 +377,7 @@ ENGINES: dict[str, Engine] = {
         ),
     )
 }
+"""All engines, by name."""
 
 
 def choose(names: list[str]) -> list[Engine]:

@@ -1,6 +1,7 @@
 """Runs of all engines: every engine simulates the scene even if another engine fails; failures are collected.
 
-In: a scene and engines. Out: the run of each engine, and a `Stop` with the reason for each failure.
+In: a scene and engines (simulators such as MuJoCo). Out: the run of each engine, and a `Stop` with the reason
+for each failure. A run that fails after its start is kept up to its last output: a partial run.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from newton_euler.model.trajectory import (
 )
 
 MIN_PARTIAL_OUTPUTS = 2
-"""Smallest number of outputs of a partial run; a run with its start only cannot be compared."""
+"""Smallest number of outputs of a partial run that is kept; the start alone cannot be compared."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,8 @@ def run_engines(
     runs, stops = dict[str, Trajectory](), list[Stop]()
     for engine in engines:
         try:
-            with limited(
-                f"{engine.name}: {scene.duration:g} s of {scene.name}", SHORTER_RUN_ADVICE, progress
-            ):
+            what = f"{engine.name}: {scene.duration:g} s of {scene.name}"
+            with limited(what, SHORTER_RUN_ADVICE, progress):  # in processor time
                 run = engine.simulate(scene)
             _check_finite(scene, run)
             runs[engine.name] = run
@@ -83,7 +83,8 @@ def run_engines(
                 runs[engine.name] = partial
             time = float(partial.time[-1]) if engine.name in runs and partial is not None else None
             reason = reason_of(error).removeprefix(f"{engine.name}: ")
-            stops.append(Stop(engine.name, reason, time, isinstance(error, UndeterminedStartError)))
+            undetermined = isinstance(error, UndeterminedStartError)
+            stops.append(Stop(engine.name, reason, time, undetermined))
     return runs, stops
 
 
@@ -102,11 +103,11 @@ def collecting_errors(what: str, stops: list[Stop]) -> Iterator[None]:
 
 
 def _check_finite(scene: Scene, run: Trajectory) -> None:
-    """Raise `IntegrationError`, with the partial run, at the first value that is not finite."""
+    """Raise `IntegrationError`, with the partial run before, if a value of a run is not finite."""
     arrays = {name: values for name, values in run.arrays().items() if values.dtype.kind == "f"}
     try:
         check_finite(scene.times, arrays)
     except IntegrationError as error:
-        rows = int(np.searchsorted(scene.times, error.time))
-        error.partial = run.first(rows) if rows else None
+        count = int(np.searchsorted(scene.times, error.time))  # outputs before the value
+        error.partial = run.first(count) if count else None
         raise
