@@ -411,7 +411,7 @@ def test_a_soft_run_that_its_own_finer_one_changes_by_more_is_not_resolved(soft,
 
     rows = [row((name,), 1e-9) for name in ("newton_euler", "pinocchio")]
     rows.append(row(("mujoco",), 5.0, "mujoco's own run changes by 3 when refined"))
-    (found,) = diagnose(NAMES, rows, soft=soft)
+    (found,) = diagnose(NAMES, rows, soft_engines=soft)
     assert (found.outlier, found.fault) == ("mujoco", fault)
 
 
