@@ -1,4 +1,4 @@
-"""Energy balance of a run, and the unit that differences of energies are divided by."""
+"""Energy balance of a run, and the lower bound of the units that energy differences are divided by."""
 
 from __future__ import annotations
 
@@ -30,24 +30,28 @@ class Balance(NamedTuple):
 
 
 def energy_scale(scene: Scene, states: list[State]) -> float:
-    """Return the smallest unit of energy differences, J.
+    """Return the lower bound, J, of the units that energy differences are divided by.
 
-    It is the largest of three energies: the kinetic energy at the given states, the mechanism's weight times
-    its size, and the kinetic energy (times two) of the mechanism's mass at one size per second.
+    The bound is the largest of three energies: the kinetic energy at the given states, the mechanism's weight
+    times its size, and the kinetic energy (times two) of the mechanism's mass at one size per second.
     """
     size = scene.mechanism.size
-    mass = sum(body.mass for body in scene.mechanism.bodies[1:])
+    mass = sum(body.mass for body in scene.mechanism.bodies[1:])  # without the ground
     inertias = [body.inertia for body in scene.mechanism.bodies]
-    kinetic = max(energies(scene, state.frames(), inertias)[0] for state in states)
+    kinetic_and_potential = [energies(scene, state.frames(), inertias) for state in states]
+    kinetic = max(kinetic for kinetic, _ in kinetic_and_potential)
     weight = mass * float(np.linalg.norm(scene.gravity))
     return max(kinetic, weight * size, mass * (size * RANDOM_RATE) ** 2)
 
 
 def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
-    """Compute the energy balance error of a run: the change of its energy less the work done on it.
+    """Compute the energy balance of a run: the change of its energy minus the work done on it.
 
-    The work is the engine's own integral, `Trajectory.work`. None if the run does not contain energies, or if
-    it does not contain the work although elements of the scene may do work.
+    The work of forces without potential energy is integrated by the engine (`Trajectory.work`).
+
+    Returns:
+        The balance; None if the run does not contain energies, or if it does not contain the work although
+        elements of the scene may do work.
     """
     if run.kinetic_energy is None or run.potential_energy is None:
         return None

@@ -1,12 +1,13 @@
 """Equations of motion of an engine at given states, in forms that can be compared between engines.
 
-`States` are states of a scene that satisfy the constraints, with the scene's own constraints there. `Samples`
-is one system (the equations of motion of an engine, in one formulation) at these states: poses, velocities,
+`States` are states of a scene that satisfy the constraints, with properties of the scene's constraints and
+masses there, computed by newton_euler (this project's solver). `Samples` is one system (the equations of
+motion of an engine, in one formulation, that is, choice of coordinates) at these states: poses, velocities,
 accelerations, reactions, and the equations projected onto the velocities that the constraints allow. The
-levels "model" to "accelerations and reactions" compare the samples of two engines. All attributes are
-computed when they are first used.
+comparison of two engines uses the samples of both. All attributes are computed when they are first used.
 
-Shapes: b bodies, j joints, n states, d degrees of freedom, nv velocities of a system.
+"Size" is the size of the mechanism, m. Shapes: b bodies (body 0 is the ground), j joints, n states, d degrees
+of freedom, nv velocities of a system.
 """
 
 from __future__ import annotations
@@ -78,7 +79,8 @@ class States:
 
     @cached_property
     def _admissible(self) -> list[tuple[Array, float]]:
-        """Basis of the allowed velocities and condition number of the constraints at each state."""
+        """Basis of the allowed body velocities and condition number of the constraints at each state, see
+        `admissible_basis`."""
         with solved(self._system, "independent velocities"):
             return [admissible_basis(self._system, q, self.units) for q, _ in self._coordinates]
 
@@ -94,14 +96,14 @@ class States:
 
     @property
     def is_singular(self) -> bool:
-        """True if the constraints lose rank at the first state: its accelerations are not unique."""
+        """True if the constraints lose rank at the first state: accelerations are not unique there."""
         q, _ = self._coordinates[0]
         with solved(self._system, "the rank of constraints"):
             return rank(dimensionless_jacobian(self._system, q)) < constraint_rank(self._system)
 
     @cached_property
     def closure_error(self) -> float:
-        """Largest constraint residual of the states, sizes or rad: states may be given with few digits."""
+        """Largest constraint residual of the states, sizes or rad; not 0 for states given with few digits."""
         return _closure_error(self._system, self._coordinates)
 
     @cached_property
@@ -112,28 +114,32 @@ class States:
         Accuracy and Stability of Numerical Algorithms, 2nd ed., 2002, section 10.1.1).
         """
         with solved(self._system, "the condition of the mass matrix"):
-            return max(_equilibrated(self._system.mass_and_force(q, v)[0]) for q, v in self._coordinates)
+            masses = (self._system.mass_and_force(q, v)[0] for q, v in self._coordinates)
+            return max(_scaled_condition(mass) for mass in masses)
 
     @property
     def redundancy(self) -> float:
-        """Largest singular value of the scene's constraints that is treated as redundant."""
+        """Largest singular value of the dimensionless constraint Jacobian that is treated as zero: 0 unless
+        constraints are nearly redundant."""
         return mobility(self.scene).residual
 
     @cached_property
     def noise(self) -> float:
-        """Relative noise of constraints: `redundancy`, or round-off of coordinates far from the origin."""
+        """Relative error of constraints: `redundancy`, or the round-off of coordinates far from the origin if
+        that is larger."""
         distance = max(float(np.max(np.abs(state.position))) for state in self.all)
         return max(self.redundancy, MACHINE_EPSILON * distance / self.scene.mechanism.size)
 
     @cached_property
     def undetermined(self) -> list[Array]:
-        """(6 j, r) at each state: combinations of reactions that redundant constraints leave undetermined."""
+        """(6 j, r) at each state: basis of the r combinations of joint reactions that redundant constraints
+        leave undetermined."""
         with solved(self._system, "undetermined reactions"):
             return [undetermined(self.scene, state) for state in self.all]
 
     @cached_property
     def energy(self) -> float:
-        """Smallest unit of energy differences, J, see `energy_scale`."""
+        """Lower bound, J, of the units that energy differences are divided by, see `energy_scale`."""
         return energy_scale(self.scene, list(self.all))
 
     def name(self, index: int) -> str:
@@ -170,7 +176,7 @@ class Samples:
 
     @cached_property
     def initial_orientations(self) -> Array:
-        """(b, 4) quaternions of the bodies at zero coordinates, by the system's own kinematics."""
+        """(b, 4) quaternions (w, x, y, z) of bodies at the initial pose, by the system's own kinematics."""
         mechanism = self.system.mechanism
         q, v = self.system.coordinates(State.initial(mechanism))
         return self.system.state(q, v).quaternion
@@ -215,9 +221,9 @@ class Samples:
         fourth order. The accelerations in `evaluations` come from the equations of bodies instead, so they
         would not show an error in the coordinate accelerations.
         """
-        found = []
+        all_rates = []  # (2, b, 3) at each state: linear and angular accelerations
         for (q, v), state, vdot in zip(self.coordinates, self.motions, self.accelerations, strict=True):
-            # A time step in which bodies move by `RATE_STEP`
+            # A time step in which bodies move by at most `RATE_STEP`
             size = self.states.scene.mechanism.size
             speeds = [np.abs(state.linear_velocity).max() / size, np.abs(state.angular_velocity).max()]
             step = RATE_STEP / max(RANDOM_RATE, *speeds)
@@ -226,13 +232,14 @@ class Samples:
                 time = factor * step
                 moved = self.system.state(self.system.retract(q, time * v), v + time * vdot)
                 rates += weight / step * np.array([moved.linear_velocity, moved.angular_velocity])
-            found.append(rates)
-        linear, angular = np.moveaxis(np.array(found), 1, 0)
+            all_rates.append(rates)
+        linear, angular = np.moveaxis(np.array(all_rates), 1, 0)
         return linear, angular
 
     @cached_property
     def _admissible(self) -> list[tuple[Array, float]]:
-        """Basis of the allowed velocities and condition number of the constraints at each state."""
+        """Basis of the allowed body velocities and condition number of the constraints at each state, see
+        `admissible_basis`."""
         with solved(self.system, "independent velocities"):
             return [admissible_basis(self.system, q, self.states.units) for q, _ in self.coordinates]
 
@@ -252,15 +259,15 @@ class Samples:
 
         The basis is that of the scene's constraints (`States.bases`), so that engines can be compared.
         """
-        found = zip(self.coordinates, self.evaluations, self.accelerations, self.states.bases, strict=True)
+        by_state = zip(self.coordinates, self.evaluations, self.accelerations, self.states.bases, strict=True)
         with solved(self.system, "effective inertia and force"):
             return [
                 free_motion(self.system, q, v, evaluation, vdot, basis, self.states.units)
-                for (q, v), evaluation, vdot, basis in found
+                for (q, v), evaluation, vdot, basis in by_state
             ]
 
     def stack(self, name: str) -> Array:
-        """Return a quantity at all states as one array (n, b or j, ...).
+        """Return a quantity at all states as one array (n, ...), such as (n, b, 3) for a vector of bodies.
 
         Args:
             name: name of an attribute of `State` (taken from `motions`) or of `Evaluation`.
@@ -282,18 +289,18 @@ class Samples:
 
 
 RATE_STEP = 1e-3
-"""rad, or sizes of the mechanism, that bodies move between the points of `RATE_STENCIL`."""
+"""Largest displacement of bodies between two points of `RATE_STENCIL`, sizes of the mechanism or rad."""
 
 RATE_STENCIL = ((-2.0, 1.0 / 12.0), (-1.0, -2.0 / 3.0), (1.0, 2.0 / 3.0), (2.0, -1.0 / 12.0))
-"""Steps and weights of the central difference of fourth order."""
+"""Points (in time steps) and weights of the central difference of fourth order for a first derivative."""
 
 RATE_ERROR = 1e-9
-"""Relative error of these accelerations: truncation is of the order of `RATE_STEP`^4, round-off of 1e-16 over
-`RATE_STEP`; both a thousand times over."""
+"""Tolerance of `Samples.coordinate_accelerations`, relative. Their truncation error is about `RATE_STEP`^4 =
+1e-12, and their round-off about 1e-16 / `RATE_STEP` = 1e-13; the tolerance is a thousand times larger."""
 
 
 def body_units(scene: Scene) -> Array:
-    """(6 b,) units of body velocities: sizes a second and radians a second."""
+    """Return units (6 b,) of body velocities: mechanism sizes per second (linear) and rad/s (angular)."""
     size = scene.mechanism.size
     return np.tile([size, size, size, 1.0, 1.0, 1.0], len(scene.mechanism.bodies))
 
@@ -313,10 +320,13 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
         An orthonormal basis (6 b, d) of the allowed body velocities divided by `units`, 1/s; and the
         condition number of the independent constraint equations, 1 without constraints.
     """
+    # The dimensionless constraint Jacobian, without rows that are nearly redundant, and the dimensionless
+    # transformation T of coordinate velocities to body velocities
     jacobian = with_zero_rows(dimensionless_jacobian(system, q), rows_left_out(system))
     transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
     if not jacobian.size:
         return orthonormal_range(transformation), 1.0
+    # The coordinate velocities that the constraints allow are the null space of the Jacobian
     _, values, directions = singular_values(jacobian, full=True)
     count = numerical_rank(values)
     basis = orthonormal_range(transformation @ directions[count:].T)
@@ -333,40 +343,43 @@ def free_motion(
 
         (Y^T M Y) dy/dt = Y^T (f - M v_p),   T Y = U W,   J Y = 0
 
-    T is the system's velocity transformation. v_p is an acceleration of the coordinates that satisfies the
-    constraints and accelerates the bodies perpendicularly to W only. The effective inertia Y^T M Y and force
-    Y^T (f - M v_p) do not depend on the choice of coordinates (J. Garcia de Jalon, E. Bayo, Kinematic and
-    Dynamic Simulation of Multibody Systems, 1994, section 5.2).
+    J is the constraint Jacobian, and T the system's velocity transformation from v to V. v_p is the part of
+    dv/dt that satisfies the constraints and accelerates the bodies perpendicularly to W only. The effective
+    inertia Y^T M Y and force Y^T (f - M v_p) do not depend on the choice of coordinates (J. Garcia de Jalon,
+    E. Bayo, Kinematic and Dynamic Simulation of Multibody Systems, 1994, section 5.2).
 
     Args:
         system: equations of motion.
         q, v: coordinates and velocities of the system.
         evaluation: accelerations of bodies at this state.
         vdot: (nv,) accelerations of the coordinates.
-        basis: (6 b, d) basis of the allowed body velocities, divided by `units`.
-        units: (6 b,) units of body velocities, see `body_units`.
+        basis: (6 b, d) basis W of the allowed body velocities, divided by `units`.
+        units: (6 b,) units U of body velocities, see `body_units`.
     """
+    # T and M in dimensionless velocities, v / velocity_units
     transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
     mass, force = system.mass_and_force(q, v)
     mass = mass * system.velocity_units
     accelerations = np.hstack([evaluation.linear_acceleration, evaluation.angular_acceleration]).ravel()
-    along = basis.T @ (accelerations / units)  # dy/dt
+    y_rate = basis.T @ (accelerations / units)  # dy/dt
+    # Y in dimensionless velocities (`velocities`), and Y in the space of the rows of M and f (`projection`)
     if len(mass) < system.nv:
-        # Cartesian coordinates: the mass matrix is that of body velocities, with angular ones in body frames.
-        # Body accelerations are T qddot, because Gdot pdot = 0 for Euler parameters p
+        # Cartesian coordinates: the rows of M and f belong to body velocities, with angular ones in body
+        # frames. Body accelerations are T qddot, because Gdot pdot = 0 for Euler parameters p
         motion = _least_squares(transformation, np.column_stack([basis, accelerations / units]))
         velocities, acceleration = motion[:, :-1], motion[:, -1]
-        onto = _on_wrenches(evaluation.state, units[:, None] * basis)
+        projection = _in_body_frames(evaluation.state, units[:, None] * basis)
     else:
         jacobian = dimensionless_jacobian(system, q)
-        # The constraints are needed as well: T does not contain the motion of halves of cut bodies
+        # J Y = 0 is needed as well: if a system cuts a body into two halves to open a loop, V = T v does not
+        # have the velocities of both halves
         rows = np.concatenate([transformation, jacobian])
         right = np.concatenate([basis, np.zeros((len(jacobian), basis.shape[1]))])
         velocities = _least_squares(rows, right)
         acceleration = vdot / system.velocity_units
-        onto = system.velocity_units[:, None] * velocities
-    across = acceleration - velocities @ along  # v_p
-    return onto.T @ mass @ velocities, onto.T @ (force - mass @ across)
+        projection = system.velocity_units[:, None] * velocities
+    v_p = acceleration - velocities @ y_rate
+    return projection.T @ mass @ velocities, projection.T @ (force - mass @ v_p)
 
 
 def _closure_error(system: System, coordinates: list[tuple[Array, Array]]) -> float:
@@ -382,7 +395,7 @@ def _least_squares(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.lstsq(matrix, right)[0])
 
 
-def _equilibrated(mass: Array) -> float:
+def _scaled_condition(mass: Array) -> float:
     """Compute the condition number of a mass matrix (nv, nv) after scaling it to a unit diagonal."""
     if not len(mass):
         return 1.0
@@ -392,8 +405,8 @@ def _equilibrated(mass: Array) -> float:
     return float(np.linalg.cond(mass * np.outer(scale, scale)))
 
 
-def _on_wrenches(state: State, velocities: Array) -> Array:
-    """Express angular velocities in body frames, as Cartesian equations have torques, and drop the ground.
+def _in_body_frames(state: State, velocities: Array) -> Array:
+    """Rotate angular velocities to body frames, in which Cartesian equations have torques; drop the ground.
 
     Args:
         state: state with the body frames.
@@ -411,8 +424,9 @@ def _on_wrenches(state: State, velocities: Array) -> Array:
 class Scales:
     """Units that relative differences are divided by: the largest values at all states, with lower bounds.
 
-    Angular quantities are multiplied by the mechanism's size and share the unit of linear ones. The torque of
-    a ball joint, for example, which is zero, is compared relative to the joint's force.
+    The unit of an angular quantity is that of the linear quantity divided by the mechanism's size (times the
+    size for torques). The torque of a ball joint, for example, which is zero, is compared relative to the
+    largest force.
     """
 
     def __init__(self, samples: Samples) -> None:
@@ -421,7 +435,7 @@ class Scales:
         self.size = self._scene.mechanism.size
 
     def _norms(self, name: str) -> Array:
-        """Norms (n, b or j) of a vector quantity at all states."""
+        """Compute norms (n, b or j) of a vector quantity at all states, see `Samples.stack`."""
         return np.asarray(np.linalg.norm(self._samples.stack(name), axis=-1))
 
     @cached_property
