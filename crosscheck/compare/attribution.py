@@ -1,12 +1,12 @@
 """Attribution of a difference between two engines to a body, a joint or a parameter.
 
 In: the equations of two engines at the same states (`Samples`). Out: the name of the element whose model is
-likely wrong. The results of each engine are inserted into the equations of the scene, which are right by
-definition; the equations of the wrong element are violated:
+likely wrong. A scene is the mechanism with its forces that both engines have to simulate. The results of each
+engine are inserted into the equations of the scene, which are right by definition; the equations of the wrong
+element are violated:
 
 - Kinematics: poses of an engine violate the scene's constraints of the wrong joint, or of all joints of a
-body
-  whose frame is wrong.
+  body whose frame is wrong.
 - Dynamics: accelerations and reactions of an engine violate Newton's and Euler's equations with the scene's
   masses and forces. A wrong mass or inertia violates the equations of a single body, wrong gravity those of
   all bodies, and a wrong spring or controller those of the two bodies of a joint.
@@ -44,7 +44,7 @@ ForceAtJoint = Law | JointSpring | BallSpring
 """Control law of an actuator, or spring, that acts at a joint."""
 
 MIN_VIOLATION = 1e-11
-"""Smallest constraint violation that is not round-off: sizes of the mechanism or rad; rates in 1/s."""
+"""Smallest constraint violation that is not round-off: sizes of the mechanism or rad; of rates, 1/s."""
 
 MIN_ACCELERATION_VIOLATION = 1e-9
 """Smallest violation of joint constraints by accelerations that is not round-off, divided by the largest
@@ -54,14 +54,12 @@ MIN_RESIDUAL_RATIO = 1e-2
 """Residuals below this fraction of the largest one are side effects, such as squares of a small error."""
 
 EXPLAINED = 1e-4
-"""Largest remaining residual if a cause explains the residuals, divided by the largest residual. Residuals
-are
-proportional to small errors of a parameter up to about this fraction."""
+"""Largest residual of Newton's and Euler's equations that may remain after the fit of a wrong parameter,
+divided by the largest residual before. Residuals are linear in a small error up to about this fraction."""
 
 UNBALANCED = 1e-10
-"""Smallest residual that is not round-off, divided by the scene's energy over its size, N. It is the
-round-off
-at a condition number of 100."""
+"""Smallest residual of Newton's and Euler's equations, N, that is not round-off, divided by a typical force:
+the scene's unit of energy over its size. 1e-10 is the round-off at a condition number of 100."""
 
 
 def kinematic_cause(first: Samples, second: Samples) -> str | None:
@@ -83,14 +81,18 @@ def kinematic_cause(first: Samples, second: Samples) -> str | None:
 
 
 def _violated_after_closure(samples: Samples) -> str | None:
-    """Find the joint that an engine violates while its own loops are closed, or the body of such joints."""
+    """Find the joint that an engine violates while its own loops are closed.
+
+    If several joints are violated that have exactly one body (not the ground) in common, the name of this
+    body is returned: its frame is wrong.
+    """
     mechanism = samples.states.scene.mechanism
     violations = _violations(samples)
     if not np.max(violations, initial=0.0) > MIN_VIOLATION:
         return None
     violated = np.flatnonzero(violations > MIN_RESIDUAL_RATIO * violations.max())
-    ends = [{mechanism.joints[k].first, mechanism.joints[k].second} for k in violated]
-    common = set.intersection(*ends) - {mechanism.body_names[0]}
+    connected = [{mechanism.joints[k].first, mechanism.joints[k].second} for k in violated]
+    common = set.intersection(*connected) - {mechanism.body_names[0]}
     if len(violated) > 1 and len(common) == 1:
         return common.pop()
     return mechanism.joint_names[int(np.argmax(violations))]
@@ -100,18 +102,18 @@ def _violations(samples: Samples) -> Array:
     """Compute how much an engine's kinematics violate the scene's constraints of each joint.
 
     Returns:
-        (j,) the larger of the residuals of poses with closed loops, sizes of the mechanism or rad, and of
-        their rates under the velocities that the engine allows, 1/s.
+        (j,) the largest residual of each joint over all states: of poses with closed loops, sizes of the
+        mechanism or rad, or of their rates under the velocities that the engine allows, 1/s.
     """
     system, mechanism = samples.system, samples.states.scene.mechanism
     size = mechanism.size
-    found = np.zeros(len(mechanism.joints))
+    violations = np.zeros(len(mechanism.joints))
     for (q, v), motion, basis in zip(samples.coordinates, samples.motions, samples.bases, strict=True):
         # Poses; some loops cannot be closed
         with suppress(AssemblyError):
             closed = system.state(project_position(system, q), 0.0 * v)
-            found = np.maximum(found, _residuals(mechanism, closed))
-        # Velocities
+            violations = np.maximum(violations, _residuals(mechanism, closed))
+        # Rates under each allowed body velocity: columns of `basis`, linear ones divided by the size
         frames = motion.frames()
         velocities = basis.reshape(len(frames), 6, -1)
         for k, equations in enumerate(mechanism.equations):
@@ -120,8 +122,8 @@ def _violations(samples: Samples) -> Array:
             linear = blocks.r_first @ velocities[i, :3] + blocks.r_second @ velocities[j, :3]
             angular = blocks.theta_first @ velocities[i, 3:] + blocks.theta_second @ velocities[j, 3:]
             rates = np.abs(size * linear + angular) / equations.units(size)[:, None]
-            found[k] = max(found[k], float(np.max(rates, initial=0.0)))
-    return found
+            violations[k] = max(violations[k], float(np.max(rates, initial=0.0)))
+    return violations
 
 
 def _residuals(mechanism: Mechanism, state: State) -> Array:
@@ -136,18 +138,22 @@ def _residuals(mechanism: Mechanism, state: State) -> Array:
 def _violated_in_tree(samples: Samples) -> str | None:
     """Find the joint of the spanning tree that an engine violates before its loops are closed.
 
-    Joints that close loops are ignored: before loops are closed they are violated whichever joint is wrong.
+    Joints that close loops (cuts of the spanning tree) are ignored: before loops are closed these joints are
+    violated whichever joint is wrong.
     """
     mechanism = samples.states.scene.mechanism
     residuals = np.max([_residuals(mechanism, motion) for motion in samples.motions], axis=0)
-    residuals[list(SpanningTree(mechanism).cuts)] = 0.0
+    residuals[list(SpanningTree(mechanism).cuts)] = 0.0  # joints by number
     if not np.max(residuals, initial=0.0) > MIN_VIOLATION:
         return None
     return mechanism.joint_names[int(np.argmax(residuals))]
 
 
 def _violated_closure(samples: Samples) -> str | None:
-    """Find the loop-closing ball joint whose two points are farthest apart in an engine's own model."""
+    """Find the loop-closing ball joint whose two points are farthest apart in an engine's own model.
+
+    None if all points coincide, up to round-off.
+    """
     gaps = {
         name: float(np.linalg.norm(joint.points[1] - joint.points[0]))
         for name, joint in samples.joints.items()
@@ -165,29 +171,34 @@ def accelerated_joint(first: Samples, second: Samples) -> str | None:
     """
     mechanism = first.states.scene.mechanism
     for samples in (second, first):
-        violations = [_acceleration_violations(mechanism, found) for found in samples.evaluations]
+        violations = [_acceleration_violations(mechanism, evaluation) for evaluation in samples.evaluations]
         largest = np.max(violations, axis=0)
         if np.max(largest, initial=0.0) > MIN_ACCELERATION_VIOLATION * samples.scales.acceleration:
             return mechanism.joint_names[int(np.argmax(largest))]
     return None
 
 
-def _acceleration_violations(mechanism: Mechanism, found: Evaluation) -> Array:
+def _acceleration_violations(mechanism: Mechanism, evaluation: Evaluation) -> Array:
     """Compute the residuals (j,) of the joint constraints at the level of accelerations, m/s^2.
 
     The residual of a joint is |J a - gamma|, with the constraint Jacobian J, the body accelerations a and the
     velocity term gamma. Angular residuals are multiplied by the mechanism's size.
+
+    Args:
+        mechanism: the mechanism.
+        evaluation: an engine's body accelerations at one state.
     """
-    frames, linear, angular = found.state.frames(), found.linear_acceleration, found.angular_acceleration
-    gaps = []
+    frames = evaluation.state.frames()
+    linear, angular = evaluation.linear_acceleration, evaluation.angular_acceleration
+    residuals = []
     for equations in mechanism.equations:
         i, j = equations.first, equations.second
         blocks = equations.jacobian(frames[i], frames[j])
         rate = blocks.r_first @ linear[i] + blocks.r_second @ linear[j]
         rate = rate + blocks.theta_first @ angular[i] + blocks.theta_second @ angular[j]
-        gap = (rate - equations.gamma(frames[i], frames[j])) / equations.units(mechanism.size)
-        gaps.append(mechanism.size * float(np.max(np.abs(gap), initial=0.0)))
-    return np.array(gaps)
+        residual = (rate - equations.gamma(frames[i], frames[j])) / equations.units(mechanism.size)
+        residuals.append(mechanism.size * float(np.max(np.abs(residual), initial=0.0)))
+    return np.array(residuals)
 
 
 class Cause(NamedTuple):
@@ -211,7 +222,7 @@ def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause
 
     Args:
         first, second: equations of the two engines at the same states.
-        forces: False to consider bodies only, for example if kinetic energies differ.
+        forces: False if a force or gravity cannot be the cause, for example of different kinetic energies.
 
     Returns:
         The cause; None if neither the equations of bodies nor the constraints are violated.
@@ -222,13 +233,13 @@ def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause
         largest = np.abs(residuals).max(axis=(0, 2))  # of each moving body
         if not largest.max() > UNBALANCED * first.states.energy / scene.mechanism.size:
             continue
-        if forces and (other := _fitted_gravity(scene, residuals)) is not None:
-            return Cause("gravity", _instead_of(other, scene.gravity, "m/s^2"))
-        if forces and (found := _force_cause(samples, residuals)):
-            return found
-        return Cause(scene.mechanism.body_names[1 + int(np.argmax(largest))])
-    opened = accelerated_joint(first, second)
-    return None if opened is None else Cause(opened)
+        if forces and (fitted := _fitted_gravity(scene, residuals)) is not None:
+            return Cause("gravity", _instead_of(fitted, scene.gravity, "m/s^2"))
+        if forces and (cause := _force_cause(samples, residuals)):
+            return cause
+        return Cause(scene.mechanism.body_names[1 + int(np.argmax(largest))])  # without the ground
+    violated = accelerated_joint(first, second)
+    return None if violated is None else Cause(violated)
 
 
 def _fitted_gravity(scene: Scene, residuals: Array) -> Array | None:
@@ -250,8 +261,8 @@ def _fitted_gravity(scene: Scene, residuals: Array) -> Array | None:
 def _force_cause(samples: Samples, residuals: Array) -> Cause | None:
     """Find the joint whose control law or spring explains the residuals of an engine; None if none does.
 
-    A spring that the scene does not have, at any joint coordinate, is tried as well; a single parameter of
-    that spring must explain the residuals.
+    Springs that the scene does not have are tried as well, at all joint coordinates without a spring: the
+    engine may have one. A single parameter of such a spring must explain the residuals.
 
     Args:
         samples: equations of the engine at n states.
@@ -259,7 +270,7 @@ def _force_cause(samples: Samples, residuals: Array) -> Cause | None:
     """
     scene = samples.states.scene
     with_spring = {force.key for force in scene.forces if isinstance(force, OnCoordinate)}
-    absent = tuple(
+    absent = tuple(  # springs of zero stiffness and damping
         JointSpring(joint.name, coordinate=k)
         for joint in scene.mechanism.joints
         for k in range(len(joint.coordinate_kinds))
@@ -269,11 +280,11 @@ def _force_cause(samples: Samples, residuals: Array) -> Cause | None:
     equations = Cartesian(extended)
     present = (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, OnBall)))
     for force in (*present, *absent):
-        unit_loads = np.array([_unit_loads(equations, force, found) for found in samples.evaluations])
+        unit_loads = np.array([_unit_loads(equations, force, each.state) for each in samples.evaluations])
         fitted = _fitted_forces(unit_loads, residuals)
         if fitted is not None:
-            places = [surroundings(extended, evaluation.state) for evaluation in samples.evaluations]
-            detail = _wrong_parameter(force, fitted, places)
+            at_states = [surroundings(extended, each.state) for each in samples.evaluations]
+            detail = _wrong_parameter(force, fitted, at_states)
             if detail or force in present:
                 return Cause(force.joint, detail)
     return None
@@ -290,36 +301,36 @@ def _fitted_forces(unit_loads: Array, residuals: Array) -> Array | None:
         (n, k) forces, N or N m; None if the forces do not explain the residuals.
     """
     flat = residuals.reshape(len(residuals), -1)
-    remaining, found = flat.copy(), []
+    remaining, forces = flat.copy(), []
     for residual, loads in zip(remaining, unit_loads.reshape(*unit_loads.shape[:2], -1), strict=True):
-        found.append(np.linalg.lstsq(loads.T, residual)[0])
-        residual -= found[-1] @ loads  # in place
+        forces.append(np.linalg.lstsq(loads.T, residual)[0])
+        residual -= forces[-1] @ loads  # in place: changes `remaining`
     explains = np.abs(remaining).max() < EXPLAINED * np.abs(flat).max()
-    return np.array(found) if explains else None
+    return np.array(forces) if explains else None
 
 
-def _wrong_parameter(force: ForceAtJoint, extra: Array, places: Sequence[Surroundings]) -> str:
+def _wrong_parameter(force: ForceAtJoint, extra: Array, at_states: Sequence[Surroundings]) -> str:
     """Find the single parameter of a control law or spring whose change explains extra forces.
 
     Args:
         force: control law or spring.
         extra: (n, k) forces in addition to those of `force` at n states, N or N m. If they are the same in
             all states, they do not show which parameter they depend on.
-        places: positions, velocities and time at the n states, which `force` depends on.
+        at_states: positions, velocities and time at the n states, which `force` depends on.
 
     Returns:
         Text with the name of the parameter and both values; empty if no parameter explains the forces.
     """
     if np.ptp(extra, axis=0).max() < EXPLAINED * np.abs(extra).max():
         return ""
-    own = np.array([np.atleast_1d(force.at_joint(place)) for place in places])
+    given = np.array([np.atleast_1d(force.at_joint(state)) for state in at_states])
     for name in force.parameters:
         value = getattr(force, name)
         if not isinstance(value, float):
             continue  # functions of time, and rest orientations of balls
         # Forces are linear in each parameter: fit its change to the extra forces
         larger: ForceAtJoint = replace(force, **{name: value + 1.0})  # type: ignore[arg-type]
-        slope = np.array([np.atleast_1d(larger.at_joint(place)) for place in places]) - own
+        slope = np.array([np.atleast_1d(larger.at_joint(state)) for state in at_states]) - given
         if not np.any(slope):
             continue
         change = float(np.sum(slope * extra) / np.sum(slope * slope))
@@ -328,37 +339,38 @@ def _wrong_parameter(force: ForceAtJoint, extra: Array, places: Sequence[Surroun
     return ""
 
 
-def _instead_of(found: Array, own: Array, unit: str = "") -> str:
+def _instead_of(fitted: Array, of_scene: Array, unit: str = "") -> str:
     """Format fitted numbers (n,) and those of the scene, as "1.1 instead of 1 m/s^2"."""
     # Numbers far below the change are round-off of zero
-    rounded = np.where(np.abs(found) > EXPLAINED * np.abs(found - own).max(), found, 0.0)
-    texts = (" ".join(f"{number:.4g}" for number in numbers) for numbers in (rounded, own))
+    rounded = np.where(np.abs(fitted) > EXPLAINED * np.abs(fitted - of_scene).max(), fitted, 0.0)
+    texts = (" ".join(f"{number:.4g}" for number in numbers) for numbers in (rounded, of_scene))
     return f"{' instead of '.join(texts)} {unit}".rstrip()
 
 
-def _unit_loads(equations: Cartesian, law: ForceAtJoint, found: Evaluation) -> Array:
+def _unit_loads(equations: Cartesian, force: ForceAtJoint, state: State) -> Array:
     """Compute the loads on the moving bodies by unit forces of a control law or spring.
 
     Args:
         equations: Cartesian equations of the scene.
-        law: control law or spring at a joint.
-        found: evaluation with the state.
+        force: control law or spring at a joint.
+        state: poses of the bodies.
 
     Returns:
         (k, b - 1, 6) loads in the units of `momentum_residuals`: for k = 1 unit force along a joint
         coordinate, or for k = 3 unit torques of a ball joint.
     """
-    q, _ = equations.coordinates(found.state)
-    frames = found.state.frames()
-    if law.on_ball:
-        first, second = ends(equations.mechanism, law.joint)
-        jacobian = SPIN
+    q, _ = equations.coordinates(state)
+    frames = state.frames()
+    # By virtual work, the loads are the Jacobian of the coordinate with respect to motions of its two bodies
+    if force.on_ball:
+        first, second = ends(equations.mechanism, force.joint)  # numbers of the bodies
+        jacobian = SPIN  # of the relative angular velocity
     else:
-        driven = equations.between[law.key]
-        first, second = driven.first, driven.second
-        jacobian = driven.measure(q, frames).jacobian
-    r_i, theta_i, r_j, theta_j = jacobian
-    loads = np.zeros((len(r_i), len(frames), 6))
-    for body, r, theta in ((first, r_i, theta_i), (second, r_j, theta_j)):
+        coordinate = equations.between[force.key]  # a joint coordinate, with the numbers of its two bodies
+        first, second = coordinate.first, coordinate.second
+        jacobian = coordinate.measure(q, frames).jacobian
+    r_first, theta_first, r_second, theta_second = jacobian
+    loads = np.zeros((len(r_first), len(frames), 6))
+    for body, r, theta in ((first, r_first, theta_first), (second, r_second, theta_second)):
         loads[:, body] += np.hstack([r, theta @ frames[body].rotation / equations.mechanism.size])
     return loads[:, 1:]

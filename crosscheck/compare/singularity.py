@@ -1,13 +1,18 @@
 """Singular configurations that a run starts in or passes.
 
-In a singular configuration the constraints lose rank: the mechanism gains freedoms there, and could continue
-on another branch of motion. In: a scene and its run. Out: the times, and the bodies that gain freedoms.
+In a singular configuration the constraints lose rank: the mechanism gains freedoms (independent velocities)
+there, and could continue on another branch of motion. In: a scene (a mechanism with its forces and initial
+state) and a run of it. Out: the times, and the bodies that the gained freedoms move.
+
+The distance from a singular configuration is measured by the margin: the smallest singular value of the
+dimensionless Jacobian of the independent constraints.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,13 +30,12 @@ from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
 
 SINGULAR_RATIO = 1e-3
-"""Largest singularity margin of a configuration that is reported, divided by the largest margin along the
-run. The margin is the smallest singular value of the constraints. A four-bar with bars of 0.5 and 1 m that
-misses
-a singular configuration by 1e-7 m has a ratio of 3.5e-4; if it misses it by 1e-6 m, 1.1e-3."""
+"""Largest margin of a configuration that is reported as singular, divided by the largest margin along the
+run. A four-bar with bars of 0.5 and 1 m that misses a singular configuration by 1e-7 m has a ratio of 3.5e-4,
+and one that misses it by 1e-6 m a ratio of 1.1e-3."""
 
 EVALUATION_BUDGET = 600
-"""Number of outputs at which the constraints of a run are evaluated, times the number of velocities."""
+"""Number of outputs at which the constraints of a run are evaluated, times the number of joint velocities."""
 
 MIN_EVALUATED_OUTPUTS = 30
 """Smallest number of outputs at which the constraints of a run are evaluated."""
@@ -42,8 +46,8 @@ s."""
 
 DIP_RATIO = 0.5
 """Largest margin at a local minimum, divided by the larger margin of its neighbors, at which the run is
-repeated
-with closer outputs. At a crossing between outputs the ratio is a third or less."""
+repeated with closer outputs. If the run crosses a singular configuration between outputs, the ratio is a
+third or less."""
 
 REFINEMENT = 32
 """Factor on the number of outputs of the repeated run."""
@@ -58,7 +62,8 @@ GAINED_RATIO = 10.0
 """Largest ratio of another singular value to the smallest one at which both belong to gained freedoms."""
 
 NAMED_MOTION_FRACTION = 0.3
-"""Smallest motion of a body in the gained freedoms, divided by the largest motion, at which it is named."""
+"""Smallest velocity of a body in the gained freedoms at which the report names the body, divided by the
+largest velocity of any body."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +72,7 @@ class SingularConfigurations:
 
     Attributes:
         times: times, s, at which the run is in a singular configuration or close to it; 0 is the start.
-        distance: smallest singular value of the constraints at the first of these times, divided by the
-            largest such value along the run.
+        distance: margin at the first of these times, divided by the largest margin along the run.
         freedoms: number of freedoms that the mechanism gains at the first time.
         bodies: names of the bodies that these freedoms move.
     """
@@ -89,13 +93,20 @@ class SingularConfigurations:
         )
 
 
+class Configuration(NamedTuple):
+    """Time, s, and joint coordinates q (nq,) of a configuration of a run."""
+
+    time: float
+    q: Array
+
+
 def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfigurations | None:
     """Find the singular configurations that a run starts in or passes; None if there are none.
 
-    The margin, the smallest singular value of the independent constraints, is evaluated at some outputs. Near
-    a singular configuration the square of the margin is a parabola of time whose minimum is 0. At a local
-    minimum the run is repeated with closer outputs, and the time of the minimum is computed from parabolas
-    through three outputs. If the repeated run stops before that time, the output with the minimum is used.
+    The margin is evaluated at some outputs of the run. Near a singular configuration the square of the margin
+    is a parabola of time whose minimum is 0. At a local minimum the run is repeated with closer outputs, and
+    the time of the minimum is computed from parabolas through three outputs. If the repeated run stops before
+    that time, the output with the minimum is used.
 
     Args:
         scene: the scene.
@@ -113,26 +124,32 @@ def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfi
         raise CrosscheckError(f"left out, as {size}; at most {MAX_JACOBIAN_ELEMENTS} are searched")
 
     def margin(q: Array) -> float:
-        return float(_spectrum(system, q, count)[0][-1])
+        values, _ = _spectrum(system, q, count)
+        return float(values[-1])
+
+    def at_output(run: Trajectory, output: int) -> Configuration:
+        q, _ = system.coordinates(run.state(output))
+        return Configuration(float(run.time[output]), q)
 
     def margins_at(run: Trajectory, outputs: Sequence[int]) -> list[float]:
-        return [margin(system.coordinates(run.state(k))[0]) for k in outputs]
+        return [margin(at_output(run, output).q) for output in outputs]
 
     # The margin along the run
     number = max(MIN_EVALUATED_OUTPUTS, EVALUATION_BUDGET // system.nv)
     outputs = np.unique(np.linspace(0, len(run.time) - 1, number).astype(int)).tolist()
     margins = margins_at(run, outputs)
     largest = max(margins)
-    # The start, and all local minima that are deep enough, as times and configurations
-    candidates = [(float(run.time[0]), system.coordinates(run.state(0))[0])]
-    closer: Trajectory | None = None
+    # Candidates: the start, and all local minima that are deep enough
+    candidates = [at_output(run, 0)]
+    closer: Trajectory | None = None  # the repeated run with closer outputs
     for k in range(1, len(outputs) - 1):
         if margins[k] > min(margins[k - 1], DIP_RATIO * max(margins[k - 1], margins[k + 1]), margins[k + 1]):
             continue
         closer = closer or _repeat_with_closer_outputs(scene, len(run.time))
         if closer.time[-1] < run.time[outputs[k + 1]]:  # the repeated run stopped before
-            candidates.append((float(run.time[outputs[k]]), system.coordinates(run.state(outputs[k]))[0]))
+            candidates.append(at_output(run, outputs[k]))
             continue
+        # Compute the time of the minimum from three outputs of the repeated run, closer and closer together
         time = _time_of_minimum(run.time[outputs[k - 1 : k + 2]], margins[k - 1 : k + 2])
         spacing = min(REFINEMENT * (outputs[k + 1] - outputs[k - 1]), len(closer.time) - 1)
         while spacing > 1:
@@ -140,35 +157,43 @@ def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfi
             middle = int(np.clip(np.searchsorted(closer.time, time), spacing, len(closer.time) - 1 - spacing))
             near = [middle - spacing, middle, middle + spacing]
             time = _time_of_minimum(closer.time[near], margins_at(closer, near))
-        candidates.append((time, _configuration(system, closer, time)))
-    found = [(time, q) for time, q in candidates if margin(q) < SINGULAR_RATIO * largest]
-    if not found:
+        candidates.append(Configuration(time, _coordinates_at(system, closer, time)))
+    singular = [each for each in candidates if margin(each.q) < SINGULAR_RATIO * largest]
+    if not singular:
         return None
-    # The freedoms gained at the first one, and the bodies that they move
-    _, q = found[0]
+    # The freedoms gained at the first singular configuration: directions of the smallest singular values
+    q = singular[0].q
     values, directions = _spectrum(system, q, count)
     gained = int(np.sum(values < max(GAINED_RATIO * values[-1], SINGULAR_RATIO * largest)))
     gained_velocities = directions[count - gained :] / system.velocity_units
+    # The bodies that these freedoms move
     motion = np.abs(system.velocity_transformation(q) @ gained_velocities.T / body_units(scene)[:, None])
     largest_motion = np.max(motion.reshape(len(scene.mechanism.bodies), -1), axis=1)
     is_named = largest_motion > NAMED_MOTION_FRACTION * np.max(largest_motion)
     names = np.array(scene.mechanism.body_names)[is_named]
     return SingularConfigurations(
-        tuple(time for time, _ in found), margin(q) / largest, gained, tuple(names.tolist())
+        times=tuple(each.time for each in singular),
+        distance=margin(q) / largest,
+        freedoms=gained,
+        bodies=tuple(names.tolist()),
     )
 
 
 def _spectrum(system: Relative, q: Array, count: int) -> tuple[Array, Array]:
-    """Compute the largest singular values of the constraints (count,) and their directions (count, nv)."""
+    """Compute the `count` largest singular values of the dimensionless constraint Jacobian.
+
+    Returns:
+        Singular values (count,), largest first, and their directions in joint velocities (count, nv).
+    """
     _, values, directions = np.linalg.svd(dimensionless_jacobian(system, q))
     return values[:count], directions[:count]
 
 
-def _configuration(system: Relative, run: Trajectory, time: float) -> Array:
-    """Compute the configuration (nq,) of a run at a time, s, between two outputs.
+def _coordinates_at(system: Relative, run: Trajectory, time: float) -> Array:
+    """Compute the joint coordinates (nq,) of a run at a time, s, between two outputs.
 
-    The configuration is extrapolated from the nearest output, by its velocity and by the acceleration between
-    its neighbors. Then its loops are closed. If they cannot be closed, the nearest output is returned.
+    The coordinates are extrapolated from the nearest output, by its velocity and by the acceleration between
+    its neighbors. Then the loops are closed. If they cannot be closed, the nearest output is returned.
     """
     nearest = int(np.argmin(np.abs(run.time - time)))
     before, after = max(nearest - 1, 0), min(nearest + 1, len(run.time) - 1)
@@ -200,9 +225,10 @@ def _repeat_with_closer_outputs(scene: Scene, outputs: int) -> Trajectory:
 
 
 def _time_of_minimum(times: Array, values: Sequence[float]) -> float:
-    """Compute the time, s, of the minimum of the parabola through three squared values.
+    """Compute the time, s, of the minimum of the parabola through the squares of three values.
 
-    The result is limited to the interval of the three times. It is the middle time if there is no minimum.
+    The result is limited to the interval of the three times. It is the middle time if the parabola has no
+    minimum.
     """
     a, b, _ = np.polyfit(times - times[1], np.square(values), 2)
     if a <= 0.0:
