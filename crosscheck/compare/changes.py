@@ -1,13 +1,14 @@
 """Changes of 10 % of every element of a scene, for the coverage analysis.
 
-In: a scene. Out: an `Element` for each mass, inertia, joint, spring, actuator and so on, with a function that
-returns the scene with this element changed. `coverage.py` compares the motion with and without the change; if
-the motion is the same, a run does not test the element.
+In: a scene (a mechanism with its forces, controllers and initial state). Out: an `Element` for each mass,
+inertia, joint, spring, actuator and so on, with a function that returns the scene with this element changed.
+`coverage.py` compares the motion with and without the change; if the motion is the same, a run does not test
+the element.
 
 Masses, inertias, springs, dampers, armatures (rotor inertias), actuators and wrenches become 1.1 times as
-large. A joint is rotated by 0.1 rad and moved by a tenth of the longest body, on both bodies alike, so that
-it is still closed. Factors of gears, pitches of screws and the displacements of prescribed motions become 1.1
-times as large.
+large. A joint is rotated by 0.1 rad and moved by a tenth of the longest body, on both of its bodies alike, so
+that the joint is still closed. Factors of couplings such as gears, pitches of screws and the displacements of
+prescribed motions become 1.1 times as large.
 """
 
 from __future__ import annotations
@@ -70,14 +71,14 @@ class Element:
         parameters: names of the changed parameters, see `newton_euler.equations.parameters`; None if the
             equations themselves change (joints, couplings, prescribed motions).
         violation: returns how much the poses of a run violate the changed constraints. Arguments are the time
-            points and tolerances of positions, m, and orientations, rad. The unit of the result is the
+            points and tolerances of positions, m, and orientations, rad. The violation is divided by the
             largest violation possible within these tolerances, so a result above 1 proves that the changed
-            scene moves differently. 0 if the change has no constraints.
+            scene moves differently. The result is 0 if no constraint changes.
         displaced: equations of the changed joint; None if the element is no joint, or if forces, motions or
             couplings act at the joint.
         body: number of the changed body, and "mass" or "inertia"; None for other elements.
-        shared: True for an element whose code is the same in all engines. Their agreement does not test it,
-            and it is not changed.
+        shared: True for an element whose code is the same in all engines, such as a digital controller. The
+            agreement of engines does not test the element, and `changed` returns the scene unchanged.
     """
 
     name: str
@@ -96,11 +97,12 @@ def elements(scene: Scene) -> Iterator[Element]:
         for what in ("mass", "inertia"):
             element = _parameter_element(scene, f"{what} of body {body.name!r}", "bodies", k, what)
             yield replace(element, body=(k, what))
-    # Actuators, forces and armatures, by what their parameters are the strength of
+    # Actuators, forces and armatures: one element for each strength, such as "spring" or "damper"
     for field in ("control", "forces", "armatures"):
         for k, force in enumerate(getattr(scene, field)):
             if isinstance(force, HeldLaw):  # a digital controller: all engines call the same code
                 yield Element(f"actuator {force.where}", lambda scene: scene, shared=True)
+            # `strengths` maps each name to the attributes that scale the force; zero ones are no elements
             for what, attributes in force.strengths.items():
                 if any(np.any(getattr(force, attribute)) for attribute in attributes):
                     yield _parameter_element(scene, f"{what} {force.where}", field, k, *attributes)
@@ -117,21 +119,23 @@ def _parameter_element(scene: Scene, name: str, field: str, number: int, *attrib
         number: number of the element in the group.
         attributes: names of the attributes that are the parameters.
     """
-    own = parameter_values(scene, [numbered(field, number, attribute) for attribute in attributes])
-    values = {parameter: CHANGE_FACTOR * value for parameter, value in own.items()}
-    return Element(name, partial(with_values, values=values), tuple(values))
+    given = parameter_values(scene, [numbered(field, number, attribute) for attribute in attributes])
+    values = {parameter: CHANGE_FACTOR * value for parameter, value in given.items()}
+    return Element(name, changed=partial(with_values, values=values), parameters=tuple(values))
 
 
 def _constraint_elements(scene: Scene) -> Iterator[Element]:
     """Yield the elements that are constraints: joints, couplings and prescribed motions."""
-    mechanism, tree = scene.mechanism, {kept.joint for kept in SpanningTree(scene.mechanism).joints}
+    mechanism = scene.mechanism
+    in_tree = {tree_joint.joint for tree_joint in SpanningTree(mechanism).joints}  # numbers of joints
+    # Joints at which forces, armatures, motions or couplings act
     loaded = {force.joint for force in (*scene.joint_forces, *scene.armatures, *scene.motions)}
     loaded |= {joint for coupling in mechanism.couplings for joint, _ in coupling.factors()}
     for number, joint in enumerate(mechanism.joints):
         constrains = mechanism.equations[number].count > 0 or joint.name in loaded
         if isinstance(joint, Fixed) or not constrains:
             continue  # another point or axis changes nothing between rigidly connected or unconnected bodies
-        name = f"{'joint' if number in tree else 'loop'} {joint.name!r}"
+        name = f"{'joint' if number in in_tree else 'loop'} {joint.name!r}"  # "loop": the joint closes one
         element = _joint_element(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
         yield replace(element, displaced=None) if joint.name in loaded else element
     for number, coupling in enumerate(mechanism.couplings):
@@ -148,48 +152,56 @@ def _displaced(joint: Joint, distance: float) -> Joint:
     if isinstance(joint, Screw):
         fields["pitch"] = CHANGE_FACTOR * joint.pitch
     point = joint.point + distance * SKEW
+    # `reaction_point` is the joint's point on its second body
     point_on_second = point + turn @ (joint.reaction_point - joint.point)
     return replace(joint, point=point, point_on_second=point_on_second, **fields)
 
 
 def _joint_element(mechanism: Mechanism, name: str, number: int, displaced: Joint) -> Element:
-    """Return the element of the joint with a number, whose change is another joint in its place."""
+    """Return the element of a joint, whose change is another joint in its place.
+
+    Args:
+        mechanism: the mechanism.
+        name: name of the element.
+        number: number of the joint in the mechanism.
+        displaced: the other joint.
+    """
 
     def changed(scene: Scene) -> Scene:
         joints = list(scene.mechanism.joints)
         joints[number] = displaced
         return _with_constraints(scene, Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings))
 
-    own = mechanism.equations[number]
-    first, second = (mechanism.bodies[k].pose for k in (own.first, own.second))
-    equations = displaced.attach(own.first, first, own.second, second)
+    original = mechanism.equations[number]
+    first, second = (mechanism.bodies[k].pose for k in (original.first, original.second))
+    equations = displaced.attach(original.first, first, original.second, second)
 
     def violation(points: Sequence[TimePoint], length: float, angle: float) -> float:
-        found = 0.0
-        for _, frames, _ in points:
-            ends = frames[own.first], frames[own.second]
-            allowed = _allowed_residuals(own, equations.jacobian(*ends), length, angle)
-            found = max(found, float(np.max(np.abs(equations.phi(*ends)) / allowed, initial=0.0)))
-        return found
+        largest = 0.0
+        for point in points:
+            frames = point.frames[original.first], point.frames[original.second]
+            allowed = _allowed_residuals(original, equations.jacobian(*frames), length, angle)
+            largest = max(largest, float(np.max(np.abs(equations.phi(*frames)) / allowed, initial=0.0)))
+        return largest
 
     return Element(name, changed, violation=violation, displaced=equations)
 
 
-def _allowed_residuals(ends: JointEquations, jacobian: Jacobian, length: float, angle: float) -> Array:
+def _allowed_residuals(joint: JointEquations, jacobian: Jacobian, length: float, angle: float) -> Array:
     """Return the largest change (k,) of k residuals if both bodies move by a length and turn by an angle.
 
     Args:
-        ends: joint equations with the numbers of both bodies; the ground does not move.
+        joint: joint equations with the numbers of both bodies; the ground does not move.
         jacobian: Jacobian of the residuals with respect to the motions of both bodies.
         length, angle: m and rad.
     """
     by_body = (
         np.linalg.norm(r, axis=1) * length + np.linalg.norm(theta, axis=1) * angle
         for number, r, theta in (
-            (ends.first, jacobian.r_first, jacobian.theta_first),
-            (ends.second, jacobian.r_second, jacobian.theta_second),
+            (joint.first, jacobian.r_first, jacobian.theta_first),
+            (joint.second, jacobian.r_second, jacobian.theta_second),
         )
-        if number > 0
+        if number > 0  # not the ground
     )
     return np.sum(list(by_body), axis=0)
 
@@ -207,23 +219,36 @@ def _with_changed_factors(coupling: JointCoupling) -> JointCoupling:
 
 
 def _coupling_element(scene: Scene, number: int, other: JointCoupling) -> Element:
-    """Return the element of the coupling with a number, whose change is another coupling in its place."""
-    others = list(scene.mechanism.couplings)
-    others[number] = other
+    """Return the element of a coupling, whose change is another coupling in its place.
+
+    Args:
+        scene: the scene.
+        number: number of the coupling in the mechanism.
+        other: the other coupling.
+    """
+    of_mechanism = list(scene.mechanism.couplings)
+    of_mechanism[number] = other
 
     def changed(scene: Scene) -> Scene:
-        return _with_constraints(scene, Mechanism(scene.mechanism.bodies, scene.mechanism.joints, others))
+        mechanism = Mechanism(scene.mechanism.bodies, scene.mechanism.joints, of_mechanism)
+        return _with_constraints(scene, mechanism)
 
-    # The couplings of the scene are prescribed motions and screws, then the couplings of the mechanism
-    coupled = list(couplings(scene))
-    index = len(coupled) - len(others) + number
-    coupled[index] = replace(coupled[index], factors=other.factors(), powers=other.powers())
-    violation = partial(_coupling_violation, scene.mechanism, coupled, index)
+    # `couplings(scene)` are prescribed motions and screws, then the couplings of the mechanism
+    of_scene = list(couplings(scene))
+    index = len(of_scene) - len(of_mechanism) + number
+    of_scene[index] = replace(of_scene[index], factors=other.factors(), powers=other.powers())
+    violation = partial(_coupling_violation, scene.mechanism, of_scene, index)
     return Element(f"{other.kind} {other.name!r}", changed, violation=violation)
 
 
 def _motion_element(scene: Scene, number: int, motion: PrescribedMotion) -> Element:
-    """Return the element of the prescribed motion with a number; its change goes 1.1 times as far."""
+    """Return the element of a prescribed motion; the changed motion goes 1.1 times as far from its start.
+
+    Args:
+        scene: the scene.
+        number: number of the motion in the scene.
+        motion: the motion.
+    """
     start = float(motion.function.value(0.0))
     # start + 1.1 (f(t) - start) = 1.1 f(t) - 0.1 start
     farther = Sum((scaled(motion.function, CHANGE_FACTOR), Polynomial((-CHANGE * start,))))
@@ -233,15 +258,15 @@ def _motion_element(scene: Scene, number: int, motion: PrescribedMotion) -> Elem
     def changed(scene: Scene) -> Scene:
         return _with_constraints(scene, scene.mechanism, tuple(motions))
 
-    coupled = list(couplings(scene))  # prescribed motions come first
-    coupled[number] = replace(coupled[number], function=farther)
-    violation = partial(_coupling_violation, scene.mechanism, coupled, number)
+    of_scene = list(couplings(scene))  # prescribed motions come first
+    of_scene[number] = replace(of_scene[number], function=farther)
+    violation = partial(_coupling_violation, scene.mechanism, of_scene, number)
     return Element(f"motion {motion.where}", changed, violation=violation)
 
 
 def _coupling_violation(
     mechanism: Mechanism,
-    coupled: Sequence[Coupling],
+    of_scene: Sequence[Coupling],
     index: int,
     points: Sequence[TimePoint],
     length: float,
@@ -251,20 +276,22 @@ def _coupling_violation(
 
     Args:
         mechanism: the mechanism.
-        coupled: all couplings and prescribed motions of the scene, the changed one included.
+        of_scene: all couplings and prescribed motions of the scene, the changed one included.
         index: number of the changed one.
         points, length, angle: arguments of `Element.violation`.
     """
-    found = 0.0
+    largest = 0.0
     for time, frames, angles in points:
-        seen = residuals(mechanism, coupled, frames, time, angles)
+        of_pose = residuals(mechanism, of_scene, frames, time, angles)
+        # The residual is a function of joint coordinates; `slopes` has its derivative by each of them
         allowed = 0.0
-        for (joint, coordinate), slope in seen.slopes[index].items():
-            ends = mechanism.joint_equations(joint)
-            jacobian = ends.coordinates[coordinate].jacobian(frames[ends.first], frames[ends.second])
-            allowed += abs(slope) * float(_allowed_residuals(ends, jacobian, length, angle)[0])
-        found = max(found, abs(float(seen.phi[index])) / allowed)
-    return found
+        for (joint, coordinate), slope in of_pose.slopes[index].items():
+            equations = mechanism.joint_equations(joint)
+            bodies = frames[equations.first], frames[equations.second]
+            jacobian = equations.coordinates[coordinate].jacobian(*bodies)
+            allowed += abs(slope) * float(_allowed_residuals(equations, jacobian, length, angle)[0])
+        largest = max(largest, abs(float(of_pose.phi[index])) / allowed)
+    return largest
 
 
 def _with_constraints(
@@ -274,6 +301,6 @@ def _with_constraints(
 
     The initial state is the state nearest to that of the given scene that satisfies the new constraints.
     """
-    own = scene.motions if motions is None else motions
-    other = replace(scene, mechanism=mechanism, motions=own, initial_state=None)
-    return replace(other, initial_state=assemble(other, initial_state(scene)))
+    kept = scene.motions if motions is None else motions
+    changed = replace(scene, mechanism=mechanism, motions=kept, initial_state=None)
+    return replace(changed, initial_state=assemble(changed, initial_state(scene)))

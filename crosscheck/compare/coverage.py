@@ -1,17 +1,18 @@
 """Coverage analysis: which elements of a scene (masses, joints, springs, ...) a run tests.
 
 A run may not depend on an element: the mass of a body in free fall, a spring that stays at rest, a hinge that
-does not turn. Agreement of the engines then shows nothing about this element. In: a scene and the tolerance
+does not turn. Agreement of the engines then shows nothing about this element. In: a scene and the tolerances
 of its trajectories. Out: for each element, how much a change of 10 % would move the bodies, relative to the
-difference that a comparison of engines would detect.
+difference that a comparison of engines would detect. The change is visible if this ratio is above 1.
 
-The scene is simulated again with each element changed. Most simulations are avoided:
+The scene is simulated again with each element changed. Most simulations are shortened or avoided:
 
-- Changes of parameters use code that is compiled once. The simulation ends as soon as the change is visible.
-- Changes of bodies in mechanisms without loops: a bound from the accelerations may suffice
-(`joint_loads.py`). - Changes of constraints need new code, so other evidence is tried first. The change is
-visible in two cases: the
-  poses of the original run violate the changed constraints, or a displaced joint does not support the
+- Changes of parameters (such as masses) use code that is compiled once. The simulation ends as soon as the
+  change is visible.
+- Changes of bodies in mechanisms without loops: a lower bound from the accelerations may suffice, see
+  `joint_loads.py`.
+- Changes of constraints need new code, so other evidence is tried first. The change is visible in two cases:
+  the poses of the original run violate the changed constraints, or a displaced joint does not support the
   reactions. The change is invisible if a displaced joint supports the reactions, or if the changed equations
   give the same accelerations along the run.
 """
@@ -23,6 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,11 +46,12 @@ TIME_POINTS = 16
 """Number of times of the run at which changed constraints are evaluated."""
 
 SURELY_UNSEEN, SURELY_SEEN = 0.1, 10.0
-"""Bounds on the estimated effect of a change, below and above which the changed scene is not simulated. Each
-changed joint would need a compilation."""
+"""Estimates of `Covered.effect` below and above which the changed scene is not simulated, which would need a
+compilation for each changed joint."""
 
 RUN_FRACTIONS = (1 / 64, 1 / 16, 1 / 4, 1)
-"""Fractions of the run that are simulated one after the other; most changes are visible in the first."""
+"""Fractions of the run that are simulated one after the other until a change is visible; most changes are
+visible in the first."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,8 @@ class Covered:
         effect: change of the motion if the element is changed by 10 %, divided by the difference between
             engines that a comparison would detect. A lower bound if it is above 1; infinite if the scene
             cannot be simulated with the change; 0 if `shared`.
-        shared: True for digital controllers, whose code is the same in all engines, see `Element`.
+        shared: True for digital controllers, whose code is the same in all engines: their agreement does not
+            test it.
     """
 
     element: str
@@ -117,7 +121,7 @@ def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Check]
         NewtonEulerError: for a scene that newton_euler does not run.
     """
     compared = [row for row in rows if row.level == "trajectories" and row.judged]
-    length, angle = (
+    length, angle = (  # tolerances of positions, m, and orientations, rad
         min((row.tolerance for row in compared if row.quantity == quantity), default=None)
         for quantity in POSES
     )
@@ -138,27 +142,33 @@ def covered_by(scene: Scene, length: float, angle: float, end: int | None = None
     Raises:
         NewtonEulerError: for a scene that cannot be run.
     """
-    changes = tuple(elements(scene))
-    runs = _ChangedRuns(scene, changes, length, angle, end)
-    return Coverage(tuple(Covered(change.name, runs.effect(change), change.shared) for change in changes))
+    all_elements = tuple(elements(scene))
+    runs = _ChangedRuns(scene, all_elements, length, angle, end)
+    return Coverage(tuple(Covered(each.name, runs.effect(each), each.shared) for each in all_elements))
 
 
 class _ChangedRuns:
     """Runs of a scene with changed elements, compared with the run of the scene itself."""
 
     def __init__(
-        self, scene: Scene, changes: Sequence[Element], length: float, angle: float, end: int | None
+        self, scene: Scene, all_elements: Sequence[Element], length: float, angle: float, end: int | None
     ) -> None:
-        """Simulate the scene itself; the arguments are those of `covered_by`, and all elements."""
-        self._elements, self._settings = changes, native_method(scene, refined=False)
+        """Simulate the scene itself.
+
+        Args:
+            scene, length, angle, end: see `covered_by`.
+            all_elements: all elements of the scene, with their changes.
+        """
+        self._elements, self._settings = all_elements, native_method(scene, refined=False)
         if "velocities" not in scene.outputs:
             scene = replace(scene, outputs=scene.outputs | {"velocities"})
-        run, finer = (_run_or_partial(each, scene) for each in (native_run, native_refined))
+        run, finer = (_run_or_partial(simulation, scene) for simulation in (native_run, native_refined))
         self.run = run if end is None else run.first(end)
         # Keep the energy output if the scene has it, so that compiled code of the scene can be used again
         wanted = scene.outputs & {"velocities", "energy"}
         self._scene = _until(replace(scene, outputs=wanted), self.run.time[-1])
-        # Detectable differences: the tolerance plus the integration errors of both runs, as in comparisons
+        # Detectable differences, m and rad: the tolerance plus the integration errors of two engines, each
+        # at most `MAX_RELATIVE_ERROR`, as in comparisons
         units = max(1.0, reach(scene, self.run.position)), 1.0
         changes_if_refined = (
             float(np.max(difference(self.run, finer))) for difference in (positions_apart, orientations_apart)
@@ -181,8 +191,8 @@ class _ChangedRuns:
     @cached_property
     def _states(self) -> list[tuple[float, State]]:
         """Times, s, and states of the run at `TIME_POINTS` times."""
-        rows = np.unique(np.linspace(0, len(self.run.time) - 1, TIME_POINTS).astype(int))
-        return [(float(self.run.time[row]), self.run.state(row)) for row in rows]
+        outputs = np.unique(np.linspace(0, len(self.run.time) - 1, TIME_POINTS).astype(int))
+        return [(float(self.run.time[output]), self.run.state(output)) for output in outputs]
 
     @cached_property
     def _time_points(self) -> list[TimePoint]:
@@ -208,12 +218,12 @@ class _ChangedRuns:
             return violation
         # Reactions of the run at the displaced joint
         if element.displaced is not None and self._loads is not None:
-            lower, upper = self._loads.motion_change(element.displaced)
-            units = self._length, self._angle * self._scene.mechanism.longest
-            if lower > SURELY_SEEN * max(units):
-                return lower / max(units)
-            if max(violation, upper / min(units)) < SURELY_UNSEEN:
-                return max(violation, upper / min(units))
+            lower, upper = self._loads.motion_change(element.displaced)  # bounds, m
+            detectable = self._length, self._angle * self._scene.mechanism.longest  # m
+            if lower > SURELY_SEEN * max(detectable):
+                return lower / max(detectable)
+            if max(violation, upper / min(detectable)) < SURELY_UNSEEN:
+                return max(violation, upper / min(detectable))
         # Accelerations along the run with the changed equations
         try:
             changed = element.changed(self._scene)
@@ -226,16 +236,17 @@ class _ChangedRuns:
 
     def _parameter_effect(self, element: Element) -> float:
         """Compute `Covered.effect` of an element whose parameters change."""
-        found = 0.0
+        effect = 0.0
         if element.body is not None and self._loads is not None:
-            found = self._loads.body_effect(*element.body, CHANGE, self._length, self._angle)
-            if found > SURELY_SEEN:
-                return found
+            number, what = element.body
+            effect = self._loads.body_effect(number, what, CHANGE, self._length, self._angle)
+            if effect > SURELY_SEEN:
+                return effect
         for shorter in self._shorter_scenes:
-            found = self._difference(self._simulate_parameters(element.changed(shorter)))
-            if found > 1.0:
+            effect = self._difference(self._simulate_parameters(element.changed(shorter)))
+            if effect > 1.0:
                 break
-        return found
+        return effect
 
     @cached_property
     def _loads(self) -> JointLoads | None:
@@ -246,9 +257,9 @@ class _ChangedRuns:
         return None
 
     def _difference(self, run: Trajectory | None) -> float:
-        """Measure the largest difference of a run from the scene's own run, in detectable differences.
+        """Measure the largest difference of a run from the run of the scene itself, in detectable ones.
 
-        Infinite for None, a run that did not complete.
+        The difference is infinite for None, a run that did not complete.
         """
         if run is None:
             return np.inf
@@ -258,13 +269,13 @@ class _ChangedRuns:
     def _has_same_motion(self, changed: Scene) -> bool:
         """Return True if the equations of a changed scene give the same accelerations along the run."""
         if changed.sampled:
-            return False  # forces of sampled controllers do not follow from states
-        own, other = Relative(self._scene), Relative(changed)
+            return False  # forces of digital controllers, which sample the motion, do not follow from states
+        original, other = Relative(self._scene), Relative(changed)
         with np.errstate(all="ignore"):  # results that are not finite compare as different
             try:
                 return all(
                     _is_same(
-                        _motion(at_time(own, time), state), _motion(at_time(other, time), state), changed
+                        _motion(at_time(original, time), state), _motion(at_time(other, time), state), changed
                     )
                     for time, state in self._states
                 )
@@ -272,36 +283,47 @@ class _ChangedRuns:
                 return False
 
 
-Motion = tuple[Array, Array, Array]
-"""Poses (b, 7), velocities (b, 6) and accelerations (b, 6) of all bodies."""
+class _Motion(NamedTuple):
+    """Poses (b, 7), velocities (b, 6) and accelerations (b, 6) of all bodies at one time."""
+
+    poses: Array
+    velocities: Array
+    accelerations: Array
 
 
-def _motion(system: System, state: State) -> Motion:
-    """Evaluate a system at the coordinates of a state; the poses differ if the system cannot represent it."""
-    found = system.evaluate(*system.coordinates(state))
-    own = found.state
-    return (
-        np.hstack([own.position, own.quaternion]),
-        np.hstack([own.linear_velocity, own.angular_velocity]),
-        np.hstack([found.linear_acceleration, found.angular_acceleration]),
+def _motion(system: System, state: State) -> _Motion:
+    """Evaluate a system at the coordinates of a state.
+
+    If the state violates the constraints of the system, its coordinates give other poses than the state has.
+    """
+    evaluation = system.evaluate(*system.coordinates(state))
+    reached = evaluation.state
+    return _Motion(
+        poses=np.hstack([reached.position, reached.quaternion]),
+        velocities=np.hstack([reached.linear_velocity, reached.angular_velocity]),
+        accelerations=np.hstack([evaluation.linear_acceleration, evaluation.angular_acceleration]),
     )
 
 
-def _is_same(own: Motion, other: Motion, scene: Scene) -> bool:
-    """Return True if two motions differ by round-off only; `scene` gives size and gravity as scales."""
+def _is_same(one: _Motion, other: _Motion, scene: Scene) -> bool:
+    """Return True if two motions differ by round-off only.
+
+    Round-off is relative to the largest value. `scene` gives lower bounds of the largest value: its size (at
+    least 1 m) for poses, and gravity for accelerations.
+    """
     floors = max(1.0, scene.mechanism.size), 0.0, float(np.max(np.abs(scene.gravity)))
     return all(
         bool(np.max(np.abs(x - y)) <= ROUND_OFF * max(floor, float(np.max(np.abs(x)))))
-        for x, y, floor in zip(own, other, floors, strict=True)
+        for x, y, floor in zip(one, other, floors, strict=True)
     )
 
 
-def _run_or_partial(engine: Callable[[Scene], Trajectory], scene: Scene) -> Trajectory:
-    """Simulate a scene; return the partial run if the engine stops after the start."""
+def _run_or_partial(simulation: Callable[[Scene], Trajectory], scene: Scene) -> Trajectory:
+    """Simulate a scene; return the partial run if the simulation stops after the start."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NearlyRedundantWarning)
-            return engine(scene)
+            warnings.simplefilter("ignore", NearlyRedundantWarning)  # comparisons report it
+            return simulation(scene)
     except StoppedError as error:
         if error.partial is None or len(error.partial.time) == 1:
             raise
