@@ -23,13 +23,14 @@ class JointLoads:
     """Joint reactions of a scene along a run, and bounds on the effect of changes.
 
     A displaced joint has other constraint directions. The part R (6,) of the reaction outside of these
-    directions is not supported by the displaced joint, so it would accelerate the mechanism.
+    directions is not supported by the displaced joint, so R would accelerate the mechanism.
 
     In a mechanism without loops, the joint accelerates along R by |R| / (u^T M u). M is the mass matrix of
     all bodies. The body velocities u are those of a motion in which the joint yields along R at unit speed.
     Of all such motions, u has the least kinetic energy (Gauss's principle of least constraint).
 
-    Torques are divided by, and angular velocities multiplied by, the length of the longest body.
+    In R and in motions of the joint, torques are divided by, and angular velocities multiplied by, the length
+    of the longest body.
     """
 
     def __init__(self, scene: Scene, states: Sequence[tuple[float, State]]) -> None:
@@ -47,11 +48,12 @@ class JointLoads:
         self._frames = [state.frames() for _, state in states]
         self._coordinates = [self._system.coordinates(state) for _, state in states]
         self._evaluations = [
-            at_time(self._system, time).evaluate(*each)
-            for (time, _), each in zip(states, self._coordinates, strict=True)
+            at_time(self._system, time).evaluate(q, v)
+            for (time, _), (q, v) in zip(states, self._coordinates, strict=True)
         ]
+        # Without loop-closing joints and couplings of joint coordinates
         self._is_tree = not (self._system.tree.cuts or self._system.couplings)
-        self._inertia_cache: dict[int, tuple[Array, Array]] = {}
+        self._motions_and_mass_cache: dict[int, tuple[Array, Array]] = {}  # by number of the time
 
     @cached_property
     def lightest(self) -> float:
@@ -62,7 +64,7 @@ class JointLoads:
         )
 
     def motion_change(self, displaced: JointEquations) -> tuple[float, float]:
-        """Bound the distance, m, between the motions with the given and with a displaced joint.
+        """Bound the distance, m, between the motions with the joint of the scene and with a displaced joint.
 
         Args:
             displaced: equations of the displaced joint.
@@ -75,12 +77,13 @@ class JointLoads:
         unsupported = self._unsupported(displaced)
         norms, times = np.linalg.norm(unsupported, axis=1), np.array([time for time, _ in self._states])
         upper = 0.5 * float(times[-1] ** 2 * np.max(norms)) / self.lightest
-        # Time^2 x force in each interval; distance = 1/2 x time^2 x force / inertia
-        impulses = np.diff(times) ** 2 * np.minimum(norms[1:], norms[:-1])
-        if not (self._is_tree and np.any(impulses)):
+        # distance = 1/2 x time^2 x force / inertia, with the smaller force at the ends of each interval
+        time2_forces = np.diff(times) ** 2 * np.minimum(norms[1:], norms[:-1])
+        if not (self._is_tree and np.any(time2_forces)):
             return 0.0, upper
-        k = int(np.argmax(impulses))
-        lower = 0.5 * float(impulses[k]) / self._inertia(k, displaced, unsupported[k] / norms[k])
+        k = int(np.argmax(time2_forces))
+        direction = unsupported[k] / norms[k]
+        lower = 0.5 * float(time2_forces[k]) / self._yielding_inertia(k, displaced, direction)
         return lower, upper
 
     def _unsupported(self, displaced: JointEquations) -> Array:
@@ -89,18 +92,20 @@ class JointLoads:
         number = mechanism.joint_index(displaced.joint.name)
         point = mechanism.joints[number].reaction_point
         arm = mechanism.bodies[displaced.second].pose.point_to_body(point)
-        found = []
+        unsupported = []
         for frames, evaluation in zip(self._frames, self._evaluations, strict=True):
+            # The reaction on the second body, about the center of mass of this body
             first, second = frames[displaced.first], frames[displaced.second]
             force = evaluation.reaction_force[number]
             torque = evaluation.reaction_torque[number] + np.cross(second.rotation @ arm, force)
             wrench = np.concatenate([force, torque / self._size])
-            rows = displaced.jacobian(first, second)
-            supported = np.concatenate([rows.r_second.T, rows.theta_second.T / self._size])
-            found.append(wrench - supported @ np.linalg.lstsq(supported, wrench)[0])
-        return np.array(found)
+            # Its projection onto the constraint directions of the displaced joint is supported
+            jacobian = displaced.jacobian(first, second)
+            directions = np.concatenate([jacobian.r_second.T, jacobian.theta_second.T / self._size])
+            unsupported.append(wrench - directions @ np.linalg.lstsq(directions, wrench)[0])
+        return np.array(unsupported)
 
-    def _inertia(self, k: int, displaced: JointEquations, direction: Array) -> float:
+    def _yielding_inertia(self, k: int, displaced: JointEquations, direction: Array) -> float:
         """Compute u^T M u, kg: the inertia that an unsupported load accelerates, see the class.
 
         Args:
@@ -110,11 +115,12 @@ class JointLoads:
         """
         tree, frames = self._system.tree, self._frames[k]
         number = self._system.mechanism.joint_index(displaced.joint.name)
-        kept = next(each for each in tree.joints if each.joint == number)
-        others = np.delete(np.arange(tree.nv), np.arange(kept.v.start, kept.v.stop))
-        motions, mass = self._inertias(k)
+        yielding_joint = next(each for each in tree.joints if each.joint == number)
+        own = yielding_joint.v  # slice of the joint's velocities
+        others = np.delete(np.arange(tree.nv), np.arange(own.start, own.stop))
+        motions, mass = self._motions_and_mass(k)
         # Body velocities if the joint yields at unit speed and all others are locked
-        moving = np.any(motions[:, :, kept.v] != 0.0, axis=(1, 2))
+        moving = np.any(motions[:, :, own] != 0.0, axis=(1, 2))
         center = frames[displaced.second].position
         yielding = np.zeros((len(frames), 6))
         for body in np.flatnonzero(moving):
@@ -130,9 +136,10 @@ class JointLoads:
     def body_effect(self, number: int, what: str, change: float, length: float, angle: float) -> float:
         """Return a lower bound on how far a relative change of a body's mass or inertia moves any body.
 
-        The acceleration dv follows from M' dv = -J^T w. M' is the changed mass matrix, and w the wrench that
-        the added inertia needs in the given motion. The bound is the distance after one interval between the
-        times. It is 0 for mechanisms with loops, which have no such mass matrix.
+        The change dv of the joint accelerations follows from M' dv = -J^T w. M' is the changed mass matrix, w
+        the wrench that the added inertia needs in the given motion, and J maps joint velocities to those of
+        the body. The bound is the distance after the first or the last interval between the times. It is 0
+        for mechanisms with loops, whose joint velocities are not independent.
 
         Args:
             number: number of the body.
@@ -140,15 +147,17 @@ class JointLoads:
             change: relative change, for example 0.1.
             length, angle: units of the result for positions, m, and orientations, rad.
         """
-        times, found = [time for time, _ in self._states], 0.0
-        for k in (len(times) - 2, 0) if self._is_tree and len(times) > 1 else ():
-            ends = [self._acceleration(end, number, what, change) for end in (k, k + 1)]
-            linear, angular = (min(accelerations) for accelerations in zip(*ends, strict=True))
-            found = max(found, 0.5 * (times[k + 1] - times[k]) ** 2 * max(linear / length, angular / angle))
-        return found
+        if not self._is_tree or len(self._states) < 2:
+            return 0.0
+        times, bound = [time for time, _ in self._states], 0.0
+        for k in (len(times) - 2, 0):
+            at_ends = [self._acceleration_change(end, number, what, change) for end in (k, k + 1)]
+            linear, angular = (min(accelerations) for accelerations in zip(*at_ends, strict=True))
+            bound = max(bound, 0.5 * (times[k + 1] - times[k]) ** 2 * max(linear / length, angular / angle))
+        return bound
 
-    def _acceleration(self, k: int, number: int, what: str, change: float) -> tuple[float, float]:
-        """Compute the largest accelerations of any body caused by a change of one body at a time.
+    def _acceleration_change(self, k: int, number: int, what: str, change: float) -> tuple[float, float]:
+        """Compute the largest accelerations of any body that a change of one body adds, at one time.
 
         Args:
             k: number of the time.
@@ -158,34 +167,34 @@ class JointLoads:
             Linear acceleration, m/s^2, and angular acceleration, rad/s^2.
         """
         body, frame = self._system.mechanism.bodies[number], self._frames[k][number]
-        found = self._evaluations[k]
-        motions, mass = self._inertias(k)
-        linear, angular = motions[number, :3], motions[number, 3:]
-        # Added mass matrix, and generalized force of the added inertia
+        evaluation = self._evaluations[k]
+        motions, mass = self._motions_and_mass(k)
+        linear, angular = motions[number, :3], motions[number, 3:]  # J of this body
+        # Added mass matrix M' - M, and generalized force -J^T w of the added inertia
         if what == "mass":
             added = change * body.mass * linear.T @ linear
-            felt_acceleration = found.linear_acceleration[number] - self._system.scene.gravity
-            force = -change * body.mass * linear.T @ felt_acceleration
+            acceleration_and_weight = evaluation.linear_acceleration[number] - self._system.scene.gravity
+            force = -change * body.mass * linear.T @ acceleration_and_weight
         else:
             inertia = change * frame.rotation @ body.inertia @ frame.rotation.T
             added = angular.T @ inertia @ angular
-            omega = found.state.angular_velocity[number]
-            rate = inertia @ found.angular_acceleration[number] + np.cross(omega, inertia @ omega)
-            force = -angular.T @ rate
+            omega = evaluation.state.angular_velocity[number]
+            torque = inertia @ evaluation.angular_acceleration[number] + np.cross(omega, inertia @ omega)
+            force = -angular.T @ torque
         accelerations = motions @ np.linalg.solve(mass + added, force)
         return (
             float(np.max(np.linalg.norm(accelerations[:, :3], axis=1))),
             float(np.max(np.linalg.norm(accelerations[:, 3:], axis=1))),
         )
 
-    def _inertias(self, k: int) -> tuple[Array, Array]:
+    def _motions_and_mass(self, k: int) -> tuple[Array, Array]:
         """Return body velocities (b, 6, nv) per joint velocity, and the mass matrix (nv, nv), at time k."""
-        if k not in self._inertia_cache:
-            transformation = self._system.velocity_transformation(self._coordinates[k][0])
-            motions = transformation.reshape(-1, 6, self._system.nv)
-            mass, _ = at_time(self._system, self._states[k][0]).mass_and_force(*self._coordinates[k])
-            self._inertia_cache[k] = motions, mass
-        return self._inertia_cache[k]
+        if k not in self._motions_and_mass_cache:
+            (time, _), (q, v) = self._states[k], self._coordinates[k]
+            motions = self._system.velocity_transformation(q).reshape(-1, 6, self._system.nv)
+            mass, _ = at_time(self._system, time).mass_and_force(q, v)
+            self._motions_and_mass_cache[k] = motions, mass
+        return self._motions_and_mass_cache[k]
 
     def _momenta(self, k: int, motions: Array) -> Array:
         """Compute momenta (b, 6, n) of b bodies for n body velocities (b, 6, n), at time k."""
