@@ -1,8 +1,9 @@
 """Level "accelerations and reactions": accelerations under rigid constraints, and joint reactions.
 
-The checks compare two engines at the same states. A reaction is the force and the torque of a joint on its
-second body, at the joint point, in the world frame. Redundant constraints leave some combinations of
-reactions undetermined; these combinations are removed before reactions are compared (`determined`).
+A level is a group of checks; these checks compare two engines at the same states of a mechanism. A reaction
+is the force and the torque of a joint on its second body, at the joint point, in the world frame. Redundant
+constraints leave some combinations of reactions undetermined; these combinations are removed before reactions
+are compared (`determined`).
 """
 
 from __future__ import annotations
@@ -24,8 +25,7 @@ LEVEL = "accelerations and reactions"
 
 SOFTNESS = 1e-2
 """Expected error of reaction forces of soft constraints, relative to the largest force. MuJoCo limits solimp
-to
-0.9999, which causes errors of about 0.1 % at any step, and larger errors in ill-conditioned mechanisms."""
+to 0.9999, which causes errors of about 0.1 % at any step, and larger errors in ill-conditioned mechanisms."""
 
 
 def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
@@ -33,35 +33,43 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
 
     Tolerances are round-off times the condition numbers of the constraints and of the mass matrix. For
     reactions, the condition number of the constraints is squared. A failing check is attributed to the body,
-    joint or term whose equations of motion are violated.
+    the joint or gravity: the element whose equations of motion are violated.
 
     Args:
         pair: names of the two engines.
-        first, second: their equations at the same states.
+        first, second: equations of the two engines at the same states.
     """
-    # Tolerances and scales
     states = first.states
+    # Tolerances
     constraint_condition = max(first.condition, second.condition)
     mass_condition = states.mass_condition
+    acceleration_tolerance = round_off(constraint_condition * mass_condition, states.noise)
+    reaction_tolerance = round_off(constraint_condition**2 * mass_condition, states.noise)
+    # The condition number, for information
     yield Check(LEVEL, "condition of masses", pair, mass_condition, 1.0 / MACHINE_EPSILON, "", judged=False)
-    tolerance, reaction_tolerance = (
-        round_off(condition * mass_condition, states.noise)
-        for condition in (constraint_condition, constraint_condition**2)
-    )
+    # Units that differences are divided by: largest acceleration, m/s^2, largest force, N, and size, m
     scales, mechanism = first.scales, states.scene.mechanism
 
     @cache
     def cause() -> Cause | None:
+        """Find the element that failing checks are attributed to, once for all checks."""
         return dynamic_cause(first, second)
 
-    def row(
+    def check_largest(
         quantity: str, gap: Array, tolerance: float, names: Sequence[str], attribute: bool = True
     ) -> Check:
-        """Make the check of the largest of the differences `gap` (n states, bodies or joints)."""
-        value, found = float(gap.max()), Cause(names[int(np.argmax(gap.max(axis=0)))])
+        """Make the check of the largest difference.
+
+        Args:
+            quantity, tolerance: attributes of the check.
+            gap: differences (n, b or j) of b bodies or j joints at n states.
+            names: names of the bodies or joints.
+            attribute: True to attribute a failing check to `cause`, False to the body or joint itself.
+        """
+        value, place = float(gap.max()), Cause(names[int(np.argmax(gap.max(axis=0)))])
         if not value <= tolerance and attribute:
-            found = cause() or found
-        return Check(LEVEL, quantity, pair, value, tolerance, found.where, detail=found.detail)
+            place = cause() or place
+        return Check(LEVEL, quantity, pair, value, tolerance, place.where, detail=place.detail)
 
     def difference(name: str) -> Array:
         """Norms of the differences of a vector quantity, (n states, bodies)."""
@@ -70,19 +78,20 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     # Accelerations
     linear = difference("linear_acceleration") / scales.acceleration
     angular = difference("angular_acceleration") * scales.size / scales.acceleration
-    yield row("linear acceleration, rel", linear, tolerance, mechanism.body_names)
-    yield row("angular acceleration, rel", angular, tolerance, mechanism.body_names)
-    names = mechanism.joint_names
-    joints = _joint_acceleration_differences(first, second)
-    yield row("joint acceleration, rel", joints, tolerance + RATE_ERROR, names)
+    bodies, joints = mechanism.body_names, mechanism.joint_names
+    yield check_largest("linear acceleration, rel", linear, acceleration_tolerance, bodies)
+    yield check_largest("angular acceleration, rel", angular, acceleration_tolerance, bodies)
+    gap = _joint_acceleration_differences(first, second)
+    yield check_largest("joint acceleration, rel", gap, acceleration_tolerance + RATE_ERROR, joints)
     # Reactions
     force, torque = (first.stack(name) - second.stack(name) for name in ("reaction_force", "reaction_torque"))
     force, torque = determined(force, torque, states.undetermined, scales.size)
-    yield row("reaction force, rel", np.linalg.norm(force, axis=2) / scales.force, reaction_tolerance, names)
+    gap = np.linalg.norm(force, axis=2) / scales.force
+    yield check_largest("reaction force, rel", gap, reaction_tolerance, joints)
     gap = np.linalg.norm(torque, axis=2) / (scales.force * scales.size)
     # A shifted joint point does not violate equations of motion: the joint itself is the cause
     shifted = _is_shifted_joint_point(torque, first.stack("reaction_force"))
-    yield row("reaction torque, rel", gap, reaction_tolerance, names, attribute=not shifted)
+    yield check_largest("reaction torque, rel", gap, reaction_tolerance, joints, attribute=not shifted)
 
 
 def _joint_acceleration_differences(first: Samples, second: Samples) -> Array:
@@ -96,19 +105,20 @@ def _joint_acceleration_differences(first: Samples, second: Samples) -> Array:
     first_bodies = [mechanism.body_index(joint.first) for joint in mechanism.joints]
     second_bodies = [mechanism.body_index(joint.second) for joint in mechanism.joints]
     gaps = []
-    # First the linear, then the angular accelerations
+    # First the linear, then the angular accelerations (n, b, 3) of both engines
     pairs = zip(first.coordinate_accelerations, second.coordinate_accelerations, strict=True)
-    for (one, two), unit in zip(pairs, (1.0, scales.size), strict=True):
-        difference = (one - two)[:, second_bodies] - (one - two)[:, first_bodies]
+    for (of_first, of_second), unit in zip(pairs, (1.0, scales.size), strict=True):
+        gap = of_first - of_second
+        difference = gap[:, second_bodies] - gap[:, first_bodies]
         gaps.append(np.linalg.norm(difference, axis=2) * unit / scales.acceleration)
     return np.asarray(np.maximum(*gaps))
 
 
 def _is_shifted_joint_point(torque: Array, force: Array) -> bool:
-    """Return True if torque differences come from another point of one joint.
+    """Return True if the differences of reaction torques come from a shifted point of one joint.
 
-    A reaction about another point has a torque that differs by arm x force. The differences are then those of
-    a single joint, and perpendicular to the reaction force in every state.
+    The torque of a reaction about another point differs by arm x force. If a single point is shifted, only
+    the torques of this joint differ, perpendicularly to its reaction force in every state.
 
     Args:
         torque: (n, j, 3) differences of the reaction torques of j joints at n states, N m.
@@ -127,6 +137,8 @@ def _is_shifted_joint_point(torque: Array, force: Array) -> bool:
 def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Check:
     """Compare reaction forces at the initial state between soft and rigid constraints of one engine.
 
+    The check is for information: it is not judged.
+
     Args:
         name: name of the engine.
         soft: evaluation of the initial state with the engine's soft constraints.
@@ -134,15 +146,15 @@ def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Check:
     """
     states = rigid.states
     force = rigid.evaluations[0].reaction_force
-    floor = states.energy / states.scene.mechanism.size
+    smallest_unit = states.energy / states.scene.mechanism.size  # N
     gap = np.linalg.norm(soft.reaction_force - force, axis=1)
-    gap = gap / max(floor, float(np.linalg.norm(force, axis=1).max()))
+    gap = gap / max(smallest_unit, float(np.linalg.norm(force, axis=1).max()))
     return Check(
         LEVEL,
         "reaction force, rel",
-        (f"{name} soft", f"{name} rigid"),
-        float(gap.max()),
-        SOFTNESS,
-        states.scene.mechanism.joint_names[int(np.argmax(gap))],
+        between=(f"{name} soft", f"{name} rigid"),
+        value=float(gap.max()),
+        tolerance=SOFTNESS,
+        where=states.scene.mechanism.joint_names[int(np.argmax(gap))],
         judged=False,
     )

@@ -1,7 +1,8 @@
 """Level "dynamics": actuator forces, energies, effective inertia and effective force of two engines.
 
-Effective inertia and force are the mass matrix and the force vector projected onto the velocities that the
-constraints allow. They do not depend on an engine's choice of coordinates (`free_motion` in `samples.py`).
+A level is a group of checks; these checks compare two engines at the same states of a mechanism. Effective
+inertia and force are the mass matrix and the force vector projected onto the velocities that the constraints
+allow. They do not depend on an engine's choice of coordinates (`free_motion` in `samples.py`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from crosscheck.compare.samples import Samples, States
 from newton_euler.scalars import Array
 
 CauseFinder = Callable[[bool], Cause | None]
-"""Function that finds the cause of a difference. The argument is True if a force can be the cause."""
+"""Function that finds the cause of a difference: a body, joint or gravity, with the wrong parameter if known.
+The argument is True if a force or gravity can be the cause. The result is None without a cause."""
 
 
 def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
@@ -25,17 +27,18 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
 
     Tolerances are round-off times the condition number of the constraints. For the effective force, which
     contains accelerations, the tolerance is also multiplied by the condition number of the mass matrix. A
-    failing check is attributed to the actuated joint, or to the body or term whose equations of motion are
-    violated.
+    failing check is attributed to the actuated joint, or to the element whose equations of motion are
+    violated (a body, a joint or gravity).
 
     Args:
         pair: names of the two engines.
-        first, second: their equations at the same states.
+        first, second: equations of the two engines at the same states.
     """
     states = first.states
 
     @cache
     def cause(forces: bool) -> Cause | None:
+        """Find the element that failing checks are attributed to, once for each value of `forces`."""
         return dynamic_cause(first, second, forces)
 
     if states.scene.control:
@@ -45,11 +48,11 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
         tolerance = round_off(max(first.condition, second.condition), states.noise)
 
         def actuator_cause(forces: bool) -> Cause:
-            """Return the cause if it is at the actuated joint, for its detail, else the joint alone."""
-            found = cause(forces)
-            return found if found and found.where == joint else Cause(joint)
+            """Return the cause with its wrong parameter if it is at the actuated joint, else the joint."""
+            violated = cause(forces)
+            return violated if violated and violated.where == joint else Cause(joint)
 
-        yield _row(pair, states, "actuator force, rel", gap, 1.0, tolerance, actuator_cause)
+        yield _check_largest(pair, states, "actuator force, rel", gap, 1.0, tolerance, actuator_cause)
     yield from motion_rows(pair, first, second, cause)
 
 
@@ -59,7 +62,7 @@ def motion_rows(
     """Compare energies, effective inertia and effective force of two engines, or of two models.
 
     Args:
-        pair: names of the two.
+        pair: names of the two engines or models.
         first, second: their equations at the same states.
         cause: called if a check fails, to find the body, joint or term that it is attributed to.
     """
@@ -70,19 +73,20 @@ def motion_rows(
         one, two = first.stack(name), second.stack(name)
         unit = max(states.energy, float(np.abs(one).max()))
         quantity = f"{name.replace('_', ' ')}, rel"
-        yield _row(pair, states, quantity, np.abs(one - two), unit, tolerance, cause)
-    if not all(basis.shape[1] for basis in states.bases):
+        yield _check_largest(pair, states, quantity, np.abs(one - two), unit, tolerance, cause)
+    if not all(basis.shape[1] for basis in states.bases):  # bases of the allowed velocities (6 b, d)
         return  # nothing can move
+    # Effective inertia and force at each state
     one_inertia, two_inertia = ([inertia for inertia, _ in each.free_motions] for each in (first, second))
     one_force, two_force = ([force for _, force in each.free_motions] for each in (first, second))
-    gap, unit = _largest_differences(one_inertia, two_inertia, 0.0)
-    yield _row(pair, states, "effective inertia, rel", gap, unit, tolerance, cause)
+    gap, unit = _largest_differences(one_inertia, two_inertia, floor=0.0)
+    yield _check_largest(pair, states, "effective inertia, rel", gap, unit, tolerance, cause)
     tolerance = round_off(condition * states.mass_condition, states.noise)
-    gap, unit = _largest_differences(one_force, two_force, states.energy)
-    yield _row(pair, states, "effective force, rel", gap, unit, tolerance, cause)
+    gap, unit = _largest_differences(one_force, two_force, floor=states.energy)
+    yield _check_largest(pair, states, "effective force, rel", gap, unit, tolerance, cause)
 
 
-def _row(
+def _check_largest(
     pair: tuple[str, str],
     states: States,
     quantity: str,
@@ -91,17 +95,24 @@ def _row(
     tolerance: float,
     cause: CauseFinder,
 ) -> Check:
-    """Make the check of the largest of the differences `gap`, whose first axis is the states.
+    """Make the check of the largest difference.
 
-    The value is `gap` divided by `unit`. If the check fails, it is attributed to the `cause`.
+    Args:
+        pair, quantity, tolerance: attributes of the check.
+        states: n states.
+        gap: (n, ...) differences at the states.
+        unit: unit that differences are divided by.
+        cause: finds the element that the check is attributed to if it fails; without an element, the check is
+            attributed to the state of the largest difference.
     """
     worst = gap.reshape(len(states.all), -1).max(axis=1)
     value = float(worst.max()) / unit
-    found = Cause(states.name(int(np.argmax(worst))))
+    place = Cause(states.name(int(np.argmax(worst))))
     if not value <= tolerance:
-        by_force = quantity not in ("kinetic energy, rel", "effective inertia, rel")
-        found = cause(by_force) or found
-    return Check("dynamics", quantity, pair, value, tolerance, found.where, detail=found.detail)
+        # kinetic energy and inertia do not depend on forces
+        depends_on_forces = quantity not in ("kinetic energy, rel", "effective inertia, rel")
+        place = cause(depends_on_forces) or place
+    return Check("dynamics", quantity, pair, value, tolerance, place.where, detail=place.detail)
 
 
 def _largest_differences(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:
@@ -119,7 +130,7 @@ def _largest_differences(one: list[Array], two: list[Array], floor: float) -> tu
 
 
 def _actuator_units(samples: Samples) -> Array:
-    """Return the units (a,) that differences of actuator forces are divided by, N or N m.
+    """Return the units (a,) that differences of the forces of a actuators are divided by, N or N m.
 
     The unit is the largest force in the mechanism (times the mechanism's size for a torque), or the largest
     value of the actuator itself if that is larger.
