@@ -28,7 +28,7 @@ SOFTNESS = 1e-2
 to 0.9999, which causes errors of about 0.1 % at any step, and larger errors in ill-conditioned mechanisms."""
 
 
-def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
+def acceleration_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Compare accelerations of bodies and joints, and reactions of joints, of two engines.
 
     Tolerances are round-off times the condition numbers of the constraints and of the mass matrix. For
@@ -72,7 +72,7 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
         return Check(LEVEL, quantity, pair, value, tolerance, place.where, detail=place.detail)
 
     def difference(name: str) -> Array:
-        """Norms of the differences of a vector quantity, (n states, bodies)."""
+        """Compute norms of the differences of a vector quantity, (n states, bodies)."""
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
 
     # Accelerations
@@ -134,7 +134,7 @@ def _is_shifted_joint_point(torque: Array, force: Array) -> bool:
     )
 
 
-def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Check:
+def softness_check(name: str, soft: Evaluation, rigid: Samples) -> Check:
     """Compare reaction forces at the initial state between soft and rigid constraints of one engine.
 
     The check is for information: it is not judged.

@@ -15,7 +15,7 @@ from crosscheck.compare.activity import watched, what_acted
 from crosscheck.compare.advice import Advice, redundancy_advice
 from crosscheck.compare.check import Check, require_finite
 from crosscheck.compare.coverage import Coverage, coverage
-from crosscheck.compare.levels import in_order, reading_rows, stages
+from crosscheck.compare.levels import in_order, reading_checks, stages
 from crosscheck.compare.reference_values import ReferenceCheck, known_of, measure
 from crosscheck.compare.result import JUDGING, ComparisonResult, diagnosed, misread
 from crosscheck.compare.runs import measure_run_errors
@@ -96,7 +96,7 @@ def crosscheck(
     file_stops: list[Stop] = []
     what = "comparing with the file"
     with collecting_errors(what, file_stops), limited(what, SHORTER_RUN_ADVICE, progress):
-        for row in require_finite(reading_rows(usable, mapping)):
+        for row in require_finite(reading_checks(usable, mapping)):
             rows.append(row)  # one by one, to keep the checks before an error
     if misread(usable, rows):
         return Crosscheck(

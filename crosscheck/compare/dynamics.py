@@ -22,7 +22,7 @@ CauseFinder = Callable[[bool], Cause | None]
 The argument is True if a force or gravity can be the cause. The result is None without a cause."""
 
 
-def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
+def dynamics_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Compare actuator forces, energies, effective inertia and effective force of two engines.
 
     Tolerances are round-off times the condition number of the constraints. For the effective force, which
@@ -53,10 +53,10 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
             return violated if violated and violated.where == joint else Cause(joint)
 
         yield _check_largest(pair, states, "actuator force, rel", gap, 1.0, tolerance, actuator_cause)
-    yield from motion_rows(pair, first, second, cause)
+    yield from motion_checks(pair, first, second, cause)
 
 
-def motion_rows(
+def motion_checks(
     pair: tuple[str, str], first: Samples, second: Samples, cause: CauseFinder
 ) -> Iterator[Check]:
     """Compare energies, effective inertia and effective force of two engines, or of two models.

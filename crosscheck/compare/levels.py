@@ -1,8 +1,10 @@
 """Comparison of engines, level by level, from the model itself to whole runs.
 
-In: a scene, the engines and their runs. Out: checks. Each `Check` compares one quantity of a pair of engines,
-or tests one engine. The first four levels use each engine's equations of motion with rigid constraints, at
-states that satisfy the constraints; a difference there comes from the models. The later levels use runs.
+In: a scene (a mechanism with its forces and initial state), the engines and their runs (simulations). Out:
+checks. Each `Check` compares one quantity of a pair of engines with its tolerance, or tests one engine; a
+level is a group of checks. The first four levels use each engine's equations of motion with rigid
+constraints, at states that satisfy the constraints; a difference there comes from the models. The later
+levels use runs.
 
 Relative differences are relative to the largest value over all states, since the value at a single state may
 be round-off: at rest, in equilibrium and in free fall many quantities vanish.
@@ -16,12 +18,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from itertools import combinations, product
 
-from crosscheck.compare.accelerations import acceleration_rows, softness_row
+from crosscheck.compare.accelerations import acceleration_checks, softness_check
 from crosscheck.compare.check import FILE, LEVELS, READING, Check, chain_despite_errors
-from crosscheck.compare.dynamics import dynamics_rows
-from crosscheck.compare.kinematics import kinematics_rows
-from crosscheck.compare.model import model_rows
-from crosscheck.compare.momentum import momentum_row
+from crosscheck.compare.dynamics import dynamics_checks
+from crosscheck.compare.kinematics import kinematics_checks
+from crosscheck.compare.model import model_checks
+from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.runs import Runs, compare_runs, compare_runs_until
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import Engine
@@ -35,11 +37,12 @@ from newton_euler.runs.assemble import initial_state
 Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Check]]
 """Function that yields the checks of a level for two systems, given their names and samples."""
 
-EQUATION_LEVELS: tuple[Level, ...] = (model_rows, kinematics_rows, dynamics_rows, acceleration_rows)
+EQUATION_LEVELS: tuple[Level, ...] = (model_checks, kinematics_checks, dynamics_checks, acceleration_checks)
 """Functions of the four levels that compare equations, in their order."""
 
 EngineSamples = dict[str, list[Samples]]
-"""Equations of motion of each engine (one `Samples` per formulation) at the same states, by engine name."""
+"""Equations of motion of each engine at the same states, by engine name: one `Samples` per formulation
+(choice of coordinates). Only newton_euler, this project's solver, has several formulations."""
 
 
 def compare_pair(
@@ -57,20 +60,23 @@ def compare_pair(
         levels: functions of the levels, in their order.
     """
     for level in levels:
-        worst: dict[str, Check] = {}
+        worst: dict[str, Check] = {}  # by quantity
         for one, two in product(first, second):
-            for row in level(pair, one, two):
-                _keep_worst(worst, row)
+            for check in level(pair, one, two):
+                _keep_worst(worst, check)
         yield from worst.values()
-        if not all(row.agrees for row in worst.values()):
+        if not all(check.agrees for check in worst.values()):
             return
 
 
-def _keep_worst(worst: dict[str, Check], row: Check) -> None:
-    """Put a check into `worst`, by quantity, unless that has one closer to failing; NaN counts as failing."""
-    known = worst.setdefault(row.quantity, row)
-    if not row.tolerance_ratio <= known.tolerance_ratio:
-        worst[row.quantity] = row
+def _keep_worst(worst: dict[str, Check], check: Check) -> None:
+    """Put a check into `worst`, unless `worst` has a check of this quantity that is closer to failing.
+
+    A check of NaN counts as failing.
+    """
+    known = worst.setdefault(check.quantity, check)
+    if not check.tolerance_ratio <= known.tolerance_ratio:
+        worst[check.quantity] = check
 
 
 def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Check]:
@@ -94,22 +100,21 @@ def _compare_formulations(
     """Compare the formulations of one engine with each other; see `compare_equations`."""
     differ = False
     for one, two in combinations(samples[engine.name], 2):
-        for row in compare_pair((one.name, two.name), [one], [two]):
-            differ |= not row.agrees
-            yield row
+        for check in compare_pair((one.name, two.name), [one], [two]):
+            differ |= not check.agrees
+            yield check
     if differ:
         for formulation in samples[engine.name]:
-            yield momentum_row(formulation.name, formulation)
+            yield momentum_check(formulation.name, formulation)
             for other in engines:
                 if other is not engine:
                     pair = (formulation.name, other.name)
                     yield from compare_pair(pair, [formulation], samples[other.name])
-    # The effect of soft constraints
+    # The effect of soft constraints at the initial state
     rigid = samples[engine.name][0]
-    if engine.evaluate_soft_constraints is not None and rigid.states.all[0] is initial_state(
-        rigid.states.scene
-    ):
-        yield softness_row(engine.name, engine.evaluate_soft_constraints(rigid.states.scene), rigid)
+    scene = rigid.states.scene
+    if engine.evaluate_soft_constraints is not None and rigid.states.all[0] is initial_state(scene):
+        yield softness_check(engine.name, engine.evaluate_soft_constraints(scene), rigid)
 
 
 def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
@@ -122,10 +127,10 @@ def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
 
 def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) -> list[Check]:
     """Return the checks of all levels in the order of levels. The arguments are those of `stages`."""
-    rows: list[Check] = []
+    checks: list[Check] = []
     for stage in stages(scene, engines, runs, states).values():
-        rows += stage(rows)
-    return in_order(rows)
+        checks += stage(checks)
+    return in_order(checks)
 
 
 def stages(
@@ -133,7 +138,7 @@ def stages(
 ) -> dict[str, Callable[[Sequence[Check]], Iterator[Check]]]:
     """Return the stages of the comparison, by a text for progress messages, in the order of execution.
 
-    Each stage is a function that yields checks. Its argument is all checks of the stages before.
+    A stage is a function that yields checks. The argument of a stage is all checks of the stages before.
 
     Args:
         scene: scene that is compared.
@@ -147,7 +152,7 @@ def stages(
 
     @cache
     def samples() -> EngineSamples:
-        """Evaluate the equations once, for all stages."""
+        """Return the equations at the initial state and at random states, the same for all stages."""
         others = random_states(scene, states)
         # Leave out a singular initial state, at which the constraints do not determine accelerations
         compared = others if others and start.is_singular else [*start.all, *others]
@@ -156,19 +161,20 @@ def stages(
     def equations(_: Sequence[Check]) -> Iterator[Check]:
         yield from compare_equations(engines, samples())
 
-    def trajectories(rows: Sequence[Check]) -> Iterator[Check]:
+    def trajectories(checks: Sequence[Check]) -> Iterator[Check]:
         engines_with_run = [engine for engine in engines if engine.name in runs]
+        # The unit of energy differences, J: the states are the same for all engines and formulations
         try:
             energy = samples()[engines[0].name][0].states.energy
-        except AssemblyError:  # no random states could be found; runs can be compared without
+        except AssemblyError:  # no random states could be found; runs can be compared without them
             energy = start.energy
-        differing = {row.between for row in rows if not row.agrees}
+        differing = {check.between for check in checks if not check.agrees}
         yield from compare_runs(scene, engines_with_run, runs, energy, differing)
         if until is not None:
             yield from compare_runs_until(until, scene, engines_with_run, runs, energy, differing)
 
     def momentum(_: Sequence[Check]) -> Iterator[Check]:
-        yield from (momentum_row(engine.name, samples()[engine.name][0]) for engine in engines)
+        yield from (momentum_check(engine.name, samples()[engine.name][0]) for engine in engines)
 
     return {
         "comparing equations": equations,
@@ -177,16 +183,16 @@ def stages(
     }
 
 
-def in_order(rows: Iterable[Check]) -> list[Check]:
+def in_order(checks: Iterable[Check]) -> list[Check]:
     """Sort checks by level; within a level they keep their order."""
-    return sorted(rows, key=lambda row: LEVELS.index(row.level))
+    return sorted(checks, key=lambda check: LEVELS.index(check.level))
 
 
-def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iterator[Check]:
+def reading_checks(engines: Sequence[Engine], report: ImportReport | None) -> Iterator[Check]:
     """Compare each engine's equations with the model file that the scene was imported from.
 
-    The report has reference models of the file, computed by MuJoCo or Pinocchio: one with the controls of the
-    file, and one with random controls. Of the two, a check shows the one closer to failing.
+    The report has reference models of the file, computed by MuJoCo or Pinocchio: one with the actuator inputs
+    of the file, and one with random inputs. Of the two, a check shows the one closer to failing.
 
     Args:
         engines: engines that can represent the scene.
@@ -197,6 +203,7 @@ def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iter
     for engine in engines:
         worst: dict[str, Check] = {}
         for reference, scene in report.references:
-            for quantity, value, tolerance, where in verify(reference, engine.systems(scene)[0]):
+            system = engine.systems(scene)[0]  # equations in the first formulation
+            for quantity, value, tolerance, where in verify(reference, system):
                 _keep_worst(worst, Check(READING, quantity, (engine.name, FILE), value, tolerance, where))
         yield from worst.values()

@@ -1,8 +1,9 @@
 """Momentum balance of one engine: residuals of Newton's and Euler's equations of each body.
 
 Accelerations, reactions and actuator forces come from the engine. Masses, inertias and applied forces are
-computed from the scene. The balance therefore tests an engine without another engine, and without the
-engine's own equations of motion. The check belongs to the level "energy".
+computed from the scene (the mechanism with its forces that the engine has to simulate). The balance therefore
+tests an engine without another engine, and without the engine's own equations of motion. The check belongs to
+the level (group of checks) "energy".
 """
 
 from __future__ import annotations
@@ -18,68 +19,77 @@ from newton_euler.reading.wrenches import Wrenches
 from newton_euler.scalars import Array, cross
 
 
-def momentum_row(name: str, samples: Samples) -> Check:
+def momentum_check(name: str, samples: Samples) -> Check:
     """Make the check of the largest residual of the balance over all bodies and states.
 
-    The residual is divided by the largest force. The tolerance is that of reactions.
+    The residual is divided by `Scales.force`: the largest reaction or inertia force of any body at any of the
+    states. The tolerance is that of reactions: round-off, times the square of the condition number of the
+    constraint Jacobian, times the condition number of the mass matrix.
 
     Args:
-        name: name of the engine or formulation.
-        samples: its equations at a number of states.
+        name: name of the engine or formulation (choice of coordinates).
+        samples: equations of motion of the engine at a number of states.
     """
-    residuals = np.abs(momentum_residuals(samples)).max(axis=(0, 2))
+    residuals = np.abs(momentum_residuals(samples)).max(axis=(0, 2))  # of each moving body
     worst = int(np.argmax(residuals))
     value = float(residuals[worst]) / samples.scales.force
     states = samples.states
+    # `noise` is the relative error of the constraints themselves, if they are nearly redundant
     tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
-    body = samples.states.scene.mechanism.body_names[1 + worst]
-    return Check("energy", "momentum balance, rel", (name,), value, tolerance, body)
+    body = samples.states.scene.mechanism.body_names[1 + worst]  # without the ground
+    return Check("energy", "momentum balance, rel", (name,), value, tolerance, where=body)
 
 
 def momentum_residuals(samples: Samples) -> Array:
     """Compute residuals (n, b - 1, 6) of Newton's and Euler's equations of the moving bodies at n states, N.
 
-    The first three are of forces, in the world frame. The last three are of torques divided by the
-    mechanism's size, in the body frame.
+    The first three residuals of a body are of forces, in the world frame. The last three are of torques about
+    the center of mass, in the body frame, divided by the mechanism's size.
     """
     scene = samples.states.scene
-    return np.array([_residual(scene, evaluation) for evaluation in samples.evaluations])
+    return np.array([_residuals(scene, evaluation) for evaluation in samples.evaluations])
 
 
-def _residual(scene: Scene, found: Evaluation) -> Array:
-    """Compute residuals (b - 1, 6) of the moving bodies at one state, N, as `momentum_residuals`.
+def _residuals(scene: Scene, evaluation: Evaluation) -> Array:
+    """Compute the residuals (b - 1, 6) of `momentum_residuals` at one state.
 
-    They are m a - f, and (J' domega'/dt + omega' x J' omega' - n') / size. Inertia J', angular velocity
-    omega' and torque n' are in the body frame.
+    The residuals of a body are m (a - g) - f and (J' domega'/dt + omega' x J' omega' - n') / size. The force
+    f and the torque n' are the sums of applied loads and joint reactions. Inertia J', angular velocity omega'
+    and torque n' are in the body frame.
+
+    Args:
+        scene: the scene.
+        evaluation: an engine's accelerations, reactions and actuator forces at the state.
     """
     mechanism = scene.mechanism
-    applied = Wrenches(mechanism, found.state)
-    applied.add_forces(scene, found.actuator_force)
-    applied.add_armatures(scene, found.linear_acceleration, found.angular_acceleration)
-    reactions = _reaction_wrenches(mechanism, found)
-    left = []
+    # Applied loads: forces (world frame) and torques (about the center of mass, world frame) on each body
+    applied = Wrenches(mechanism, evaluation.state)
+    applied.add_forces(scene, evaluation.actuator_force)
+    applied.add_armatures(scene, evaluation.linear_acceleration, evaluation.angular_acceleration)
+    reactions = _reaction_wrenches(mechanism, evaluation)
+    residuals = []
     for k, (body, frame) in enumerate(zip(mechanism.bodies, applied.frames, strict=True)):
-        spin, rate, torque = (
+        spin, spin_rate, torque = (  # in the body frame
             frame.rotation.T @ vector
-            for vector in (frame.angular_velocity, found.angular_acceleration[k], applied.total[k, 3:])
+            for vector in (frame.angular_velocity, evaluation.angular_acceleration[k], applied.total[k, 3:])
         )
-        force = body.mass * (found.linear_acceleration[k] - scene.gravity) - applied.total[k, :3]
-        moment = body.inertia @ rate + cross(spin, body.inertia @ spin) - torque
-        left.append(np.concatenate([force, moment]) - reactions[k])
-    balance = np.array(left)[1:]
-    balance[:, 3:] /= mechanism.size
-    return balance
+        force = body.mass * (evaluation.linear_acceleration[k] - scene.gravity) - applied.total[k, :3]
+        moment = body.inertia @ spin_rate + cross(spin, body.inertia @ spin) - torque
+        residuals.append(np.concatenate([force, moment]) - reactions[k])
+    of_moving_bodies = np.array(residuals)[1:]
+    of_moving_bodies[:, 3:] /= mechanism.size
+    return of_moving_bodies
 
 
-def _reaction_wrenches(mechanism: Mechanism, found: Evaluation) -> Array:
+def _reaction_wrenches(mechanism: Mechanism, evaluation: Evaluation) -> Array:
     """Sum the joint reactions on each body, (b, 6).
 
     Forces are in the world frame, N. Torques are about the center of mass, in the body frame, N m.
     """
-    frames = found.state.frames()
+    frames = evaluation.state.frames()
     wrenches = np.zeros((len(frames), 6))
     for k, equations in enumerate(mechanism.equations):
-        force, torque = found.reaction_force[k], found.reaction_torque[k]
+        force, torque = evaluation.reaction_force[k], evaluation.reaction_torque[k]
         second = frames[equations.second]
         pose = mechanism.bodies[equations.second].pose
         # Reactions act on the second body at the joint point, and on the first body with the opposite sign

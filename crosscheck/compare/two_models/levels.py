@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crosscheck.compare.accelerations import acceleration_rows
+from crosscheck.compare.accelerations import acceleration_checks
 from crosscheck.compare.attribution import Cause
 from crosscheck.compare.check import (
     ROUND_OFF,
@@ -27,8 +27,8 @@ from crosscheck.compare.check import (
     round_off,
     worst_check,
 )
-from crosscheck.compare.dynamics import motion_rows
-from crosscheck.compare.kinematics import kinematics_rows
+from crosscheck.compare.dynamics import motion_checks
+from crosscheck.compare.kinematics import kinematics_checks
 from crosscheck.compare.levels import Level
 from crosscheck.compare.samples import Samples, States
 from crosscheck.compare.two_models.align import Aligned, Partner, axes
@@ -444,7 +444,7 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
         difference = np.abs(wrenches[1] - wrenches[0]).max(axis=(0, 2)) / unit
         on_bodies = dict(zip(aligned.first.mechanism.body_names, difference, strict=True))
         yield term("forces on bodies, rel", on_bodies, lambda _: "")
-    yield from motion_rows(pair, first, second, lambda _: failed[0] if failed else None)
+    yield from motion_checks(pair, first, second, lambda _: failed[0] if failed else None)
 
 
 def _element_differences(
@@ -541,8 +541,8 @@ def _on_bodies(scene: Scene, states: Iterable[State], size: float) -> Array:
 LEVELS: tuple[Level, ...] = (
     model_rows,
     start_rows,
-    kinematics_rows,
+    kinematics_checks,
     term_rows,
-    acceleration_rows,
+    acceleration_checks,
 )
 """Functions of the levels of two models, in their order; the levels of runs follow."""

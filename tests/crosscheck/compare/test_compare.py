@@ -14,7 +14,7 @@ from verdicts import ALL, figure, verdicts
 import mjcf
 from crosscheck.compare.check import OF_EQUATIONS, Check, not_compared
 from crosscheck.compare.levels import compare, compare_equations, sampled
-from crosscheck.compare.momentum import momentum_row
+from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES
@@ -244,10 +244,10 @@ def test_momentum_tells_of_one_engine_alone(mistake, where):
         (right, *_), (wrong, *_) = (
             sampled([e], states)[engine.name] for e in (engine, mistaken(engine, mistake))
         )
-        row = momentum_row(engine.name, right)
+        row = momentum_check(engine.name, right)
         assert row.value < 1e-13  # some hundred operations at 1e-16 each
         assert row.agrees
-        row = momentum_row(engine.name, wrong)
+        row = momentum_check(engine.name, wrong)
         assert not row.agrees
         assert row.where == where
 

@@ -17,7 +17,7 @@ from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS, Check
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.diagnosis import FILE, READING, diagnose
 from crosscheck.compare.levels import compare_equations
-from crosscheck.compare.momentum import momentum_row
+from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import collecting_errors
@@ -297,7 +297,10 @@ def test_of_two_engines_the_one_with_wrong_forces_is_blamed(
     states = States(scene, (initial_state(scene), *random_states(scene, finding.RANDOM_STATES)))
     engines = [engine for engine in RIGID if engine.name in (NE, other)]
     samples = {engine.name: [Samples(s, states) for s in engine.systems(scene)] for engine in engines}
-    rows = [*compare_equations(engines, samples), *(momentum_row(name, samples[name][0]) for name in samples)]
+    rows = [
+        *compare_equations(engines, samples),
+        *(momentum_check(name, samples[name][0]) for name in samples),
+    ]
     (found,) = diagnose((NE, other), rows)
     assert (found.outlier, found.fault) == (NE, "model")
 

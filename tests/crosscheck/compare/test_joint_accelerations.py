@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from elements import ELEMENTS
 
-from crosscheck.compare.accelerations import acceleration_rows
+from crosscheck.compare.accelerations import acceleration_checks
 from crosscheck.compare.levels import compare_equations, compare_pair, sampled
 from crosscheck.compare.samples import RATE_ERROR, Samples, States
 from crosscheck.engines.engine import ENGINES
@@ -59,7 +59,7 @@ def test_a_wrong_acceleration_of_a_coordinate_is_found_there_alone():
     states = states_of(scene)
     pair = ("newton_euler", "wrong")
     both = [Samples(Relative(scene), states)], [Samples(Wrong(scene), states)]
-    rows = list(compare_pair(pair, *both, [acceleration_rows]))
+    rows = list(compare_pair(pair, *both, [acceleration_checks]))
     (row,) = [row for row in rows if not row.agrees]
     assert row.quantity == QUANTITY
     assert row.where in scene.mechanism.joint_names
