@@ -1,7 +1,9 @@
 """A crosscheck: one scene is simulated in several engines, and the engines are compared.
 
-`crosscheck` executes all stages: runs, checks, diagnosis, coverage and advice. The command `crosscheck run`
-and the Python function `crosscheck.check` call this module.
+A scene is a mechanism with its forces, inputs and initial state. Engines are simulators: newton_euler (this
+project's solver), MuJoCo and Pinocchio. `crosscheck` executes all stages: runs, checks, diagnosis (which
+engine is the outlier), coverage (which elements of the scene the runs test) and advice. The command
+`crosscheck run` and the Python function `crosscheck.check` call this module.
 """
 
 from __future__ import annotations
@@ -34,10 +36,11 @@ from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import ImportReport
 
 MIN_SAMPLED_VELOCITIES = 200
-"""Smallest total number of velocities of the random states at which equations are compared."""
+"""Smallest number of random states at which equations are compared, times the number of joint velocities of
+the mechanism."""
 
 MIN_RANDOM_STATES, MAX_RANDOM_STATES = 4, 20
-"""Range of the number of random states. Small mechanisms use more states: each state tests few joints."""
+"""Limits of the number of random states. Small mechanisms use more states: each state tests few joints."""
 
 COVERAGE_OMITTED = "it is left out, the verdict does not depend on it"
 """Note on a coverage analysis that exceeds its time limit."""
@@ -70,7 +73,8 @@ def crosscheck(
 ) -> Crosscheck:
     """Simulate a scene in the engines and compare them.
 
-    If an engine stops or a part of the comparison fails, everything else is still compared.
+    If an engine stops or a part of the comparison fails, everything else is still compared. Each part has a
+    limit of processor time.
 
     Args:
         scene: scene to simulate, with the outputs velocities, reactions and violation.
@@ -91,14 +95,15 @@ def crosscheck(
             raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
     usable, left_out = _usable_engines(scene, engines)
-    # Compare the equations with the model file; end here if the import is wrong
-    rows: list[Check] = []
+    # Compare the equations with the model file; end here if the import is wrong. A `Stop` is a part of the
+    # crosscheck that did not complete, with the reason
+    checks: list[Check] = []
     file_stops: list[Stop] = []
     what = "comparing with the file"
     with collecting_errors(what, file_stops), limited(what, SHORTER_RUN_ADVICE, progress):
-        for row in require_finite(reading_checks(usable, mapping)):
-            rows.append(row)  # one by one, to keep the checks before an error
-    if misread(usable, rows):
+        for check in require_finite(reading_checks(usable, mapping)):
+            checks.append(check)  # one by one, to keep the checks before an error
+    if misread(usable, checks):
         return Crosscheck(
             source=source,
             options=options,
@@ -106,7 +111,7 @@ def crosscheck(
             engines=tuple(usable),
             left_out=left_out,
             trajectories={},
-            checks=tuple(rows),
+            checks=tuple(checks),
             measured=(),
             wall_time=time.perf_counter() - start,
             mapping=mapping,
@@ -120,7 +125,8 @@ def crosscheck(
     note_stops: list[Stop] = []  # failures that do not affect the verdict
     if mapping and runs:
         what = "watching what was left out"
-        imported, mapping = mapping, mapping.unwatched()  # kept if the search fails
+        # if the search fails, all elements that are not simulated count as acting
+        imported, mapping = mapping, mapping.unwatched()
         with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
             mapping = watched(scene, imported, next(iter(runs.values())))
     # Judge the run that the file's own engine makes with the settings of the file
@@ -129,29 +135,29 @@ def crosscheck(
         acting = [Event(entry.since or 0.0, what_acted(entry)) for entry in mapping.acting]
         with collecting_errors(JUDGING, note_stops), limited(JUDGING, SHORTER_RUN_ADVICE, progress):
             own_run = judge(mapping.simulation, acting)
-    until = mapping.acting[0].since if mapping and mapping.acting else None
     # Compare equations and runs; runs are not comparable if the scene does not determine its motion
+    until = mapping.acting[0].since if mapping and mapping.acting else None  # time of the first such element
     comparable = {} if any(stop.undetermined for stop in stops) else runs
-    for what, stage in stages(scene, usable, comparable, _random_states(scene), until).items():
+    for what, stage in stages(scene, usable, comparable, _count_random_states(scene), until).items():
         with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
-            for row in require_finite(stage(tuple(rows))):
-                rows.append(row)
-    if not (rows or runs):
+            for check in require_finite(stage(tuple(checks))):
+                checks.append(check)
+    if not (checks or runs):
         raise CrosscheckError(stops_text(stops))
-    rows = in_order(rows)
-    # Compare with reference values
-    measured: list[ReferenceCheck] = []
+    checks = in_order(checks)
+    # Compare with reference values (published or exact results), which some scenes of the library have
+    reference_checks: list[ReferenceCheck] = []
     known = known_of(source, options)
     for engine in usable if known else ():
         if engine.name not in stopped:
             what = f"{engine.name}: reference values"
             with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
-                measured.extend(measure(source, scene, engine, runs[engine.name], known))
+                reference_checks.extend(measure(source, scene, engine, runs[engine.name], known))
     # Additional analyses: coverage, singular configurations, advice, and errors of runs
     covered: Coverage | None = None
     what = "working out what the motion covers"
-    with collecting_errors(what, note_stops), limited(what, COVERAGE_OMITTED, progress, "coverage_time"):
-        covered = coverage(scene, comparable, rows)
+    with collecting_errors(what, note_stops), limited(what, COVERAGE_OMITTED, progress, name="coverage_time"):
+        covered = coverage(scene, comparable, checks)
     singular: SingularConfigurations | None = None
     what = "searching singular configurations"
     with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
@@ -162,7 +168,8 @@ def crosscheck(
         with collecting_errors(what, note_stops), limited(what, "there is none", progress):
             advice = tuple(redundancy_advice(scene))
     run_errors: dict[str, float] = {}
-    outliers = {diagnosis.outlier for diagnosis in diagnosed(scene, usable, rows, measured, stops)}
+    diagnoses = diagnosed(scene, usable, checks, reference_checks, stops)
+    outliers = {diagnosis.outlier for diagnosis in diagnoses}
     what = "measuring each engine's error"
     with collecting_errors(what, note_stops), limited(what, SHORTER_RUN_ADVICE, progress):
         trusted = [engine for engine in usable if engine.name not in outliers]
@@ -174,8 +181,8 @@ def crosscheck(
         engines=tuple(usable),
         left_out=left_out,
         trajectories=runs,
-        checks=tuple(rows),
-        measured=tuple(measured),
+        checks=tuple(checks),
+        measured=tuple(reference_checks),
         wall_time=time.perf_counter() - start,
         mapping=mapping,
         advice=advice,
@@ -188,8 +195,8 @@ def crosscheck(
     )
 
 
-def _random_states(scene: Scene) -> int:
-    """Return the number of random states at which equations are compared."""
+def _count_random_states(scene: Scene) -> int:
+    """Choose the number of random states at which equations are compared."""
     velocities = max(1, SpanningTree(scene.mechanism).nv)
     states = -(-MIN_SAMPLED_VELOCITIES // velocities)  # rounded up
     return max(MIN_RANDOM_STATES, min(MAX_RANDOM_STATES, states))
@@ -199,8 +206,9 @@ def _usable_engines(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engin
     """Find the engines that can represent a scene.
 
     Returns:
-        These engines, and the reason for each other engine. The refined run and the equations of each engine
-        are cached, since several checks use them.
+        The engines that can, and by name the reason why each other engine cannot. The functions `refined` and
+        `systems` of the returned engines are cached, since several checks use the refined run and the
+        equations.
 
     Raises:
         NewtonEulerError: the error of the first engine, if no engine can represent the scene.
