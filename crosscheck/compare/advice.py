@@ -1,6 +1,6 @@
-"""Advice on a scene: joints without redundant constraints.
+"""Advice on a scene: which joints to replace so that no constraint is redundant.
 
-In: a scene. Out: sentences of advice.
+In: a scene (a mechanism with its forces and initial state). Out: sentences of advice.
 
 Redundant constraints leave joint reactions undetermined. A planar four-bar linkage with four parallel hinges,
 for example, has three redundant constraints in space. With a ball joint in place of one hinge and a
@@ -30,8 +30,8 @@ class Advice:
     """One piece of advice.
 
     Attributes:
-        topic: "redundancy" of constraints.
-        text: one sentence, with the number of constraints.
+        topic: what the advice is about, such as "redundancy" (of constraints).
+        text: one sentence.
     """
 
     topic: str
@@ -50,17 +50,17 @@ SOFTER: dict[str, tuple[type[Joint], ...]] = {
 """Kinds of joints with more freedom that can replace a joint of each kind, with the same point and axis."""
 
 MAX_CHANGED_JOINTS = 20
-"""Largest number of joints that are changed, beginning with joints to which no other element refers."""
+"""Largest number of joints that are tried, beginning with joints to which no other element refers."""
 
 REDUNDANCY_TEST_STATES = 1
 """Number of random states, in addition to the initial state, at which redundant constraints are counted."""
 
 
 class Change(NamedTuple):
-    """A mechanism with the same motions, in which one joint is replaced or left out.
+    """Replacement or removal of one joint that keeps the motions of the mechanism.
 
     Attributes:
-        redundant: number of its redundant constraint equations.
+        redundant: number of redundant constraint equations of the changed mechanism.
         text: description of the change.
         mechanism: the changed mechanism.
     """
@@ -87,31 +87,33 @@ def redundancy_advice(scene: Scene) -> Iterator[Advice]:
     candidates = [joint for joint, equations in joints if equations.count and joint.name not in coupled]
     candidates.sort(key=lambda joint: (joint.name in referenced, joint.actuated))
     names = [joint.name for joint in candidates[:MAX_CHANGED_JOINTS]]
-    # The best change, repeatedly
-    mechanism, texts, left = scene.mechanism, list[str](), redundant
-    while left:
-        changes = _changes(mechanism, left, names, referenced, states)
-        best = min(changes, key=lambda change: change.redundant, default=Change(left, "", mechanism))
-        if best.redundant >= left:
+    # The best change, repeatedly, until no change reduces the number of redundant constraints
+    mechanism, texts, remaining = scene.mechanism, list[str](), redundant
+    while remaining:
+        changes = _changes(mechanism, remaining, names, referenced, states)
+        no_change = Change(remaining, "", mechanism)
+        best = min(changes, key=lambda change: change.redundant, default=no_change)
+        if best.redundant >= remaining:
             break
-        left = best.redundant
+        remaining = best.redundant
         texts.append(best.text)
         mechanism = best.mechanism
     if not texts:
         return
     noun = "constraint" if redundant == 1 else "constraints"
-    rest = f"then {left} of them {'is' if left == 1 else 'are'} left"
-    if left == 0:
-        rest = "then all reactions are determined"
+    result = f"then {remaining} of them {'is' if remaining == 1 else 'are'} left"
+    if remaining == 0:
+        result = "then all reactions are determined"
     yield Advice(
         "redundancy",
-        f"{redundant} redundant {noun}; the motion is the same with {', '.join(texts)}: {rest}",
+        f"{redundant} redundant {noun}; the motion is the same with {', '.join(texts)}: {result}",
     )
 
 
 def _count_redundant(mechanism: Mechanism, states: list[State]) -> int:
     """Count the constraint equations that are redundant in all of the states."""
-    scene = Scene("tried", mechanism, 1.0, 1.0)
+    scene = Scene("tried", mechanism, duration=1.0, output_period=1.0)
+    # one undetermined combination of reactions (a column) for each redundant equation
     return min(undetermined(scene, state).shape[1] for state in states)
 
 
@@ -137,23 +139,24 @@ def _changes(
         mechanism: the mechanism.
         redundant: number of its redundant constraint equations.
         names: names of the joints that may be changed.
-        referenced: names of joints whose coordinates must be kept.
+        referenced: names of joints whose coordinates must be kept, since other elements refer to them.
         states: states at which redundant constraints are counted.
     """
+    # A mechanism with the same number of independent constraints has the same motions
     rank = _count_constraints(mechanism) - redundant
     joints = {joint.name: joint for joint in mechanism.joints}
     for name in names:
         if name not in joints:
             continue
         joint = joints[name]
-        for text, other in _replacements(joint, name in referenced):
-            changed = [other if j is joint else j for j in mechanism.joints]
-            kept = [j for j in changed if j is not None]
+        for text, replacement in _replacements(joint, name in referenced):
+            replaced = [replacement if each is joint else each for each in mechanism.joints]
+            remaining_joints = [each for each in replaced if each is not None]
             try:
-                tried = Mechanism(mechanism.bodies, kept, mechanism.couplings)
-                left = _count_redundant(tried, states)
-                if _count_constraints(tried) - left == rank:
-                    yield Change(left, text, tried)
+                tried = Mechanism(mechanism.bodies, remaining_joints, mechanism.couplings)
+                still_redundant = _count_redundant(tried, states)
+                if _count_constraints(tried) - still_redundant == rank:
+                    yield Change(still_redundant, text, tried)
             except NewtonEulerError:  # a body is not connected any more
                 continue
 
@@ -174,7 +177,7 @@ def _replacements(joint: Joint, referenced: bool) -> Iterator[tuple[str, Joint |
 
 
 def _of_kind(joint: Any, kind: type[Joint]) -> Joint:
-    """Return a joint of another kind with the same name, bodies, points and axis."""
+    """Return a joint of another kind with the same name, bodies, points and, if that kind has one, axis."""
     axis = {"axis": joint.axis} if "axis" in kind.axis_names else {}
     return kind(
         joint.name, joint.first, joint.second, joint.point, point_on_second=joint.point_on_second, **axis

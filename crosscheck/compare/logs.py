@@ -1,4 +1,9 @@
-"""Judge logs of other simulators against the reference solution of a model, each from its own start."""
+"""Judge logs of other simulators against the reference solution of a model.
+
+A log is a table of positions and velocities over time that another simulator recorded for the same model. The
+reference (a run of newton_euler, this project's solver) begins at the start of the log. A judgement has the
+error of the log, and the elements of the model that act there but are not simulated in the reference.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +21,14 @@ if TYPE_CHECKING:
     from crosscheck.loading.load import Model
 
 NOT_EXCITED = {"excitation": "off"}
-"""Options by which a model file is read without inputs and velocities that the file does not have: a log has
-its own start."""
+"""Options by which a model file is read without added actuator inputs and initial velocities (an excitation),
+which runs of files have by default: the start of a log is in the log."""
 
 
 def judge_logs(
     model: Model, options: Mapping[str, str], logs: Mapping[str, Any], progress: Callable[[str], None]
 ) -> dict[str, LogJudgement]:
-    """Judge logs of a model.
+    """Judge logs of a model, each from its own start.
 
     Args:
         model: name of a library scene, path of a file, a `Scene`, or a model of MuJoCo or Pinocchio.
@@ -40,14 +45,15 @@ def judge_logs(
     scene, mapping = load_scene(model, given, verified=False)
 
     def watch(simulated: Scene, run: Trajectory) -> Sequence[Event]:
-        """Return the elements of the file that act in the reference and are not simulated."""
+        """Return the elements of the file that would act in the reference but are not simulated there."""
         if mapping is None:
             return ()
-        found = watched(simulated, mapping, run)
-        return [Event(entry.since or 0.0, what_acted(entry)) for entry in found.acting]
+        after_run = watched(simulated, mapping, run)
+        return [Event(entry.since or 0.0, what_acted(entry)) for entry in after_run.acting]
 
-    judged = {}
+    judgements = {}
+    file_names = mapping.names if mapping else None  # names of joints and bodies in the file
     for name, log in logs.items():
         progress(f"judging {name}")
-        judged[name] = judge_log(scene, mapping.names if mapping else None, name, log, watch)
-    return judged
+        judgements[name] = judge_log(scene, file_names, name, log, watch)
+    return judgements

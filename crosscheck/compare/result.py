@@ -1,7 +1,11 @@
 """Result of a comparison: runs, checks, diagnosis, coverage and advice, and the outcome.
 
-`crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has the verdict in words, and
-`crosscheck.report` makes tables and pages of them.
+A comparison simulates one scene (a mechanism with its forces, inputs and initial state) in several engines,
+or two models in one engine. `crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has
+the verdict in words, and `crosscheck.report` makes tables and pages of results.
+
+The "own run" is the run that the engine of a model file (such as MuJoCo for an MJCF) makes with the time step
+and the solver settings of the file. It is judged separately, by its error.
 """
 
 from __future__ import annotations
@@ -59,10 +63,10 @@ class ComparisonResult(ABC):
         notes: one line for each additional analysis that did not complete.
         run_errors: error of each engine's run, m or rad, see `measure_run_errors`.
         singular: singular configurations of the first engine's run; None if there are none.
-        own_run: judgement of the run that the file's own engine makes with the settings of the file; None for
-            scenes of this package and for files without an engine of their own.
-        allowed_errors: largest errors that the user allows for that run; empty if the run is not to fail.
-        logs: judgements of logs of other simulators by name, each from the start of the log.
+        own_run: judgement of the own run of the model file; None for scenes of this package and for files
+            without an engine of their own.
+        allowed_errors: largest errors that the user allows for the own run; empty if it cannot fail.
+        logs: judgements of logs (recorded motions of other simulators), by name.
     """
 
     source: str
@@ -98,7 +102,7 @@ class ComparisonResult(ABC):
     @property
     def differs(self) -> bool:
         """True if any check exceeds its tolerance."""
-        return not all(row.agrees for row in self.checks) or not all(known.agrees for known in self.measured)
+        return not all(check.agrees for check in (*self.checks, *self.measured))
 
     @property
     def outcome(self) -> Outcome:
@@ -126,14 +130,14 @@ class ComparisonResult(ABC):
 
     @property
     def exceeded(self) -> list[AllowedError]:
-        """Allowed errors that the run with the settings of the file exceeds."""
-        found = self.own_run
-        return [each for each in self.allowed_errors if each.is_exceeded_by(found)] if found else []
+        """Allowed errors that the own run exceeds."""
+        run = self.own_run
+        return [allowed for allowed in self.allowed_errors if allowed.is_exceeded_by(run)] if run else []
 
     def with_allowed_errors(self, allowed: Sequence[AllowedError]) -> Self:
-        """Return this result with largest errors that the run with the settings of the file may have.
+        """Return this result with largest errors that the own run may have.
 
-        The result is unfinished if there is no judgement of that run although the engines agree.
+        The result is unfinished if the own run is not judged although the engines agree.
         """
         stops = self.unfinished
         if allowed and self.own_run is None and not self.differs:
@@ -157,14 +161,13 @@ class ComparisonResult(ABC):
     def is_reduced(self) -> bool:
         """True if elements of the file act that are not simulated, so that results are on a reduced model.
 
-        The elements act in the compared motion, or in the run with the settings of the file if the user
-        allows that run only a certain error.
+        The elements act in the compared motion, or in the own run if the user limits its errors.
         """
         return bool(self.acting or (self.allowed_errors and self.own_run and self.own_run.events))
 
     @property
     def until(self) -> float | None:
-        """Time, s, at which the first such element would have acted; None if there is none."""
+        """Time, s, at which the first element of `acting` would have acted; None if there is none."""
         return self.acting[0].since if self.acting else None
 
     @property
@@ -179,9 +182,14 @@ class ComparisonResult(ABC):
 
     @property
     def single_engine(self) -> bool:
-        """True if there is only one engine, and nothing that it was compared with differs."""
-        compared = any(len(row.between) > 1 for row in self.checks if not row.agrees)
-        return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
+        """True if there is only one engine, and nothing that it was compared with differs.
+
+        The engine may have been compared with the model file, its formulations with each other, and its run
+        with reference values.
+        """
+        pairs_agree = all(check.agrees for check in self.checks if len(check.between) > 1)
+        references_agree = all(check.agrees for check in self.measured)
+        return len(self.engines) == 1 and pairs_agree and references_agree
 
     @property
     @abstractmethod
@@ -191,7 +199,7 @@ class ComparisonResult(ABC):
     @property
     def judged(self) -> tuple[Check, ...]:
         """Checks that decide the outcome; the verdict states their number."""
-        return tuple(row for row in self.checks if row.judged)
+        return tuple(check for check in self.checks if check.judged)
 
     def summary(self) -> dict[str, Any]:
         """All checks, versions, settings and wall times, for JSON."""
@@ -218,8 +226,8 @@ class ComparisonResult(ABC):
             "changed_velocities": asdict(changed)
             if self.mapping and (changed := self.mapping.changed_velocities)
             else None,
-            "checks": [asdict(row) | {"agrees": row.agrees} for row in self.checks],
-            "known_values": [measured.summary() for measured in self.measured],
+            "checks": [asdict(check) | {"agrees": check.agrees} for check in self.checks],
+            "known_values": [check.summary() for check in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
             "notes": list(self.notes),
@@ -247,14 +255,18 @@ def diagnosed(
     measured: Sequence[ReferenceCheck],
     stops: Sequence[Stop],
 ) -> tuple[Diagnosis, ...]:
-    """Make the diagnosis, see `ComparisonResult.diagnosis`; stopped engines do not count as soft."""
+    """Make the diagnosis, see `ComparisonResult.diagnosis`; the other arguments are attributes of the result.
+
+    Soft constraints do not explain differences of an engine that stopped.
+    """
     stopped = {stop.what for stop in stops}
     soft = [each.name for each in engines if each.evaluate_soft_constraints and each.name not in stopped]
     names = [each.name for each in engines]
-    return diagnose(names, checks, measured, soft, mobility(scene).nearly)
+    nearly_redundant = mobility(scene).nearly
+    return diagnose(names, checks, measured, soft, nearly_redundant)
 
 
-def misread(engines: Sequence[Engine], rows: Sequence[Check]) -> bool:
+def misread(engines: Sequence[Engine], checks: Sequence[Check]) -> bool:
     """Return True if the equations of every engine differ from those of the model file."""
-    differing = {row.between[0] for row in rows if row.level == READING and not row.agrees}
+    differing = {check.between[0] for check in checks if check.level == READING and not check.agrees}
     return bool(engines) and differing >= {engine.name for engine in engines}

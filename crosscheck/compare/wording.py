@@ -1,4 +1,8 @@
-"""Verdicts of crosschecks in words: agreement, or the outlier with the first failing check."""
+"""Verdicts of crosschecks in words: agreement, or the outlier with the first failing check.
+
+In: the result of a comparison of engines on one scene. Out: one line of text, which begins with the outcome,
+such as AGREE or DISAGREE.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +17,13 @@ from crosscheck.own_run.allowed import exceeded_text
 
 
 def verdict_of(result: ComparisonResult) -> str:
-    """Verdict in one line: agreement, or the outlier with the first failing check; and failures."""
+    """Format the verdict in one line: agreement, or the outlier with the first failing check; then the
+    engines and parts of the comparison that are missing."""
     if result.outcome is Outcome.INACCURATE and result.own_run:
-        others = verdict_of(replace(result, allowed_errors=()))
-        return f"{Outcome.INACCURATE}: {exceeded_text(result.own_run, result.exceeded)}; {others}"
+        # the run with the file's settings exceeds errors that the user allows: append the verdict without it
+        verdict_of_engines = verdict_of(replace(result, allowed_errors=()))
+        exceeded = exceeded_text(result.own_run, result.exceeded)
+        return f"{Outcome.INACCURATE}: {exceeded}; {verdict_of_engines}"
     word, text = _judgment(result)
     for name, reason in result.left_out.items():
         text += f"; {name} left out: {reason}"
@@ -34,7 +41,7 @@ def verdict_of(result: ComparisonResult) -> str:
 
 
 def _judgment(result: ComparisonResult) -> tuple[str, str]:
-    """Outcome and text of the verdict, without left-out engines and stopped parts."""
+    """Format outcome and text of the verdict, without left-out engines and stopped parts."""
     names = ", ".join(engine.name for engine in result.engines)
     # A single engine
     if result.left_out and result.single_engine:
@@ -57,13 +64,13 @@ def _judgment(result: ComparisonResult) -> tuple[str, str]:
     agree = f"{names} agree on {result.title} in all {len(result.judged)} checks{_qualifications(result)}"
     if _reduction(result):
         agree = f"{_reduction(result)}; {agree}"
-    some = result.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
-    return f"AGREE{_engine_count(result)}" if some else result.outcome, agree
+    of_some_engines = result.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
+    return f"AGREE{_engine_count(result)}" if of_some_engines else result.outcome, agree
 
 
 def _own_checks(result: ComparisonResult) -> str:
-    """Text on the checks of a single engine."""
-    failed = next((row for row in result.checks if not row.agrees), None)
+    """Format whether the checks of a single engine (such as its energy balance) pass."""
+    failed = next((check for check in result.checks if not check.agrees), None)
     if failed is None:
         return f"hold, all {len(result.judged)}{_qualifications(result)}"
     return (
@@ -73,7 +80,8 @@ def _own_checks(result: ComparisonResult) -> str:
 
 
 def _qualifications(result: ComparisonResult) -> str:
-    """Qualifications of an agreement: reference values, checks that are not judged, coverage."""
+    """Format qualifications of an agreement: reference values, checks that are not judged, coverage, and
+    elements of the file that are not simulated."""
     text = f", and the reference in all {len(result.measured)}" if result.measured else ""
     text += not_judged(result.checks)
     text += "; nothing moves" if result.nothing_moves else ""
@@ -81,6 +89,7 @@ def _qualifications(result: ComparisonResult) -> str:
         text += f"; {result.coverage}"
     elif len(result.engines) > 1:
         text += "; what the motion covers is not known"
+    # The models that the file's engine compiles; informative if motions at a state are known well enough
     references = result.mapping.references if result.mapping else []
     if references and not any(reference.is_informative for reference, _ in references):
         text += "; motions are not verified against the file: no state tells them"
@@ -90,22 +99,22 @@ def _qualifications(result: ComparisonResult) -> str:
 
 
 def _failed_checks(result: ComparisonResult) -> str:
-    """Number of failing checks, or else of failing reference values, as text."""
-    failed = sum(not row.agrees for row in result.checks)
+    """Format the number of failing checks, or of failing reference values if all checks pass."""
+    failed = sum(not check.agrees for check in result.checks)
     if failed:
         return f"{failed} of {len(result.judged)} checks fail"
-    failed_references = sum(not measured.agrees for measured in result.measured)
+    failed_references = sum(not check.agrees for check in result.measured)
     return f"{failed_references} of {len(result.measured)} reference values fail"
 
 
 def _engine_count(result: ComparisonResult) -> str:
-    """Number of compared engines as text, if some engines are left out."""
+    """Format the number of compared engines; empty if no engine is left out."""
     count = len(result.engines)
     return f" ({count} of {count + len(result.left_out)} engines)" if result.left_out else ""
 
 
 def _reduction(result: ComparisonResult) -> str:
-    """Text on the elements that act and are not simulated, with the time of the first; may be empty."""
+    """Format the elements that act and are not simulated, with the time of the first; empty if none act."""
     if result.acting:
         return reduction(result.acting)
     if result.is_reduced and result.own_run:
