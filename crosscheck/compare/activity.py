@@ -1,8 +1,9 @@
 """Elements of a model file that are not simulated: whether they would act in a run, and from which time on.
 
 crosscheck simulates rigid bodies, joints and forces. Contacts, joint limits and dry friction of a file are
-not simulated. In: the import report of a file and a run. Out: the report with the time from which each such
-element would have acted, and sentences about it for the verdict.
+not simulated. In: the import report of a file (how each element was imported) and a run. Out: the report with
+the time from which each element that is not simulated would have acted, and sentences about these elements
+for the verdict.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ CLOSER_OUTPUTS = (8, 64)
 """Factors on the number of outputs in repeated runs, if elements may act between the outputs of the first
 run.
 
-Errors of the interpolation are of order 4 in the output period: a factor of 8 divides them by 4096."""
+The motion is interpolated between outputs. Errors of the interpolation are of order 4 in the output period: a
+factor of 8 divides them by 4096."""
 
 MAX_NAMED = 2
 """Largest number of elements that a verdict names."""
@@ -38,9 +40,9 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
         mapping: import report: how each element of the file was imported.
         run: run of the scene, with velocities.
     """
-    found = mapping.after(SampledMotion(scene, run))
+    report = mapping.after(SampledMotion(scene, run))
     for factor in CLOSER_OUTPUTS:
-        if not found.unsettled:
+        if not report.unsettled:  # elements for which the outputs are too far apart
             break
         closer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset({"velocities"}))
         try:
@@ -51,12 +53,15 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
             finer = error.partial
         except NewtonEulerError:
             break
-        found = found.after(SampledMotion(closer, finer))
-    return found
+        report = report.after(SampledMotion(closer, finer))
+    return report
 
 
 def watched_in_own_run(scene: Scene, mapping: ImportReport) -> ImportReport:
-    """Simulate a scene in newton_euler and return the import report of `watched` for this run."""
+    """Simulate a scene in newton_euler and return the import report of `watched` for this run.
+
+    Without a run, all elements that can act count as acting from the start.
+    """
     try:
         run = simulate(scene, **native_method(scene, refined=False))
     except StoppedError as error:
@@ -70,8 +75,8 @@ def watched_in_own_run(scene: Scene, mapping: ImportReport) -> ImportReport:
 
 def acted(entry: ImportedElement) -> str:
     """Format an element that would have acted: its name, and the time or by how much a limit was passed."""
-    passed = f" {entry.seen}" if entry.seen.startswith("passed") else f" from {entry.since:.4g} s on"
-    return f"{what_acted(entry)}{passed}"
+    when = f" {entry.seen}" if entry.seen.startswith("passed") else f" from {entry.since:.4g} s on"
+    return f"{what_acted(entry)}{when}"
 
 
 def reduction(acting: Sequence[ImportedElement]) -> str:

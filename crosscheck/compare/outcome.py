@@ -1,6 +1,8 @@
 """Outcomes of commands, such as AGREE or DISAGREE, with the word, the color and the exit status of each.
 
-A crosscheck compares engines, or two models. A regression test compares results with stored baselines.
+A crosscheck simulates one model in several engines and compares them, or compares two models. A regression
+test compares results with stored baselines. "Reduced model": some elements of the model file, such as
+contacts, would have acted in the run but are not simulated.
 """
 
 from __future__ import annotations
@@ -9,7 +11,8 @@ from enum import IntEnum, StrEnum
 from typing import Literal, assert_never
 
 Verdict = Literal["", "holds", "improved", "doubtful", "fails"]
-"""Judgment of a cell, which selects its color; "" for none. "improved" is a cost below the baseline."""
+"""Judgment of an outcome or of a table cell in reports, which selects its color; "" for none. "improved" is a
+cost or an error below the baseline."""
 
 
 class ExitStatus(IntEnum):
@@ -44,7 +47,8 @@ class Outcome(StrEnum):
     AGREE_ON_A_REDUCED_MODEL = "AGREE ON A REDUCED MODEL"
     """All checks passed, but elements of the file acted that were not simulated as in the file."""
     AGREE_AT_RANDOM_STATES_ONLY = "AGREE AT RANDOM STATES ONLY"
-    """All checks passed, but a change of any element by 10 % would not show in the motion."""
+    """All checks passed, but the compared motion tests nothing: a change of any one element (mass, joint,
+    spring) by 10 % would not show. Equations were compared at random states."""
     AGREE_OF_SOME_ENGINES = "AGREE OF SOME ENGINES"
     """All checks passed, but a requested engine cannot represent the model."""
     DISAGREE = "DISAGREE"
@@ -62,11 +66,11 @@ class Outcome(StrEnum):
     DIFFERENT = "DIFFERENT"
     """Two models differ."""
     QUIET = "QUIET"
-    """All checks against the baselines pass."""
+    """All checks against the baselines passed."""
     QUIET_ON_A_REDUCED_MODEL = "QUIET ON A REDUCED MODEL"
-    """All results match the baselines, but elements of the file acted that were not simulated."""
+    """All checks against the baselines passed, but elements of the file acted that were not simulated."""
     MOVED = "MOVED"
-    """A check against a baseline fails."""
+    """A check against a baseline failed."""
 
     @property
     def judged(self) -> Verdict:

@@ -1,4 +1,8 @@
-"""Write a scene as a scene file (YAML, JSON), an MJCF or a URDF, and report what the format cannot hold."""
+"""Write a scene as a scene file (YAML, JSON), an MJCF or a URDF, and report what the format cannot hold.
+
+A scene is a mechanism with its forces, control laws, inputs, initial state and duration. What is lost is
+added to the import report of the scene: the report lists how each element of a model was converted.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,8 @@ def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
     Args:
         scene: the scene to write.
         path: file to write.
-        report: import report of the scene; every element that the format cannot hold is added as left out.
+        report: import report of the scene, which is changed: every element that the format cannot hold is
+            added as left out.
 
     Returns:
         The files that were written.
@@ -70,12 +75,12 @@ def _leave_out_of_mjcf(scene: Scene, report: ImportReport) -> None:
         report.left_out(
             f"motion of joint {motion.joint!r}", "MJCF has none; the joint is held where it begins"
         )
-    for law in scene.control:
+    for law in scene.control:  # `element` is the text for a report, such as "controller of joint 'pivot'"
         if not isinstance(law, PD):
             report.left_out(law.element, "MJCF has PD laws alone; a motor with the force of the start")
         elif law.uses_model:
             report.left_out(law.element, "MJCF has no gravity compensation; its control is that of the start")
-        elif law.is_driven:
+        elif law.is_driven:  # it depends on time
             report.left_out(law.element, "MJCF has no function of time; its control is that of the start")
     for force in scene.forces:
         if isinstance(force, WindLoad):
@@ -107,9 +112,10 @@ def _leave_out_kind(report: ImportReport, became: str, why: str, elements: list[
 
     Args:
         report: import report to change.
-        became: kind of the entries, see `ImportedElement.became`.
-        why: reason.
-        elements: elements of the scene, which are added if the report has no entries of this kind.
+        became: kind of scene element that the entries became when the model was imported.
+        why: reason why the elements are left out.
+        elements: elements of the scene, which are added if the report has no entries of this kind (the scene
+            was not imported).
     """
     imported = [entry for entry in report.entries if entry.became == became]
     report.entries = [entry for entry in report.entries if entry not in imported]
@@ -122,6 +128,7 @@ def _leave_out_kind(report: ImportReport, became: str, why: str, elements: list[
 
 def scene_report(scene: Scene) -> ImportReport:
     """Make an import report for a scene that was not read from an MJCF or a URDF: all of it is exact."""
-    found = ImportReport()
-    found.imported(f"scene {scene.name!r}", f"{len(scene.mechanism.bodies) - 1} bodies and all between them")
-    return found
+    report = ImportReport()
+    moving_bodies = len(scene.mechanism.bodies) - 1  # without the ground
+    report.imported(f"scene {scene.name!r}", f"{moving_bodies} bodies and all between them")
+    return report

@@ -1,4 +1,7 @@
-"""`load_scene`: load a library scene, a scene file, a model file or a model in memory as a `Scene`."""
+"""`load_scene`: load a library scene, a scene file, a model file or a model in memory as a `Scene`.
+
+A scene is a mechanism with its forces, inputs, initial state and duration. A model file is an MJCF or a URDF.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +31,13 @@ velocity, so that a run tests more than equilibrium.
 
 
 def non_default_options(options: Mapping[str, str]) -> dict[str, str]:
-    """Return the options that differ from the defaults of crosscheck, for a title or a command line."""
+    """Return the options that differ from `DEFAULT_OPTIONS`, for a title or a command line."""
     return {name: value for name, value in options.items() if DEFAULT_OPTIONS.get(name) != value}
 
 
 def is_scene(model: Model) -> bool:
-    """Return True for a library scene, a scene file or a `Scene`; False for a model of another tool."""
+    """Return True for a `Scene`, a name of a library scene or a path of a scene file; False for a model of
+    another tool (MJCF, URDF, or in memory)."""
     return isinstance(model, Scene) or (
         isinstance(model, str | os.PathLike) and not is_model_file(os.fspath(model))
     )
@@ -57,7 +61,8 @@ def load_scene(
             the report has the compiled models as `references`, for a later comparison.
 
     Returns:
-        The scene, and the import report with the fate of every element; None for scenes of crosscheck's own.
+        The scene, and the import report, which tells how every element of the model was imported; None in
+        place of a report for a scene of crosscheck's own.
 
     Raises:
         CrosscheckError, NewtonEulerError: for a name, a file, a model or an option that cannot be read, and
@@ -68,7 +73,7 @@ def load_scene(
             raise CrosscheckError(f"options are of names and files, not of a Scene: {', '.join(options)}")
         check_scene(model)
         return model, None
-    source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
+    source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""  # "" for a model in memory
     if not is_scene(model):
         scene, report = read_model(source or model, options, verified)
         check_scene(scene, source)

@@ -23,7 +23,7 @@ from newton_euler.folders import make_folder
 from newton_euler.model.source_file import is_path
 from newton_euler.model.written_file import atomic_file, is_special
 
-ABANDONED = 60.0
+ABANDONED_AFTER_S = 60.0
 """Age, s, from which an unfinished file counts as left behind by a process that was killed. Contents are
 prepared in memory first, so that writing takes less time than this."""
 
@@ -57,10 +57,10 @@ def check_writable(*paths: Path) -> None:
 
 
 def remove_abandoned(unfinished: Iterable[Path]) -> None:
-    """Remove unfinished files and folders that have not changed for `ABANDONED` seconds."""
+    """Remove unfinished files and folders that have not changed for `ABANDONED_AFTER_S` seconds."""
     for path in unfinished:
-        with suppress(OSError):  # another process may have been quicker
-            if time.time() - path.stat().st_mtime > ABANDONED:
+        with suppress(OSError):  # another process may remove them at the same time
+            if time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
@@ -79,7 +79,8 @@ def write_files(files: Mapping[Path, bytes], stale: Iterable[Path] = ()) -> None
     """
     path = Path()
     try:
-        with signals_as_interrupts(), ExitStack() as stack:  # renames the files in reverse order
+        # at its end, the stack renames the files in reverse order, or removes all of them after an error
+        with signals_as_interrupts(), ExitStack() as stack:
             for path, content in files.items():
                 stack.enter_context(atomic_file(path)).write_bytes(content)
             for path in stale:

@@ -1,6 +1,6 @@
 """Run tasks in several Python processes, which end when the main process ends.
 
-The processes do not import modules from the current folder, since the folder may come from someone else.
+The processes do not import modules from the current folder, since its files may come from someone else.
 """
 
 from __future__ import annotations
@@ -71,13 +71,14 @@ def run_in_processes(
     context = multiprocessing.get_context("spawn")
     results = dict[int, Result | ProcessLostError]()
     with signals_as_interrupts(), safe_path():
-        pool = ProcessPool(min(processes, len(tasks)) or 1, initializer=_end_with_parent, context=context)
+        workers = min(processes, len(tasks)) or 1
+        pool = ProcessPool(workers, initializer=_end_with_parent, context=context)
         try:
-            running: dict[Future[Result], int] = {
+            task_numbers: dict[Future[Result], int] = {
                 pool.schedule(_run_limited, (function, task, limit(task))): k for k, task in enumerate(tasks)
             }
-            for future in as_completed(running):
-                number = running[future]
+            for future in as_completed(task_numbers):
+                number = task_numbers[future]
                 try:
                     results[number] = future.result()
                 except ProcessExpired as error:
@@ -85,7 +86,7 @@ def run_in_processes(
                 done(len(results), tasks[number])
         finally:
             for process in multiprocessing.active_children():
-                process.kill()  # before `stop` waits for locks that starting processes hold
+                process.kill()  # so that `stop` need not wait for locks that starting processes hold
             pool.stop()  # type: ignore[no-untyped-call]
             pool.join()
     return [results[k] for k in range(len(tasks))]
@@ -93,7 +94,7 @@ def run_in_processes(
 
 def _end_text(status: int, limit: float) -> str:
     """Describe why a process ended, by its exit status and its limit of processor time, s."""
-    if status == -signal.SIGPROF:
+    if status == -signal.SIGPROF:  # ended by the timer of `_run_limited`
         return f"not done after {limit:g} s of processor time"
     return f"the process ended, {status}"
 

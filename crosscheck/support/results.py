@@ -1,4 +1,8 @@
-"""Reading the result files of earlier commands: JSON checked against its pydantic model and its checksum."""
+"""Reading the result files of earlier commands: JSON checked against its pydantic model and its checksum.
+
+`read_content` of `newton_euler.model.source_file` limits the size of the files; its second argument is the
+name of the limit.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,7 @@ from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.source_file import SourceError, read_content
 
 Content = TypeVar("Content", bound=BaseModel)
+"""Type of the content of a JSON file: the pydantic model of its fields."""
 
 
 def read_json(

@@ -1,8 +1,9 @@
 """Limits on processor time, with progress messages while a long computation runs.
 
-`time_limit` interrupts a block of code after a number of seconds, as Ctrl-C would. `limited` does the same
-with a limit that the user can set, and with messages for the user. `signals_as_interrupts` lets a block clean
-up when the process is asked to terminate.
+`time_limit` interrupts a block of code after a number of seconds of processor time, as Ctrl-C would.
+`limited` does the same with a limit that the user can set, and with messages for the user.
+`signals_as_interrupts` lets a block clean up when the process is asked to terminate. `with_progress` shows
+how many of a number of items are done.
 """
 
 from __future__ import annotations
@@ -46,19 +47,20 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
     Raises:
         TooLongError: if the limit is exceeded. Native code that ignores interrupts completes first.
     """
-    begin, over = time.process_time(), []
+    begin, exceeded_at = time.process_time(), []
 
     def check(number: int, frame: object) -> None:
+        """Handle the signal of the timer: show the time used, or interrupt the block."""
         used = time.process_time() - begin
         if used < seconds:
             progress(used)
             return
-        over.append(used)
+        exceeded_at.append(used)
         # repeated at the next check: an interrupt that is raised while an object is freed gets lost
         signal.raise_signal(signal.SIGINT)
 
     previous_timer, previous_interrupt = signal.signal(signal.SIGPROF, check), signal.getsignal(signal.SIGINT)
-    if previous_interrupt is signal.SIG_IGN:  # a shell starts its background processes so
+    if previous_interrupt is signal.SIG_IGN:  # a shell starts background processes with SIGINT ignored
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         signal.setitimer(signal.ITIMER_PROF, min(CHECK_PERIOD_S, seconds), CHECK_PERIOD_S)
@@ -69,7 +71,7 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
             signal.signal(signal.SIGPROF, previous_timer)
             signal.signal(signal.SIGINT, previous_interrupt)
     except (KeyboardInterrupt, SystemError):  # CPython 3.11 raises SystemError if interrupted in `ast.parse`
-        if over:
+        if exceeded_at:
             raise TooLongError(f"not finished after {number_text(seconds)} s of processor time") from None
         raise
 
@@ -96,6 +98,7 @@ def limited(what: str, advice: str, progress: Callable[[str], None], name: str =
     allowed = limit(name)  # of processor time, so that waiting does not count
 
     def report(used: float) -> None:
+        """Show the processor time used, s, if the block takes long."""
         if used > REPORT_AFTER_S:
             progress(f"{what}: {used:.0f} s so far, given up at {allowed:.0f}")
 
@@ -147,10 +150,12 @@ def with_progress(items: Sequence[Item], progress: Callable[[str], None], what: 
         what: what an item is, such as "run".
     """
     start = time.perf_counter()
-    for count, item in enumerate(items):
-        each = (time.perf_counter() - start) / max(1, count)
-        left = f"{each:.2g} s each, {duration_text(each * (len(items) - count))}" if count else "unknown time"
-        progress(f"{what} {count + 1} of {len(items)}, {left} left")
+    for done, item in enumerate(items):
+        time_left = "unknown time"
+        if done:
+            per_item = (time.perf_counter() - start) / done
+            time_left = f"{per_item:.2g} s each, {duration_text(per_item * (len(items) - done))}"
+        progress(f"{what} {done + 1} of {len(items)}, {time_left} left")
         yield item
 
 

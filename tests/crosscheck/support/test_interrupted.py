@@ -18,7 +18,7 @@ import pytest
 from command_line import command, run, scene_file, short_example
 from rerun.chunk import RrdReader
 
-from crosscheck.support.files import ABANDONED
+from crosscheck.support.files import ABANDONED_AFTER_S
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = ("newton_euler", "pinocchio")
@@ -101,7 +101,7 @@ def test_a_run_killed_while_it_writes_leaves_complete_files_or_none(tmp_path, fi
     unfinished = check_folder(out, FILES)
     if number == signal.SIGKILL:
         for path in unfinished:
-            os.utime(path, times=(time.time() - 2.0 * ABANDONED,) * 2)
+            os.utime(path, times=(time.time() - 2.0 * ABANDONED_AFTER_S,) * 2)
     else:
         assert unfinished == []
 
@@ -120,7 +120,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
     for path in (*old, *others, young):
         path.write_bytes(b"half")
     for path in (*old, *others):
-        os.utime(path, times=(time.time() - 2.0 * ABANDONED,) * 2)
+        os.utime(path, times=(time.time() - 2.0 * ABANDONED_AFTER_S,) * 2)
     status, _, _ = run(
         capsys, "run", scene_file(tmp_path, good, "four_bar.yaml"), "--engines", "pinocchio", "--output", out
     )
