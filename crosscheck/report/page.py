@@ -1,6 +1,9 @@
 """`crosscheck report`: write the results of commands as one HTML page, with all pictures in the page.
 
-The page is rendered from the templates next to this module by jinja2, which escapes all texts.
+Each command of crosscheck writes a result file (JSON) that contains a report: tables and sentences. The page
+shows the reports of all result files in a folder, or in its subfolders, with plots of the runs and pictures
+of the 3-D recordings that are stored beside them. The page is rendered from the templates next to this module
+by jinja2, which escapes all texts.
 """
 
 from __future__ import annotations
@@ -30,8 +33,11 @@ from newton_euler.scalars import Array
 PAGE = "report.html"
 """Name of the page."""
 
+CROSSCHECK_RESULT = "summary.json"
+"""Name of the result file of `crosscheck run`, whose page has more than those of other commands."""
+
 RESULTS = (
-    "summary.json",
+    CROSSCHECK_RESULT,
     "regress.json",
     "faults.json",
     "stress.json",
@@ -46,7 +52,7 @@ RESULTS = (
 )
 """Names of result files that contain a report."""
 
-BELOW = ("*", "*/*")
+SUBFOLDERS = ("*", "*/*")
 """Patterns of subfolders that are searched if a folder has no results itself, such as the folder of
 `crosscheck run --all`."""
 
@@ -55,10 +61,11 @@ MAX_FOLDERS_IN_FULL = 30
 folder takes a few seconds. The library has fewer scenes."""
 
 Progress = Callable[[str], None]
+"""Function that shows a message to the user."""
 
 
 class EngineCost(BaseModel):
-    """EngineCost of an engine's run.
+    """Run time and error of an engine's run.
 
     Attributes:
         wall_time: run time, s; None if the engine did not run.
@@ -136,7 +143,7 @@ class ErrorOverTime(BaseModel):
 
 
 class OwnRun(BaseModel):
-    """The fields of the judgement of a file's own run that a page needs."""
+    """The fields that a page needs of the judgement of the run with the settings of a model file."""
 
     error_over_time: ErrorOverTime
 
@@ -195,12 +202,12 @@ class PageEntry:
 
     @property
     def folded(self) -> list[Part]:
-        """Parts that are shown on demand: all other parts."""
+        """Parts that are shown on demand: all parts that `open` does not have."""
         return self.report.parts if self.report.summary else [p for p in self.report.parts if p.folded]
 
     @property
     def took(self) -> str:
-        """Wall time in parentheses, empty if it was not measured."""
+        """Wall time of the command in parentheses, empty if it was not measured."""
         return "" if self.report.wall_time is None else f" ({self.report.wall_time:.3g} s)"
 
 
@@ -228,11 +235,14 @@ def write_report(folder: Path, progress: Progress) -> Path:
 
     # find the result files: in the folder, or else in its subfolders
     try:
-        own = _results_in(folder)
-        below = [] if own else sorted(file for p in BELOW for f in folder.glob(p) for file in _results_in(f))
+        in_folder = _results_in(folder)
+        in_subfolders: list[Path] = []
+        if not in_folder:
+            subfolders = [subfolder for pattern in SUBFOLDERS for subfolder in folder.glob(pattern)]
+            in_subfolders = sorted(file for subfolder in subfolders for file in _results_in(subfolder))
     except OSError as error:
         raise CrosscheckError(f"cannot read {folder}: {error.strerror}") from error
-    if not (own or below):
+    if not (in_folder or in_subfolders):
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
             f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads and identify "
@@ -240,20 +250,26 @@ def write_report(folder: Path, progress: Progress) -> Path:
         )
     check_writable(path)
 
-    # read them, and make an entry with pictures for each
-    found = {
-        file: read_json(file, CrosscheckFile if file.name == RESULTS[0] else ResultFile)
-        for file in own or below
+    # read them
+    contents = {
+        file: read_json(file, CrosscheckFile if file.name == CROSSCHECK_RESULT else ResultFile)
+        for file in in_folder or in_subfolders
     }
-    parents = list(dict.fromkeys(file.parent for file in found))
-    index = [_index_line(folder, file, results.report) for file, results in found.items()] if below else []
+    parents = list(dict.fromkeys(file.parent for file in contents))
+    # make the list of verdicts, and an entry with pictures for each file unless there are too many folders
+    index: list[dict[str, object]] = []
+    if in_subfolders:
+        index = [_index_line(folder, file, content.report) for file, content in contents.items()]
     entries = []
-    for file, results in found.items() if len(parents) <= MAX_FOLDERS_IN_FULL else ():
-        number = parents.index(file.parent) + 1
-        counted = _with_count(progress, f"{number} of {len(parents)} folders") if below else progress
-        first = below and file == next(other for other in found if other.parent == file.parent)
-        anchor = file.parent.relative_to(folder).as_posix() if first else ""
-        entries.append(_make_entry(file, results, anchor, counted))
+    for file, content in contents.items() if len(parents) <= MAX_FOLDERS_IN_FULL else ():
+        progress_of_entry, anchor = progress, ""
+        if in_subfolders:
+            number = parents.index(file.parent) + 1
+            progress_of_entry = _with_count(progress, f"{number} of {len(parents)} folders")
+            # the list links to the first entry of each folder
+            if file == next(other for other in contents if other.parent == file.parent):
+                anchor = file.parent.relative_to(folder).as_posix()
+        entries.append(_make_entry(file, content, anchor, progress_of_entry))
     title = f"crosscheck: {folder.resolve().name}"
     text = rendered("page.html", title=title, index=index, entries=entries, most=MAX_FOLDERS_IN_FULL)
     write_files({path: text.encode()})
@@ -266,6 +282,7 @@ def rendered(template: str, **content: object) -> str:
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
+        # `type`, since jinja2's own text, which is already escaped, is a subclass of str
         finalize=lambda value: printable(value) if type(value) is str else value,
         keep_trailing_newline=True,
     )
@@ -284,11 +301,12 @@ def _with_count(progress: Progress, count: str) -> Progress:
 
 def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
     """Make the row of a result file in the list of verdicts: variables of the template."""
+    _, verdict = report.headline  # without the words in capitals at the beginning, which are `judged`
     return {
         "name": file.parent.relative_to(folder).as_posix(),
         "judged": report.judged,
         "time": "" if report.wall_time is None else f"{report.wall_time:.1f}",
-        "verdict": report.headline[1] or report.title,
+        "verdict": verdict or report.title,
         "command": f"crosscheck report {shlex.quote(str(file.parent))}",
     }
 
@@ -298,8 +316,8 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
 
     Args:
         file: path of the result file.
-        results: its content.
-        anchor: name by which the list of verdicts links to the entry.
+        results: content of the file.
+        anchor: name by which the list of verdicts links to the entry; empty for no link.
         progress: shows a message to the user.
 
     Raises:
@@ -312,6 +330,7 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
             raise CrosscheckError(f"{path}: missing, {file.name} beside it was written with it; run it again")
         if results.files[path.name] != digest(path):
             raise CrosscheckError(f"{path}: is not the file that {file.name} beside it was written with")
+    # pictures of the 3-D recordings at some times of the first run
     runs = _read_runs(path for path in paths if path.suffix == ".npz")
     first = next(iter(runs.values()), None)
     for path in (path for path in paths if path.suffix == ".rrd"):
@@ -320,17 +339,21 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
             entry.views.extend(_view_pictures(path, [0.0] if first is None else key_times(first)))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
+    # plots of errors, run times and runs
     if isinstance(results, CrosscheckFile) and results.own_run is not None:
         errors = results.own_run.error_over_time
-        entry.pictures.extend(Picture(*each) for each in plots.own_run(**vars(errors)))
+        drawn = plots.own_run(errors.time, errors.position, errors.rotation)
+        entry.pictures.extend(Picture(content, caption) for content, caption in drawn)
     if runs:
         progress("plots")
-        costs, bounds = {}, {}
+        costs, tolerances = {}, {}
         if isinstance(results, CrosscheckFile):
             costs = {name: (cost.wall_time, cost.error) for name, cost in results.engines.items()}
-            bounds = {(each.quantity, *each.between): each.tolerance for each in results.checks}
-        entry.speed.extend(Picture(*each) for each in plots.speed(costs))
-        entry.pictures.extend(Picture(*each) for each in plots.pictures(runs, bounds))
+            tolerances = {(check.quantity, *check.between): check.tolerance for check in results.checks}
+        entry.speed.extend(Picture(content, caption) for content, caption in plots.speed(costs))
+        drawn = plots.pictures(runs, tolerances)
+        entry.pictures.extend(Picture(content, caption) for content, caption in drawn)
+    # pictures that the command wrote
     for path in (path for path in paths if path.suffix == ".png"):
         try:
             content = read_content(path, "result_size")
@@ -341,16 +364,21 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
 
 
 def key_times(run: Mapping[str, Array]) -> list[float]:
-    """Return three times, s: the start, the time of the pose farthest from both ends, and the end."""
+    """Return three times, s: the start, the time of the pose farthest from both ends, and the end.
+
+    Args:
+        run: arrays of a run by name: "time" (n,), s, "position" (n, b, 3), m, and others.
+    """
     time, position = run["time"], run["position"]
-    far = [np.linalg.norm(position - end, axis=2).max(axis=1) for end in (position[0], position[-1])]
-    apart = np.minimum(*far)
-    middle = int(np.argmax(apart)) if apart.any() else len(time) // 2
+    start, end = position[0], position[-1]
+    from_start, from_end = (np.linalg.norm(position - pose, axis=2).max(axis=1) for pose in (start, end))
+    distance = np.minimum(from_start, from_end)
+    middle = int(np.argmax(distance)) if distance.any() else len(time) // 2
     return [float(time[0]), float(time[middle]), float(time[-1])]
 
 
-def _view_pictures(recording: Path, moments: Sequence[float]) -> Iterator[Picture]:
-    """Yield pictures of the mechanism in a recording at times, s, which the Rerun viewer takes.
+def _view_pictures(recording: Path, times: Sequence[float]) -> Iterator[Picture]:
+    """Yield pictures of the mechanism in a recording at times, s, made by the Rerun viewer.
 
     Raises:
         CrosscheckError: if the viewer does not run or shows nothing.
@@ -359,17 +387,17 @@ def _view_pictures(recording: Path, moments: Sequence[float]) -> Iterator[Pictur
 
     if not recording.is_file():  # reading a pipe could wait forever
         raise CrosscheckError(f"{recording}: not a regular file")
-    for moment, content in zip(moments, screenshots(recording, moments, MECHANISM), strict=True):
-        yield Picture(content, f"{recording.stem} at {moment:.4g} s")
+    for time, content in zip(times, screenshots(recording, times, MECHANISM), strict=True):
+        yield Picture(content, f"{recording.stem} at {time:.4g} s")
 
 
 def _read_runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:
-    """Read the arrays of runs, by engine and name; all runs must have equally many bodies."""
-    found: dict[str, dict[str, Array]] = {}
+    """Read the arrays of runs, by engine and by name of the array; all runs must have equally many bodies."""
+    runs: dict[str, dict[str, Array]] = {}
     for path in paths:
         arrays = load_arrays(path)
-        for other in found.values():
+        for other in runs.values():
             if len(other["body_names"]) != len(arrays["body_names"]):
                 raise CrosscheckError(f"{path}: body_names are not as many as those of other runs")
-        found[path.stem] = arrays
-    return found
+        runs[path.stem] = arrays
+    return runs

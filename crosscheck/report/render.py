@@ -1,7 +1,8 @@
 """Write reports as text for the terminal, as Markdown, as JSON and as JUnit XML.
 
-In: a `Report` of tables and sentences, see `crosscheck.report.table`. Start reading at `terminal`,
-`markdown`, `as_json` and `junit`.
+In: a `Report` of tables and sentences, see `crosscheck.report.table`. Out: texts. A part of a report that is
+"folded" is shown on demand on HTML pages; the terminal and, by default, Markdown leave it out. Start reading
+at `terminal`, `markdown`, `as_json` and `junit`.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ MAX_UNWRAPPED_HEADING = 12
 """Width, characters, up to which the heading of a column of numbers is never wrapped."""
 
 STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yellow", "fails": "bold red"}
-"""Terminal style of each verdict."""
+"""Terminal style of a cell or a sentence by its verdict."""
 
 MARKDOWN_SYNTAX = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
 """Characters that are syntax in Markdown; underscores within a word are not."""
@@ -66,6 +67,7 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
+    # a no-break space is not printable in Python's sense, but harmless
     return "".join(c if c.isprintable() or c in "\n\u00a0" else repr(c)[1:-1] for c in text)
 
 
@@ -88,13 +90,13 @@ def terminal(parts: Iterable[Part]) -> str:
     console = Console()
     console.width = max(MIN_LINE_WIDTH, console.width)
     with console.capture() as capture:
-        before: Part | None = None
+        previous: Part | None = None
         for part in parts:
             if part.folded:
                 continue
-            if part.title and isinstance(before, Lines):
+            if part.title and isinstance(previous, Lines):
                 console.print()
-            before = part
+            previous = part
             if part.title:
                 console.print(Text(wrapped(part.title), style="bold"), soft_wrap=True)
             if isinstance(part, Table):
@@ -103,7 +105,7 @@ def terminal(parts: Iterable[Part]) -> str:
                     console.print()
             else:
                 for number, line in enumerate(part.lines):
-                    style = "" if number else STYLES[part.verdict]
+                    style = "" if number else STYLES[part.verdict]  # the verdict is of the first sentence
                     console.print(Text(wrapped(line), style=style), soft_wrap=True)
     return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
 
@@ -140,33 +142,39 @@ def _split_columns(table: Table, width: int) -> Iterator[Table]:
 
     Each table begins with the columns of text at the beginning of the original table.
     """
-    least = [_min_width(table, number) + GUTTER for number in range(len(table.columns))]
+    min_widths = [_min_width(table, number) + GUTTER for number in range(len(table.columns))]
     # columns of text that all tables begin with; only the first if these take more than half of the width
-    keys = list(takewhile(lambda number: not table.columns[number].numeric, range(len(least)))) or [0]
-    if sum(least[number] for number in keys) > width / 2:
-        keys = keys[:1]
+    texts_first = takewhile(lambda number: not table.columns[number].numeric, range(len(min_widths)))
+    repeated = list(texts_first) or [0]
+    if sum(min_widths[number] for number in repeated) > width / 2:
+        repeated = repeated[:1]
     # add further columns until the width is exceeded
-    chosen = list(keys)
-    for number in range(len(keys), len(least)):
-        if len(chosen) > len(keys) and sum(least[k] for k in (*chosen, number)) - GUTTER > width:
+    chosen = list(repeated)
+    for number in range(len(repeated), len(min_widths)):
+        has_others = len(chosen) > len(repeated)
+        if has_others and sum(min_widths[k] for k in (*chosen, number)) - GUTTER > width:
             yield _select_columns(table, chosen)
-            chosen = list(keys)
+            chosen = list(repeated)
         chosen.append(number)
     yield _select_columns(table, chosen)
 
 
 def _column_lines(table: Table, number: int) -> list[tuple[str, int]]:
-    """Return the lines of all cells of a column, the heading first, each with its indentation, characters."""
+    """Return the lines of all cells of a column, the heading first, each with its indentation, characters.
+
+    Rows of a table are lists of cells, or a text that is the heading of the rows below. Such headings are in
+    the first column; the cells below them are indented.
+    """
     column = table.columns[number]
-    found = [(line, 0) for line in column.heading.split("\n")]
+    lines = [(line, 0) for line in column.heading.split("\n")]
     has_sections = number == 0 and any(isinstance(row, str) for row in table.rows)
     for row in table.rows:
         if isinstance(row, str):
-            found += [(printable(row), 0)] if number == 0 else []
+            lines += [(printable(row), 0)] if number == 0 else []
         elif number < len(row):
-            lines = printable(_text(row[number])).split("\n")
-            found += [(line, INDENT if has_sections else 0) for line in lines]
-    return found
+            of_cell = printable(_text(row[number])).split("\n")
+            lines += [(line, INDENT if has_sections else 0) for line in of_cell]
+    return lines
 
 
 def _min_width(table: Table, number: int) -> int:
@@ -179,24 +187,25 @@ def _min_width(table: Table, number: int) -> int:
             length = len(line) if len(line) <= MAX_UNWRAPPED_TEXT else longest_word
             widths.append(min(MAX_WORD_WIDTH, length) + indent)
         return max(widths)
-    heads = column.heading.split("\n")
+    heading_lines = column.heading.split("\n")
     words = [len(word) for word in column.heading.split()]
-    numbers = [len(line) + indent for line, indent in lines[len(heads) :]]
-    return max([*numbers, *words, *(min(MAX_UNWRAPPED_HEADING, len(line)) for line in heads)])
+    numbers = [len(line) + indent for line, indent in lines[len(heading_lines) :]]
+    return max([*numbers, *words, *(min(MAX_UNWRAPPED_HEADING, len(line)) for line in heading_lines)])
 
 
 def _column_widths(table: Table, width: int) -> list[int]:
     """Compute the width of each column, characters, in a table of at most `width` characters.
 
-    Columns get their smallest width first. Columns of text share the rest; those that need least come first.
+    Columns get their smallest width first. Columns of text share the rest equally; those that need least come
+    first, so that others get what they do not need.
     """
     numbers = range(len(table.columns))
     widths = [_min_width(table, number) for number in numbers]
     room = width - sum(widths) - GUTTER * (len(widths) - 1)
-    whole = [max(len(line) + indent for line, indent in _column_lines(table, number)) for number in numbers]
-    wrapping = [number for number in numbers if not table.columns[number].numeric]
-    for count, number in enumerate(sorted(wrapping, key=lambda number: whole[number] - widths[number])):
-        more = max(0, min(whole[number] - widths[number], room // (len(wrapping) - count)))
+    unwrapped = [max(len(line) + indent for line, indent in _column_lines(table, k)) for k in numbers]
+    of_text = [number for number in numbers if not table.columns[number].numeric]
+    for count, number in enumerate(sorted(of_text, key=lambda number: unwrapped[number] - widths[number])):
+        more = max(0, min(unwrapped[number] - widths[number], room // (len(of_text) - count)))
         widths[number] += more
         room -= more
     return widths
@@ -230,16 +239,17 @@ def _heading(table: Table, number: int) -> str:
 def _rich_table(table: Table, width: int) -> RichTable:
     """Convert a table to a table of the package rich, at most `width` characters wide."""
     drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
-    if not table.title:
+    if not table.title:  # no rule below the headings
         drawn.box, drawn.padding = None, (0, GUTTER, 0, 0)
     drawn.show_header = any(column.heading for column in table.columns)
-    for number, (column, each) in enumerate(zip(table.columns, _column_widths(table, width), strict=True)):
+    column_widths = _column_widths(table, width)
+    for number, (column, column_width) in enumerate(zip(table.columns, column_widths, strict=True)):
         drawn.add_column(
             Text(printable(_heading(table, number))),
             justify="right" if column.numeric else "left",
             no_wrap=column.numeric,
             overflow="fold",
-            width=each,
+            width=column_width,
         )
     indent = INDENT if any(isinstance(row, str) for row in table.rows) else 0
     for row in table.rows:
@@ -259,7 +269,8 @@ def markdown(report: Report, folded: bool = False, links: Mapping[str, str] | No
     Args:
         report: the report.
         folded: whether to include folded parts.
-        links: addresses by names of bodies and joints; a cell about one of these becomes a link.
+        links: addresses by names of bodies and joints. In a cell about one of these (`Cell.about`), the name
+            becomes a link.
     """
     lines = [f"# {_escaped(report.title)}", ""] if report.title else []
     if report.verdict:
@@ -317,15 +328,15 @@ def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, byt
 
     Args:
         content: results of the command.
-        report: report on the results, for pages.
-        files: runs, recordings and pictures that the command writes to the same folder; the file has their
-            SHA-256, by which a page detects files of other results.
+        report: report on the results, for the HTML pages of `crosscheck report`.
+        files: contents, by path, of runs, recordings and pictures that the command writes to the same folder.
+            The JSON file has their SHA-256, by which a page detects files of other results.
     """
-    digests = {path.name: hashlib.sha256(held).hexdigest() for path, held in (files or {}).items()}
-    whole = _without_non_finite({**content, "report": asdict(report), "files": digests})
+    digests = {path.name: hashlib.sha256(data).hexdigest() for path, data in (files or {}).items()}
+    all_fields = _without_non_finite({**content, "report": asdict(report), "files": digests})
     # through JSON once, since the checksum is of the content as read: keys that are numbers become texts
-    whole = json.loads(json.dumps(whole, allow_nan=False))
-    return (json.dumps(with_checksum(whole), indent=1) + "\n").encode()
+    all_fields = json.loads(json.dumps(all_fields, allow_nan=False))
+    return (json.dumps(with_checksum(all_fields), indent=1) + "\n").encode()
 
 
 def _without_non_finite(value: object) -> Any:
@@ -351,7 +362,8 @@ def junit(report: Report) -> str:
     for part in report.parts:
         if isinstance(part, Lines):
             continue
-        rows = [(head, row) for head, row in part.sections() if any(cell.verdict for cell in row)]
+        # rows with judged cells, each with the heading above
+        rows = [(heading, row) for heading, row in part.sections() if any(cell.verdict for cell in row)]
         failed = sum(any(cell.verdict == "fails" for cell in row) for _, row in rows)
         if not rows:
             continue
@@ -365,9 +377,9 @@ def junit(report: Report) -> str:
             time="0",
         )
         for heading, row in rows:
-            owner = f"{part.title}.{heading}" if heading else part.title
+            class_name = f"{part.title}.{heading}" if heading else part.title
             case = ElementTree.SubElement(
-                suite, "testcase", classname=printable(owner), name=printable(row[0].text), time="0"
+                suite, "testcase", classname=printable(class_name), name=printable(row[0].text), time="0"
             )
             message = printable(f"{heading}: {row[0].text}: {_row_text(part, row)}".removeprefix(": "))
             verdicts = {cell.verdict for cell in row}
@@ -382,5 +394,5 @@ def junit(report: Report) -> str:
 
 def _row_text(table: Table, row: Sequence[Cell]) -> str:
     """Describe a row in a line: all cells except the first, each with the heading of its column."""
-    headed = zip(table.columns[1:], row[1:], strict=False)
-    return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in headed if cell.text)
+    cells = zip(table.columns[1:], row[1:], strict=False)  # a row may be shorter than the table
+    return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in cells if cell.text)

@@ -19,8 +19,9 @@ class Cell:
 
     Attributes:
         text: text of the cell.
-        verdict: judgment of the cell.
-        about: body, joint or time that the cell is about; pages show it when the mouse points at the cell.
+        verdict: judgment of the cell, which selects its color.
+        about: body, joint or time that the cell is about, or an explanation; pages show it when the mouse
+            points at the cell.
     """
 
     text: str
@@ -108,10 +109,11 @@ class Report:
     Attributes:
         title: the command and the model.
         verdict: the result in one line.
-        judged: the verdict in one word.
+        judged: the result in one word such as "AGREE", with its color.
         parts: tables and sentences, in order.
         wall_time: run time of the command, s; None if it was not measured.
-        summary: short tables and sentences, which the terminal shows without `--verbose`.
+        summary: short tables and sentences, which the terminal shows without `--verbose`; pages show `parts`
+            instead if there are none.
     """
 
     title: str
@@ -123,9 +125,9 @@ class Report:
 
     @property
     def headline(self) -> tuple[str, str]:
-        """Verdict, split into the word in capitals at its beginning ("" if there is none) and the rest."""
-        word, _, found = self.verdict.partition(": ")
-        return (word, found) if word.isupper() else ("", self.verdict)
+        """Verdict, split into the words in capitals at its beginning ("" if there are none) and the rest."""
+        words, _, rest = self.verdict.partition(": ")
+        return (words, rest) if words.isupper() else ("", self.verdict)
 
 
 def text_columns(*names: str) -> list[Column]:
@@ -135,8 +137,14 @@ def text_columns(*names: str) -> list[Column]:
 
 def number_columns(*names: str) -> list[Column]:
     """Make columns of numbers with these names; a unit follows the last comma of a name, as in "time, s"."""
-    pairs = [name.rpartition(", ") for name in names]
-    return [Column(name or unit, unit if name else "", True) for name, _, unit in pairs]
+    columns = []
+    for name in names:
+        before, comma, after = name.rpartition(", ")
+        if comma:
+            columns.append(Column(before, unit=after, numeric=True))
+        else:
+            columns.append(Column(name, numeric=True))
+    return columns
 
 
 def checked_cell(value: float, allowed: float, agrees: bool, about: str = "") -> Cell:
@@ -153,7 +161,7 @@ def checked_cell(value: float, allowed: float, agrees: bool, about: str = "") ->
 
 
 def name_value_table(title: str, content: Mapping[str, Any], folded: bool = False) -> Table:
-    """Make a table of names and values."""
+    """Make a table with a row for each name and its value; columns have no headings."""
     rows: Rows = [[name, _text(value)] for name, value in content.items()]
     return Table(title, text_columns("", ""), rows, folded)
 
