@@ -1,7 +1,8 @@
 """Make the report of a crosscheck: the checks as tables, and sentences on the limits of the verdict.
 
-A crosscheck runs one scene in several engines, or two models (such as an MJCF and a URDF of one robot) in
-newton_euler, and compares the results. Its result is a `Crosscheck`; the report has what the user reads.
+A crosscheck runs one scene (a mechanism with its forces, inputs and initial state) in several engines, or two
+models (such as an MJCF and a URDF of one robot) in newton_euler, and compares the results. In: the result, a
+`ComparisonResult`. Out: a `Report` for the terminal and for pages.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ ALL_LISTED = "all in summary.json and on the page of `crosscheck report`"
 """End of a sentence on untested elements that does not name all of them."""
 
 SAME_CODE = "as all engines call the same code"
-"""Reason why controllers in Python code are untested, whatever the motion."""
+"""Reason why controllers in Python code are untested by every motion."""
 
 MAX_ACTING_LINES = 3
 """Largest number of lines on elements that act and are not simulated; one more line names the others."""
@@ -66,27 +67,30 @@ IMPLICIT = ("Radau", "implicitfast")
 
 
 def report(result: ComparisonResult) -> Report:
-    """Make the report of a crosscheck."""
-    limits, others = list(verdict_limits(result)), list(notes(result))
+    """Make the report of a crosscheck: a full one, and a summary that the terminal shows."""
+    limits, other_notes = list(verdict_limits(result)), list(notes(result))
+    # logs of other simulators, and the run with the settings of the model file
     parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
     parts += [own_run_lines(result.own_run)] if result.own_run else []
     parts.extend(tables(result))
-    parts.append(Lines("", [*limits, *others, *(f"advice, {advice}" for advice in result.advice)]))
+    parts.append(Lines("", [*limits, *other_notes, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
         parts.append(_untested_table(result.coverage))
     for title, mapping in _import_reports(result):
         parts.append(Lines(f"carried over from {title}", list(report_lines(mapping)), folded=True))
-    shown = ("scene", "source", "options", "models", "left_out", "versions")
-    found = result.summary()
-    parts.append(
-        name_value_table(
-            "scene and versions", {name: found[name] for name in shown if found.get(name)}, folded=True
-        )
+    names = ("scene", "source", "options", "models", "left_out", "versions")
+    values = result.summary()
+    shown = {name: values[name] for name in names if values.get(name)}
+    parts.append(name_value_table("scene and versions", shown, folded=True))
+    return Report(
+        title=": ".join(filter(None, [result.title, result.scene.description])),
+        verdict=result.verdict,
+        judged=outcome_cell(result),
+        parts=parts,
+        wall_time=result.wall_time,
+        summary=summary(result, limits, other_notes),
     )
-    title = ": ".join(filter(None, [result.title, result.scene.description]))
-    brief = summary(result, limits, others)
-    return Report(title, result.verdict, outcome_cell(result), parts, result.wall_time, brief)
 
 
 def _import_reports(result: ComparisonResult) -> Iterator[tuple[str, ImportReport]]:
@@ -102,26 +106,26 @@ def outcome_cell(result: ComparisonResult) -> Cell:
     return Cell(result.outcome.value, result.outcome.judged)
 
 
-def _untested_table(found: Coverage) -> Table:
+def _untested_table(coverage: Coverage) -> Table:
     """Make a table of the elements that the motion does not test.
 
     The effect of an element is the change of the motion if a parameter of the element grows by 10 %, divided
     by the smallest change that the checks detect.
     """
     rows: Rows = [
-        [each.element, SAME_CODE if each.shared else f"{each.effect:.1e}"] for each in found.untested
+        [each.element, SAME_CODE if each.shared else f"{each.effect:.1e}"] for each in coverage.untested
     ]
     title = "untested by the motion: 10 % more of these does not show"
-    return Table(
-        title, [Column("element"), *number_columns("effect (detectable above 1)")], rows, folded=True
-    )
+    columns = [Column("element"), *number_columns("effect (detectable above 1)")]
+    return Table(title, columns, rows, folded=True)
 
 
 def tables(result: ComparisonResult) -> Iterator[Table]:
     """Yield the tables of checks.
 
     There is a table of engines against the model file, of pairs of engines, of each engine by itself, and of
-    the two formulations of the equations in newton_euler. Reference values and failed checks follow.
+    the two formulations of the equations in newton_euler (joint and Cartesian coordinates). Tables of
+    reference values and of failed checks follow.
     """
     titles = {
         "file": f"each engine against {result.title} as its file's own reader has it",
@@ -131,75 +135,77 @@ def tables(result: ComparisonResult) -> Iterator[Table]:
     }
     engines = {engine.name for engine in result.engines}
     for kind, title in titles.items():
-        rows = [row for row in result.checks if _kind_of(row, engines) == kind]
-        if rows:
-            yield _checks_table(title, rows)
+        checks = [check for check in result.checks if _kind_of(check, engines) == kind]
+        if checks:
+            yield _checks_table(title, checks)
     if result.measured:
         yield _reference_table(result.measured)
-    failed = [row for row in result.checks if not row.agrees]
+    failed = [check for check in result.checks if not check.agrees]
     if len(failed) > 1:
         yield Table(
             "where they part",
             text_columns("level", "quantity", "between", "worst at"),
-            [[row.level, row.quantity, ", ".join(row.between), row.place] for row in failed],
+            [[check.level, check.quantity, ", ".join(check.between), check.place] for check in failed],
         )
 
 
-def _kind_of(row: Check, engines: set[str]) -> str:
+def _kind_of(check: Check, engines: set[str]) -> str:
     """Return the table of a check: "single", "file", "pairs" of engines, or "within" one engine."""
-    if len(row.between) == 1:
+    if len(check.between) == 1:
         return "single"
-    if FILE in row.between:
+    if FILE in check.between:
         return "file"
-    return "pairs" if set(row.between) <= engines else "within"
+    return "pairs" if set(check.between) <= engines else "within"
 
 
-def _checks_table(title: str, rows: list[Check]) -> Table:
+def _checks_table(title: str, checks: list[Check]) -> Table:
     """Make a table of checks: a section per level, a row per quantity, a column per engine or pair."""
-    columns = list(dict.fromkeys(row.between for row in rows))
-    lines: Rows = []
-    for level in dict.fromkeys(row.level for row in rows):
-        lines.append(level)
-        at_level = [row for row in rows if row.level == level]
-        for quantity in dict.fromkeys(row.quantity for row in at_level):
-            cells = {row.between: _cell(row) for row in at_level if row.quantity == quantity}
-            lines.append([quantity, *(cells.get(between, "") for between in columns)])
-    heads = [Column("\n".join(between), numeric=True) for between in columns]
-    return Table(title, [Column(""), *heads], lines)
+    columns = list(dict.fromkeys(check.between for check in checks))
+    rows: Rows = []
+    for level in dict.fromkeys(check.level for check in checks):
+        rows.append(level)
+        at_level = [check for check in checks if check.level == level]
+        for quantity in dict.fromkeys(check.quantity for check in at_level):
+            cells = {check.between: _cell(check) for check in at_level if check.quantity == quantity}
+            rows.append([quantity, *(cells.get(between, "") for between in columns)])
+    headings = [Column("\n".join(between), numeric=True) for between in columns]
+    return Table(title, [Column(""), *headings], rows)
 
 
-def _cell(row: Check) -> Cell:
+def _cell(check: Check) -> Cell:
     """Make the cell of a check: its value, and its tolerance if the check is judged."""
-    about = f"worst at {row.where}"
-    if row.unconverged:
-        return Cell(f"{row.value:.1e} not judged", "", f"{unconverged_reason([row.unconverged])}; {about}")
-    if not row.judged:
-        return Cell(f"{row.value:.1e}", "", about)
-    return checked_cell(row.value, row.tolerance, row.agrees, about)
+    about = f"worst at {check.where}"
+    if check.unconverged:  # name of the engine whose error does not decrease in a refined run
+        reason = unconverged_reason([check.unconverged])
+        return Cell(f"{check.value:.1e} not judged", about=f"{reason}; {about}")
+    if not check.judged:
+        return Cell(f"{check.value:.1e}", about=about)
+    return checked_cell(check.value, check.tolerance, check.agrees, about)
 
 
-def _reference_table(measured: Sequence[ReferenceCheck]) -> Table:
+def _reference_table(checks: Sequence[ReferenceCheck]) -> Table:
     """Make the table of reference values: known results, such as those of a publication.
 
     There is a section per time and a row per reference value: the first engine's value, the reference, and
     the error of each engine.
     """
-    columns = list(dict.fromkeys(found.engine for found in measured))
+    engines = list(dict.fromkeys(check.engine for check in checks))
     rows: Rows = []
-    for time in dict.fromkeys(found.known.time for found in measured):
+    for time in dict.fromkeys(check.known.time for check in checks):
         rows.append(f"at {time:g} s")
-        now = [found for found in measured if found.known.time == time]
-        for known in dict.fromkeys(id(found.known) for found in now):
-            cells = {found.engine: found for found in now if id(found.known) == known}
-            first = cells[columns[0]]
+        at_time = [check for check in checks if check.known.time == time]
+        # checks of one reference value have the same object in `known`
+        for known in dict.fromkeys(id(check.known) for check in at_time):
+            by_engine = {check.engine: check for check in at_time if id(check.known) == known}
+            first = by_engine[engines[0]]
             label = f"{first.known.quantity}, {first.known.unit}"
             values = [f"{first.result:.12g}", f"{first.known.value:.12g}"]
-            checks = [cells[name] for name in columns]
-            errors = [checked_cell(each.value, each.tolerance, each.agrees) for each in checks]
+            of_value = [by_engine[name] for name in engines]
+            errors = [checked_cell(check.value, check.tolerance, check.agrees) for check in of_value]
             rows.append([label, *values, *errors])
-    heads = [Column(f"value,\n{columns[0]}", numeric=True), *number_columns("reference")]
-    heads += [Column(name, numeric=True) for name in columns]
-    return Table("reference values", [Column(""), *heads], rows)
+    headings = [Column(f"value,\n{engines[0]}", numeric=True), *number_columns("reference")]
+    headings += [Column(name, numeric=True) for name in engines]
+    return Table("reference values", [Column(""), *headings], rows)
 
 
 def _settings(result: ComparisonResult) -> Iterator[tuple[str, str]]:
@@ -218,8 +224,8 @@ def verdict_limits(result: ComparisonResult) -> Iterator[str]:
     yield from result.notes
     if result.singular:
         yield str(result.singular)
-    for _, read in _import_reports(result):
-        yield from (f"finding, {finding}" for finding in read.findings)
+    for _, import_report in _import_reports(result):
+        yield from (f"finding, {finding}" for finding in import_report.findings)
     if isinstance(result, TwoModelComparison):
         for model in result.models:
             lines = moved_start_lines(model.mapping, model.scene) if model.mapping else ()
@@ -259,8 +265,7 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
     moved = mapping.moved
     if moved is None:
         return
-    share = max(moved.displacement / scene.mechanism.size, abs(moved.joint_motion))
-    if share > START_DIGITS:
+    if max(moved.displacement / scene.mechanism.size, abs(moved.joint_motion)) > START_DIGITS:
         yield (
             f"the start is not the file's: {moved.loop} is open by {moved.open:.3g} m or rad in the file; "
             f"closing the loops moved body {moved.body!r} by {moved.displacement:.3g} m and joint "
@@ -274,7 +279,7 @@ def notes(result: ComparisonResult) -> Iterator[str]:
     if result.nothing_moves:
         yield _rest_line(result)
     yield from redundancy_lines(scene)
-    # inertias; of a model file, a likely mistake is reported with numbers by `verdict_limits`
+    # impossible inertias; those of a model file are findings, which `verdict_limits` reports with numbers
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
     if impossible and mapping is None:
         broken = "two principal moments together less than the third"
@@ -289,9 +294,9 @@ def notes(result: ComparisonResult) -> Iterator[str]:
             yield f"untested {why}: {_name_list(names)}{listed}"
 
     # the model file, and the start
-    for title, read in _import_reports(result):
-        yield f"{title}: {fates_line(read)}"
-        yield from sorted(read.start, key=lambda line: not line.startswith("excited"))
+    for title, import_report in _import_reports(result):
+        yield f"{title}: {fates_line(import_report)}"  # numbers of elements imported exactly, left out ...
+        yield from sorted(import_report.start, key=lambda line: not line.startswith("excited"))
     yield from undetermined_lines(scene)
 
     # stiffness: why an engine chose an implicit integrator
@@ -310,14 +315,14 @@ def notes(result: ComparisonResult) -> Iterator[str]:
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:
     """Yield a sentence for each nearly redundant constraint, with the option that changes its treatment."""
-    found = mobility(scene)
-    for weak in found.nearly:
-        if weak.taken == "redundant":
-            other = "redundancy_tolerance=0 takes it literally"
+    analysis = mobility(scene)
+    for constraint in analysis.nearly:
+        if constraint.taken == "redundant":
+            option = "redundancy_tolerance=0 takes it literally"
         else:
-            other = f"redundancy_tolerance={2.0 * weak.singular_value:.0e} takes it as redundant"
-        yield f"nearly redundant, {weak}; {other}"
-    if found.nearly and found.degrees_of_freedom == 0:
+            option = f"redundancy_tolerance={2.0 * constraint.singular_value:.0e} takes it as redundant"
+        yield f"nearly redundant, {constraint}; {option}"
+    if analysis.nearly and analysis.degrees_of_freedom == 0:
         yield "the mechanism has no degree of freedom"
 
 
@@ -330,7 +335,7 @@ def undetermined_lines(scene: Scene) -> Iterator[str]:
 
 def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
     """Yield a sentence on elements that are not simulated and, as the run shows, would not have acted."""
-    entries = [mapping.entries[number] for number in mapping.watches]
+    entries = [mapping.entries[number] for number in mapping.watches]  # those that a run can judge
     idle = [f"{entry.element}: {entry.account}" for entry in entries if entry.fate == "inactive"]
     if idle:
         yield f"inactive in this run, {len(idle)} of {len(entries)} watched: {'; '.join(idle)}"
@@ -352,7 +357,9 @@ def _start_line(result: ComparisonResult) -> str:
 
 def _rest_line(result: ComparisonResult) -> str:
     """Report that nothing moves, the reason if the constraints show one, and what remains untested."""
-    moved = ", ".join(f"{name} {far:.1e}" for name, far in displacements(result.trajectories).items())
+    largest = displacements(result.trajectories).items()
+    moved = ", ".join(f"{name} {displacement:.1e}" for name, displacement in largest)
+    # the velocities that the constraints allow are the columns of the basis
     system = Relative(result.scene)
     q, _ = system.coordinates(initial_state(result.scene))
     basis, _ = admissible_basis(system, q, body_units(result.scene))
