@@ -1,4 +1,9 @@
-"""Words of the judgement of a file's own run: its error, the cause, and settings that reduce the error."""
+"""Words of the judgement of the "own run": its error, the causes, and settings that reduce the error.
+
+The own run is the run of a model file (such as an MJCF) in the file's engine, with the time step, integrator
+and solver settings of the file. It is compared with a reference solution of higher accuracy. In: a
+`Judgement`. Out: lines of text.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +17,21 @@ from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.table import Lines
 from newton_euler.reading.small_motions import MovingBody
 
-MAX_EVENTS = 2
-"""Number of elements that one line names of those that act and are not in the reference."""
-
 MIN_CAUSE = 0.01
-"""Smallest cause that is listed, as a fraction of the largest one."""
+"""Smallest error by a cause that is listed, divided by the error of the largest cause."""
 
 MAX_ELEMENTS = 3
-"""Number of elements that a line names."""
+"""Largest number of elements that a line names."""
 
 FAST_MODE = 0.5
-"""Smallest product of a time step and the rate of a stable mode that is reported: a time constant of
-two steps."""
+"""Smallest product of the time step, s, and the rate, 1/s, of a stable mode that is reported: a time constant
+of two steps."""
 
 HEAVY_NEIGHBOR = 100.0
-"""Smallest ratio of masses of a neighbor and of a body that is reported."""
+"""Smallest ratio of the mass of a neighbor and the mass of a body that is reported."""
 
 SAME_RUN_TIME = 1.25
-"""Ratio of run times up to which settings are as fast."""
+"""Largest ratio of two run times that count as the same."""
 
 
 def own_run_lines(judgement: Judgement) -> Lines:
@@ -38,6 +40,7 @@ def own_run_lines(judgement: Judgement) -> Lines:
 
 
 def _lines(judgement: Judgement) -> Iterator[str]:
+    """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     yield f"your settings  {headline(judgement)}"
     yield f"  run     {judgement.settings} ({judgement.engine})"
     if judgement.stopped:
@@ -64,6 +67,7 @@ def _lines(judgement: Judgement) -> Iterator[str]:
     if judgement.stability is not None:
         for k, line in enumerate(_stability(judgement.stability)):
             yield f"  {'mode' if k == 0 else '':<7} {line}"
+    # other settings, and changes of the model with which the time step is stable
     fixes = [_remedy(remedy, _by_position(judgement, remedy.error)) for remedy in judgement.remedies]
     fixes += [_model_change(change) for change in judgement.changes]
     for k, fix in enumerate(fixes):
@@ -71,7 +75,11 @@ def _lines(judgement: Judgement) -> Iterator[str]:
 
 
 def _by_position(judgement: Judgement, error: RunError) -> bool:
-    """Return whether errors are worded by positions: as those of the judged run, unless it diverged."""
+    """Return True to word an error by positions, False by rotations.
+
+    All errors are worded like that of the judged run. If that run diverged, an error is worded by positions
+    unless the error of positions is a small part of it.
+    """
     return error.is_of_position if judgement.stopped else judgement.error.is_of_position
 
 
@@ -82,39 +90,44 @@ def _causes(judgement: Judgement) -> list[str]:
         which = "one of these" if names[1:] else "it"
         return [f"{', '.join(names)} (the run completes if {which} is changed)"] if names else []
     by_position = judgement.error.is_of_position
+    # causes are sorted, the largest first; `part` is the error of positions or of rotations
     causes = [each for each in judgement.causes if each.error.part(by_position) > 0.0]
-    least = MIN_CAUSE * causes[0].error.part(by_position) if causes else 0.0
+    smallest_listed = MIN_CAUSE * causes[0].error.part(by_position) if causes else 0.0
     return [
         f"{each.name}: {size(each.error, by_position)}"
         for each in causes
-        if each.error.part(by_position) >= least
+        if each.error.part(by_position) >= smallest_listed
     ]
 
 
-def _stability(found: Stability) -> Iterator[str]:
-    """Word the fastest mode, the elements that make it, and the stability limit of the time step."""
-    limit, step = f"{1e3 * found.limit:.2g} ms", f"{1e3 * found.timestep:g} ms"
-    if found.is_stable:
-        if found.timestep * found.rate >= FAST_MODE:
-            by = f", made by {_elements(found)}," if found.elements else ""
-            until = f"; steps are stable up to {limit}" if found.limit < math.inf else ""
-            yield f"the fastest one{by} has a time constant of {1e3 / found.rate:.2g} ms{until}"
-            yield _body(found.body)
+def _stability(mode: Stability) -> Iterator[str]:
+    """Word the fastest mode, the elements that make it, and the stability limit of the time step.
+
+    Args:
+        mode: the fastest mode of the linearized motion, and the limit of stable time steps.
+    """
+    limit, step = f"{1e3 * mode.limit:.2g} ms", f"{1e3 * mode.timestep:g} ms"
+    if mode.is_stable:
+        if mode.timestep * mode.rate >= FAST_MODE:
+            by = f", made by {_elements(mode)}," if mode.elements else ""
+            until = f"; steps are stable up to {limit}" if mode.limit < math.inf else ""
+            yield f"the fastest one{by} has a time constant of {1e3 / mode.rate:.2g} ms{until}"
+            yield _body(mode.body)
         return
-    if found.elements:
-        makes = "makes" if len(found.elements) == 1 else "make"
-        yield f"{_elements(found)} {makes} a mode of {found.rate:.2g} 1/s"
+    if mode.elements:
+        makes = "makes" if len(mode.elements) == 1 else "make"
+        yield f"{_elements(mode)} {makes} a mode of {mode.rate:.2g} 1/s"
     else:
-        yield f"a mode has {found.rate:.2g} 1/s"
-    smallest = f"steps are stable below {limit}" if found.limit else "no smaller step is stable"
-    yield f"{smallest}, the file steps {step}: each step multiplies the mode by {found.growth:.3g}"
-    yield _body(found.body)
+        yield f"a mode has {mode.rate:.2g} 1/s"
+    stable_steps = f"steps are stable below {limit}" if mode.limit else "no smaller step is stable"
+    yield f"{stable_steps}, the file steps {step}: each step multiplies the mode by {mode.growth:.3g}"
+    yield _body(mode.body)
 
 
-def _elements(found: Stability) -> str:
-    """Name the elements that make a mode, with their values."""
+def _elements(mode: Stability) -> str:
+    """Name the elements (such as actuators or dampers) that make a mode, with their values if known."""
     named = [
-        each.name if math.isnan(each.value) else f"{each.name} ({each.value:g})" for each in found.elements
+        each.name if math.isnan(each.value) else f"{each.name} ({each.value:g})" for each in mode.elements
     ]
     if len(named) > MAX_ELEMENTS:
         named = [*named[: MAX_ELEMENTS - 1], f"{len(named) - MAX_ELEMENTS + 1} more"]
@@ -136,26 +149,31 @@ def _model_change(change: ModelChange) -> str:
 
 
 def headline(judgement: Judgement) -> str:
-    """Word the band and the error in a few words."""
+    """Word the accuracy and the error of a judged run in a few words, such as "OFF BY 2 mm"."""
     error = judgement.error
     if judgement.stopped:
         return "DIVERGED"
     if judgement.stopped_as_it_stands:
         return "DIVERGED with what acts in the file and not in the reference"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
-    # both errors unless one of them is a small part of the relative error
-    parts = [by_position for by_position in (True, False) if error.part(by_position) >= 0.1 * error.relative]
-    sizes = " and ".join(size(error, by_position) for by_position in parts)
+    # the errors of positions and of rotations, unless one of them is small
+    shown = [by_position for by_position in (True, False) if error.part(by_position) >= 0.1 * error.relative]
+    sizes = " and ".join(size(error, by_position) for by_position in shown)
     return f"{word} {sizes}, {percent(error.relative)} of the motion"
 
 
 def size(error: RunError, by_position: bool) -> str:
-    """Word the error of positions, or of rotations."""
+    """Word the error of positions, a length, or the error of rotations, in degrees."""
     return length(error.position) if by_position else f"{math.degrees(error.rotation):.2g} deg"
 
 
 def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
-    """Word all errors of a run, with body and time; without energy if the run does not determine it."""
+    """Yield words on all errors of a run, with body and time.
+
+    Args:
+        judgement: judgement of the run.
+        has_energy: False if the run does not determine the error of the energy.
+    """
     error = judgement.error
     if error.position:
         body, time = error.position_at
@@ -170,7 +188,7 @@ def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
 
 
 def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
-    """Word settings, their error and their run time."""
+    """Word other settings, their error and their run time relative to the settings of the file."""
     cost = "same run time"
     if remedy.run_time > SAME_RUN_TIME and remedy.evaluations > 1.0:
         cost = f"{remedy.run_time:.1f} times the run time"

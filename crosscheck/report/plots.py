@@ -1,6 +1,7 @@
 """Draw the runs of a crosscheck: run times, differences from the first engine, drift and energies.
 
-In: the arrays that `crosscheck run` stored, by engine. Out: pictures (PNG) with captions.
+A crosscheck simulates one model in several engines (simulators). In: the arrays of the runs that
+`crosscheck run` stored, by engine. Out: pictures (PNG) with captions.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,14 +30,15 @@ DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 
 """Dash pattern and width (points) of each engine's curves: thick solid under thin dashed, so that all of
 several equal curves are visible."""
 
-SMALLEST = 1e-18
-"""Smallest value on logarithmic axes; smaller ones, also zero, are replaced by it."""
+MIN_LOG_VALUE = 1e-18
+"""Smallest value on logarithmic axes; smaller values, also zero, are replaced by this one."""
 
 LEFT_MARGIN, RIGHT_MARGIN = 3.0, 60.0
-"""Factors of the logarithmic time axis: it begins at the shortest run time divided by the first, and ends at
-the longest run time times the second, which leaves space for labels."""
+"""Factors of the logarithmic axis of run times: the axis begins at the shortest run time divided by the first
+factor, and ends at the longest run time times the second, which leaves space for labels."""
 
 SPEED_CAPTION = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
+"""Caption of the bar chart of run times."""
 
 OTHER_DASH = ("-.", 1.6)
 """Dash pattern and width (points) of curves that are not in `DASHES`."""
@@ -44,11 +46,24 @@ OTHER_DASH = ("-.", 1.6)
 Runs = Mapping[str, Mapping[str, Array]]
 """Arrays of `Trajectory.arrays`, by engine and by name; other engines are compared with the first."""
 
-Bounds = Mapping[tuple[str, ...], float | None]
+Tolerances = Mapping[tuple[str, ...], float | None]
 """Tolerances by the name of a quantity and the names of one or two engines."""
 
-Line = tuple[str, str, Array, Array]
-"""A curve: quantity (label of the axis), engine, times (n,), s, and values (n,)."""
+
+class Curve(NamedTuple):
+    """A curve of a plot over time.
+
+    Attributes:
+        label: the quantity with its unit, which is the label of the axis.
+        engine: name of the engine.
+        time: (n,) s.
+        values: (n,) values, in the unit of the label.
+    """
+
+    label: str
+    engine: str
+    time: Array
+    values: Array
 
 
 @contextmanager
@@ -64,7 +79,7 @@ def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tu
     """Draw a bar chart of run times, labeled with the errors; nothing if there are no run times.
 
     Args:
-        costs: by engine, run time, s, and error, m and rad.
+        costs: by engine, run time, s, and error, the larger number of m and rad; None if unknown.
 
     Yields:
         A picture (PNG) and its caption.
@@ -99,18 +114,18 @@ def _bars(
     return figure
 
 
-def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
+def pictures(runs: Runs, tolerances: Tolerances) -> Iterator[tuple[bytes, str]]:
     """Draw differences, drift and energies over time; quantities that were not stored are left out.
 
     Args:
         runs: arrays of each engine's run.
-        bounds: tolerances, which are drawn as thin lines.
+        tolerances: tolerances, which are drawn as thin lines.
 
     Yields:
         Pictures (PNG) with their captions.
     """
-    yield from _differences(runs, bounds)
-    yield from _drift(runs, bounds)
+    yield from _differences(runs, tolerances)
+    yield from _drift(runs, tolerances)
     yield from _energy(runs)
 
 
@@ -128,8 +143,8 @@ def own_run(
         Pictures (PNG) with their captions.
     """
     errors = (("error of position, m", position), ("error of orientation, rad", rotation))
-    lines = [(label, OWN_RUN, np.array(time), np.array(values)) for label, values in errors]
-    yield from _draw(lines, palette([OWN_RUN]), "run with your settings, largest over the bodies")
+    curves = [Curve(label, OWN_RUN, np.array(time), np.array(values)) for label, values in errors]
+    yield from _draw(curves, palette([OWN_RUN]), "run with your settings, largest over the bodies")
 
 
 @own_style()
@@ -140,37 +155,36 @@ def png(figure: Figure, dpi: int = 100) -> bytes:
     return content.getvalue()
 
 
-def curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None:
+def draw_curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None:
     """Draw values (n,) over times (n,), s, in the style of an engine."""
     dash, width = DASHES.get(engine, OTHER_DASH)
     ax.plot(time, values, color=color, linestyle=dash, linewidth=width, label=engine)
 
 
-def _over_time(runs: Runs, name: str, label: str) -> Iterator[Line]:
-    """Yield a line for each run that has an array, unless all values are zero.
+def _arrays_over_time(runs: Runs, name: str) -> Iterator[tuple[str, Array, Array]]:
+    """Yield engine, times (n,), s, and the array (n, ...) of a name, unless all its values are zero.
 
     Args:
-        runs: arrays of each engine's run.
+        runs: arrays of each engine's run; runs without the array are left out.
         name: name of the array.
-        label: label of the axis.
     """
     having = [(engine, run) for engine, run in runs.items() if name in run]
     if any(np.any(run[name]) for _, run in having):
         for engine, run in having:
-            yield label, engine, run["time"], run[name]
+            yield engine, run["time"], run[name]
 
 
 def _draw(
-    lines: list[Line],
+    curves: list[Curve],
     colors: Mapping[str, str],
     caption: str,
     logarithmic: bool = False,
     tolerances: Mapping[tuple[str, str], float | None] | None = None,
 ) -> Iterator[tuple[bytes, str]]:
-    """Draw a picture over time for each label of the lines.
+    """Draw a picture over time for each label of the curves.
 
     Args:
-        lines: curves.
+        curves: the curves.
         colors: color of each engine.
         caption: caption, after the label.
         logarithmic: whether the axis of values is logarithmic.
@@ -179,16 +193,16 @@ def _draw(
     Yields:
         Pictures (PNG) with their captions.
     """
-    for label in dict.fromkeys(label for label, *_ in lines):
-        of_label = [line for line in lines if line[0] == label]
-        figure = _curves(label, of_label, colors, tolerances or {}, "log" if logarithmic else "linear")
+    for label in dict.fromkeys(each.label for each in curves):
+        of_label = [each for each in curves if each.label == label]
+        figure = _plot_quantity(label, of_label, colors, tolerances or {}, "log" if logarithmic else "linear")
         yield png(figure), f"{label}: {caption}"
 
 
 @own_style()
-def _curves(
+def _plot_quantity(
     label: str,
-    lines: Sequence[Line],
+    curves: Sequence[Curve],
     colors: Mapping[str, str],
     tolerances: Mapping[tuple[str, str], float | None],
     scale: str,
@@ -198,10 +212,10 @@ def _curves(
 
     figure = Figure(figsize=(4.8, 3.2), layout="constrained")
     ax = figure.add_subplot()
-    for _, engine, time, values in lines:
-        curve(ax, engine, colors[engine], time, values)
-        if bound := tolerances.get((label, engine)):
-            ax.axhline(bound, color=colors[engine], linewidth=0.8)
+    for _, engine, time, values in curves:
+        draw_curve(ax, engine, colors[engine], time, values)
+        if tolerance := tolerances.get((label, engine)):
+            ax.axhline(tolerance, color=colors[engine], linewidth=0.8)
     ax.set_yscale(scale)
     ax.set(xlabel="time, s", ylabel=label)
     ax.grid(alpha=0.3)
@@ -209,38 +223,43 @@ def _curves(
     return figure
 
 
-def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
+def _differences(runs: Runs, tolerances: Tolerances) -> Iterator[tuple[bytes, str]]:
     """Draw the largest distance and angle of any body between each run and the first run."""
-    reference, *others = runs.items()
-    lines, tolerances = [], {}
+    (first_engine, first), *others = runs.items()
+    curves, of_engines = [], {}
     for engine, run in others:
-        n = min(len(run["time"]), len(reference[1]["time"]))  # a run may have ended early
-        first, other, time = reference[1], run, run["time"][:n]
-        distance = np.linalg.norm(other["position"][:n] - first["position"][:n], axis=2).max(axis=1)
-        angle = angle_between(first["quaternion"][:n], other["quaternion"][:n]).max(axis=1)
+        n = min(len(run["time"]), len(first["time"]))  # a run may have ended early
+        distance = np.linalg.norm(run["position"][:n] - first["position"][:n], axis=2).max(axis=1)
+        angle = angle_between(first["quaternion"][:n], run["quaternion"][:n]).max(axis=1)
         for quantity, values in zip(POSES, (distance, angle), strict=True):
-            lines.append((quantity, engine, time, np.maximum(values, SMALLEST)))
-            tolerances[quantity, engine] = bounds.get((quantity, reference[0], engine))
-    caption = f"difference from {reference[0]}, largest over the bodies; thin lines are tolerances"
-    yield from _draw(lines, palette(list(runs)), caption, True, tolerances)
+            curves.append(Curve(quantity, engine, run["time"][:n], np.maximum(values, MIN_LOG_VALUE)))
+            of_engines[quantity, engine] = tolerances.get((quantity, first_engine, engine))
+    caption = f"difference from {first_engine}, largest over the bodies; thin lines are tolerances"
+    yield from _draw(curves, palette(list(runs)), caption, logarithmic=True, tolerances=of_engines)
 
 
-def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
+def _drift(runs: Runs, tolerances: Tolerances) -> Iterator[tuple[bytes, str]]:
     """Draw the constraint violation (drift) of each run, largest over the joints."""
-    lines = [
-        (label, engine, time, np.maximum(violation.max(axis=1, initial=0.0), SMALLEST))
-        for label, engine, time, violation in _over_time(runs, "constraint_violation", CONSTRAINT_VIOLATION)
-    ]
-    tolerances = {
-        (CONSTRAINT_VIOLATION, engine): bounds.get((CONSTRAINT_VIOLATION, engine)) for engine in runs
-    }
+    label = CONSTRAINT_VIOLATION
+    curves = []
+    for engine, time, violation in _arrays_over_time(runs, "constraint_violation"):
+        largest = violation.max(axis=1, initial=0.0)  # of all joints, (n,)
+        curves.append(Curve(label, engine, time, np.maximum(largest, MIN_LOG_VALUE)))
+    of_engines = {(label, engine): tolerances.get((label, engine)) for engine in runs}
     caption = "drift, largest over the joints; thin lines are tolerances"
-    yield from _draw(lines, palette(list(runs)), caption, True, tolerances)
+    yield from _draw(curves, palette(list(runs)), caption, logarithmic=True, tolerances=of_engines)
 
 
 def _energy(runs: Runs) -> Iterator[tuple[bytes, str]]:
     """Draw the kinetic and the potential energy of each run, and the work of forces without a potential."""
-    lines = [*_over_time(runs, "kinetic_energy", "kinetic, J")]
-    lines += _over_time(runs, "potential_energy", "potential, J")
-    lines += _over_time(runs, "work", "work done by what has no potential, J")
-    yield from _draw(lines, palette(list(runs)), "energy")
+    labels = {
+        "kinetic_energy": "kinetic, J",
+        "potential_energy": "potential, J",
+        "work": "work done by what has no potential, J",
+    }
+    curves = [
+        Curve(label, engine, time, values)
+        for name, label in labels.items()
+        for engine, time, values in _arrays_over_time(runs, name)
+    ]
+    yield from _draw(curves, palette(list(runs)), "energy")

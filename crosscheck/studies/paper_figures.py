@@ -16,7 +16,7 @@ import numpy as np
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import load
 from crosscheck.library.tracker import TARGET_HEIGHT
-from crosscheck.report.plots import curve, own_style, png
+from crosscheck.report.plots import draw_curve, own_style, png
 from crosscheck.support.files import check_writable, write_files
 from crosscheck.support.palette import palette
 from newton_euler import simulate
@@ -87,7 +87,7 @@ def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Traj
     colors = palette(list(runs))
     for name, run in runs.items():
         for ax, values in zip(axes, columns(run).T, strict=True):
-            curve(ax, name, colors[name], run.time, values)
+            draw_curve(ax, name, colors[name], run.time, values)
     axes[0].legend(loc="best", fontsize="small")
 
 
