@@ -17,7 +17,7 @@ from crosscheck.engines.engine import choose
 from crosscheck.library import SCENES, load
 from crosscheck.report.output import write
 from crosscheck.report.run import outcome_cell, report
-from crosscheck.report.summary import judged_figures, nearest
+from crosscheck.report.summary import judged_checks, nearest
 from crosscheck.report.table import Cell, Column, Table, number_columns, text_columns
 from crosscheck.support.errors import reason_of
 from crosscheck.support.files import check_writable
@@ -96,7 +96,7 @@ def run_scene(name: str, engines: Sequence[str], folder: Path) -> SceneOutcome:
         return SceneOutcome(name, wall_time, False, str(error), word=LEFT_OUT, left_out=True)
     except Exception as error:  # an error in one scene is a row of the table, and does not end the others
         return SceneOutcome(name, time.perf_counter() - start, False, f"did not run: {reason_of(error)}")
-    wall_time, closest = time.perf_counter() - start, nearest(judged_figures(result))
+    wall_time, closest = time.perf_counter() - start, nearest(judged_checks(result))
     passes = result.outcome.passes()
     return SceneOutcome(name, wall_time, passes, result.verdict, closest, outcome_cell(result))
 

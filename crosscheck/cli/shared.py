@@ -209,7 +209,7 @@ def result_paths(
     Args:
         output: folder for the files; None for a folder below `parent`, by the name of the model.
         parent: parent of the default folder.
-        kind: kind of the results, a key of `crosscheck.report.output.RECORDS`.
+        kind: kind of the results, a key of `crosscheck.report.output.MODEL_RECORDS`.
         names: names of the files.
         sources: the model, by name or file, and further input files.
 

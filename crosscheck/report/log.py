@@ -1,4 +1,8 @@
-"""Words of the judgement of a log: its error against the reference, and what limits the comparison."""
+"""Words of the judgement of a log: its error against the reference, and what limits the comparison.
+
+A log is a table of positions and velocities over time that another simulator recorded for a model. The
+reference is a run of the same model in newton_euler (this project's solver), from the start of the log.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +19,11 @@ MAX_NAMES = 4
 """Largest number of names of columns or bodies in one line."""
 
 MIN_MOVED = 1e-5
-"""Smallest distance of the first row from the start of the reference that is reported, sizes or rad. Files
-with six digits are closer."""
+"""Smallest distance of the first row from the start of the reference that is reported, sizes of the mechanism
+or rad. In files with six digits the distance is smaller."""
 
 POINTS = {"center": "centers of mass", "frame": "origins of body frames"}
-"""Points of bodies that positions are of."""
+"""Text for each point of a body whose positions a log may have."""
 
 
 def log_lines(judgement: LogJudgement) -> Lines:
@@ -28,15 +32,17 @@ def log_lines(judgement: LogJudgement) -> Lines:
 
 
 def _lines(judgement: LogJudgement) -> Iterator[str]:
+    """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     error, times = judgement.error, judgement.run.time
     yield f"{judgement.name}  {headline(judgement)}"
-    compared = f"{len(judgement.compared)} bodies" if len(judgement.compared) > 1 else judgement.compared[0]
-    words = [f"{judgement.engine}: {judgement.rows} rows, {times[-1]:.4g} s, {compared}"]
+    bodies = judgement.compared  # names of the compared bodies
+    compared = f"{len(bodies)} bodies" if len(bodies) > 1 else bodies[0]
+    texts = [f"{judgement.engine}: {judgement.rows} rows, {times[-1]:.4g} s, {compared}"]
     if judgement.points:
-        words.append(f"positions of {POINTS[judgement.points]}")
+        texts.append(f"positions of {POINTS[judgement.points]}")
     if judgement.has_inputs:
-        words.append("inputs of the log")
-    yield f"  run     {'; '.join(words)}"
+        texts.append("inputs of the log")
+    yield f"  run     {'; '.join(texts)}"
     yield from (f"  mistake {mistake_line(mistake)}" for mistake in judgement.mistakes)
     if error.position or error.rotation:
         yield f"  errors  {'; '.join(error_texts(judgement, judgement.has_energy))}"
@@ -44,8 +50,8 @@ def _lines(judgement: LogJudgement) -> Iterator[str]:
 
 
 def _notes(judgement: LogJudgement) -> Iterator[str]:
-    """Word what limits the comparison."""
-    if judgement.events:
+    """Yield sentences on what limits the comparison."""
+    if judgement.events:  # elements of the model that act and are not simulated, in the order of time
         first = judgement.events[0]
         end = "compared until then" if first.time > 0.0 else "the error may be due to it"
         yield f"{first.element} acts from {first.time:.3g} s on and the reference does not simulate it: {end}"
@@ -63,21 +69,21 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
                 f"the first row, most at {start.moved_at}: the loops of the row are open, or its coordinates "
                 "have another zero"
             )
-    if (other := judgement.start_error) is not None:
+    if (start_error := judgement.start_error) is not None:
         by_position = judgement.error.is_of_position
         yield (
             "no columns of velocities: those of the start are fitted to the first rows, which are known to "
-            f"about {size(other, by_position)}"
+            f"about {size(start_error, by_position)}"
         )
     if judgement.missing:
-        yield f"not compared: {_some(judgement.missing)}"
+        yield f"not compared: {_name_list(judgement.missing)}"
     if judgement.dropped:
         yield f"{judgement.dropped} rows without some of the numbers were left out"
     if judgement.unused:
-        yield f"columns of no quantity: {_some(judgement.unused)}"
+        yield f"columns of no quantity: {_name_list(judgement.unused)}"
 
 
-def _some(names: Sequence[str]) -> str:
-    """List the first names, and the number of others."""
+def _name_list(names: Sequence[str]) -> str:
+    """List the first `MAX_NAMES` names, and the number of further names."""
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return ", ".join(names[:MAX_NAMES]) + more

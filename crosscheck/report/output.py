@@ -1,7 +1,8 @@
 """Result folders: write the files of a crosscheck, and protect the results of another model.
 
-The folder of a crosscheck has the run of each engine (ENGINE.npz), a summary with all checks (summary.json)
-and a 3-D recording (NAME.rrd).
+A crosscheck simulates one model in several engines (simulators) and compares them. Its folder has the run of
+each engine (ENGINE.npz), a summary with all checks (summary.json) and a 3-D recording (NAME.rrd). Results in
+a folder are protected: the results of another model may only overwrite them if the user names the folder.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from crosscheck.support.files import write_files
 from newton_euler.model.source_file import SourceError, read_content
 
 LINKABLE = re.compile(r"[\w:/.-]+", re.ASCII)
-"""Pattern of addresses of entities in a recording that need no escapes."""
+"""Pattern of addresses in a recording that a link can contain without escapes."""
 
-PLACE_AND_TIME = re.compile(r"(?:(.*) at )?(\S+) s")
+PLACE_AND_TIME = re.compile(r"(?:(?P<place>.*) at )?(?P<time>\S+) s")
 """Pattern of `Check.where` in checks of runs: an optional body or joint, and a time ("rocker at 0.5 s")."""
 
-RECORDS = {
+MODEL_RECORDS = {
     "crosscheck": ("summary.json",),
     "benchmark": ("bench.json", "rhs.json", "batch.json", "sensitivities.json"),
     "load table": ("loads.json",),
@@ -39,7 +40,7 @@ RECORDS = {
     "fit": ("identify.json",),
     "tuning": ("tune.json",),
 }
-"""Files in a result folder that have the name of the model, by the kind of the results."""
+"""Files in a result folder that contain the name of the model, by the kind of the results."""
 
 
 def write(result: ComparisonResult, report: Report, folder: Path, recording: Path, name: str) -> list[Path]:
@@ -47,7 +48,7 @@ def write(result: ComparisonResult, report: Report, folder: Path, recording: Pat
 
     An earlier summary is removed first, and the new one is written last. A folder with a summary is therefore
     complete, even if a process that wrote to the folder was killed. Runs of other engines, which an earlier
-    crosscheck left in the folder, are removed, and its recording if the new one has another path.
+    crosscheck wrote to the folder, are removed, and its recording if the new one has another path.
 
     Args:
         result: result of the crosscheck.
@@ -64,14 +65,17 @@ def write(result: ComparisonResult, report: Report, folder: Path, recording: Pat
     """
     from crosscheck.recording.log import log_run, recorded
 
-    contents = {folder / f"{name}.npz": run.archive() for name, run in result.trajectories.items()}
+    contents = {folder / f"{engine}.npz": run.archive() for engine, run in result.trajectories.items()}
     contents[recording] = recorded(log_run, *to_record(result, report))
     in_folder = {path: content for path, content in contents.items() if path.parent == folder}
     summary = folder / "summary.json"
-    others = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
-    stale = [summary, *(folder / f"{name}.npz" for name in others)]
-    if recording != (default := folder / f"{name}.rrd"):
-        stale.append(default)
+    # Files of earlier results
+    without_run = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
+    stale = [summary, *(folder / f"{engine}.npz" for engine in without_run)]
+    default_recording = folder / f"{name}.rrd"
+    if recording != default_recording:
+        stale.append(default_recording)
+    # The first of the files, the summary, is written last
     write_files({summary: as_json(result.summary(), report, in_folder), **contents}, stale)
     runs = [path for path in contents if path != recording]
     return [*runs, summary, recording]
@@ -82,27 +86,37 @@ def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
 
     In the text, names of bodies and joints are links to the first engine's body or joint in the 3-D view.
     """
-    mechanism, first = result.scene.mechanism, next(iter(result.trajectories), "")
-    links = {name: f"recording://joints/{first}/{name}" for name in mechanism.joint_names}
-    links |= {name: f"recording://mechanism/{first}/{name}" for name in mechanism.body_names[1:]}
+    mechanism, first_engine = result.scene.mechanism, next(iter(result.trajectories), "")
+    links = {name: f"recording://joints/{first_engine}/{name}" for name in mechanism.joint_names}
+    links |= {name: f"recording://mechanism/{first_engine}/{name}" for name in mechanism.body_names[1:]}
     links = {name: address for name, address in links.items() if LINKABLE.fullmatch(address)}
-    word, found = report.headline
-    text = f"# {word}\n\n" if word else ""
-    text += markdown(replace(report, title="", verdict=found, parts=report.summary), links=links)
-    tolerances = {(row.quantity, *row.between): row.tolerance for row in result.checks}
+    outcome, verdict = report.headline  # "AGREE" and the rest of the line
+    text = f"# {outcome}\n\n" if outcome else ""
+    text += markdown(replace(report, title="", verdict=verdict, parts=report.summary), links=links)
+    tolerances = {(check.quantity, *check.between): check.tolerance for check in result.checks}
     moments = list(_worst_moments(result.checks))
-    return result.scene, result.trajectories, text, result.title, tolerances, moments, None, result.own_run
+    directions = None
+    return (
+        result.scene,
+        result.trajectories,
+        text,
+        result.title,
+        tolerances,
+        moments,
+        directions,
+        result.own_run,
+    )
 
 
-def _worst_moments(rows: Sequence[Check]) -> Iterator[tuple[float, str]]:
+def _worst_moments(checks: Sequence[Check]) -> Iterator[tuple[float, str]]:
     """Yield the time, s, and a text of the check closest to failing, for each level of checks of runs."""
     for level in OF_RUNS:
-        at_level = [row for row in rows if row.level == level and row.judged]
-        worst = max(at_level, key=lambda row: row.tolerance_ratio, default=None)
-        if worst and (found := PLACE_AND_TIME.fullmatch(worst.where)):
-            place = ", ".join(filter(None, [found[1], worst.quantity]))
+        at_level = [check for check in checks if check.level == level and check.judged]
+        worst = max(at_level, key=lambda check: check.tolerance_ratio, default=None)
+        if worst and (where := PLACE_AND_TIME.fullmatch(worst.where)):
+            place = ", ".join(filter(None, [where["place"], worst.quantity]))
             text = f"{level}: {place}: {worst.value:.1e}, allowed {worst.tolerance:.0e}"
-            yield float(found[2]), text
+            yield float(where["time"]), text
 
 
 def own_name(source: str) -> str:
@@ -116,7 +130,7 @@ def usual_folder(parent: Path, source: str, results: str) -> Path:
     Args:
         parent: parent of the folder.
         source: name or file of the model; the folder gets this name, without the suffix of the file.
-        results: kind of the results, a key of `RECORDS`.
+        results: kind of the results, a key of `MODEL_RECORDS`.
 
     Raises:
         CrosscheckError: if the folder has results of another model.
@@ -127,7 +141,7 @@ def usual_folder(parent: Path, source: str, results: str) -> Path:
 
 
 def record(source: str, options: Mapping[str, str]) -> bytes:
-    """Make the content of a JSON file that records the model, and its options, of the results in a folder."""
+    """Make the content of a JSON file with the name of the model, and its options, of results in a folder."""
     return (json.dumps({"source": source, "options": dict(options)}, indent=1) + "\n").encode()
 
 
@@ -137,19 +151,19 @@ def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck")
     Args:
         folder: the folder.
         sources: names or files of the models, in their order; paths are relative to the current folder.
-        results: kind of the results, a key of `RECORDS`.
+        results: kind of the results, a key of `MODEL_RECORDS`.
     """
     option = "--save" if results == "modal analysis" else "--output"
     elsewhere = f"name another folder ({option}), or this one to overwrite it"
-    earlier = [found for name in RECORDS[results] if (found := _sources(folder / name))]
-    # names with a leading dot are unfinished files
+    earlier = [models for name in MODEL_RECORDS[results] if (models := _sources(folder / name))]
+    # files whose names begin with a dot are unfinished
     runs = [path for path in folder.glob("*.npz") if not path.name.startswith(".")]
     if results == "crosscheck" and runs and not earlier:
         raise CrosscheckError(f"{folder} holds trajectories of an unknown model; {elsewhere}")
-    for known in earlier:
-        if list(map(os.path.realpath, known)) != list(map(os.path.realpath, sources)):
+    for models in earlier:
+        if list(map(os.path.realpath, models)) != list(map(os.path.realpath, sources)):
             raise CrosscheckError(
-                f"{folder} holds a {results} of {' against '.join(known)}, not of "
+                f"{folder} holds a {results} of {' against '.join(models)}, not of "
                 f"{' against '.join(sources)}; {elsewhere}"
             )
 
@@ -157,10 +171,11 @@ def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck")
 def _sources(path: Path) -> list[str]:
     """Read the names or files of the models that a result file is about; empty if it is no result file."""
     try:
-        found = json.loads(read_content(path, "result_size"))
+        content = json.loads(read_content(path, "result_size"))  # at most as large as the limit of this name
     except (SourceError, ValueError, RecursionError):
         return []
-    models = [found] if isinstance(found, dict) else []
-    if models and isinstance(found.get("models"), list):
-        models = [model for model in found["models"] if isinstance(model, dict)]
+    # The file is about one model, or about two that are compared
+    models = [content] if isinstance(content, dict) else []
+    if models and isinstance(content.get("models"), list):
+        models = [model for model in content["models"] if isinstance(model, dict)]
     return [str(model.get("source") or "an unknown model") for model in models]

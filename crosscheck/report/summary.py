@@ -1,4 +1,9 @@
-"""Make the summary of a crosscheck, which the terminal shows in about 25 lines of 80 columns."""
+"""Make the summary of a crosscheck, which the terminal shows in about 25 lines of 80 columns.
+
+A crosscheck simulates one model in several engines (simulators), or two models, and compares them by checks:
+values with tolerances, grouped in levels from the model to whole runs. In: the result. Out: parts of a
+report, with a table of the levels and a table of the engines.
+"""
 
 from __future__ import annotations
 
@@ -32,13 +37,14 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
         limits: sentences that limit the verdict, all of which are shown.
         notes: further sentences, of which the first are shown.
     """
+    # logs of other simulators, and the run with the settings of the model file
     parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
     parts += [own_run_lines(result.own_run)] if result.own_run else []
     parts.append(levels_table(result))
     if result.trajectories:
         parts.append(engines_table(result))
-    most = MAX_NOTES_IF_FAILING if result.unfinished or result.differs else MAX_NOTES
-    lines = [*limits, *notes[: max(0, most - len(limits))]]
+    max_notes = MAX_NOTES_IF_FAILING if result.unfinished or result.differs else MAX_NOTES
+    lines = [*limits, *notes[: max(0, max_notes - len(limits))]]
     if lines:
         parts.append(Lines("", lines))
     if result.advice:
@@ -46,13 +52,14 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
     return parts
 
 
-def judged_figures(result: ComparisonResult) -> list[Check]:
+def judged_checks(result: ComparisonResult) -> list[Check]:
     """Return all checks that are judged, including those against reference values."""
-    found = [row for row in result.checks if row.judged]
+    checks = [check for check in result.checks if check.judged]
     for each in result.measured:
-        place = f"{each.known.time:g} s"
-        found.append(Check(REFERENCE, each.known.quantity, (each.engine,), each.value, each.tolerance, place))
-    return found
+        where = f"{each.known.time:g} s"  # without the engine
+        quantity = each.known.quantity
+        checks.append(Check(REFERENCE, quantity, (each.engine,), each.value, each.tolerance, where))
+    return checks
 
 
 def levels_table(result: ComparisonResult) -> Table:
@@ -64,40 +71,44 @@ def levels_table(result: ComparisonResult) -> Table:
     """
     first, *others = [engine.name for engine in result.engines]
     shown_engines = others or [first]
-    found = judged_figures(result)
+    checks = judged_checks(result)
     rows: Rows = []
+    # `START` is a level of the comparison of two models
     for level in (READING, "model", START, *OF_EQUATIONS[1:], *OF_RUNS, REFERENCE):
-        at_level = [row for row in found if row.level == level]
+        at_level = [check for check in checks if check.level == level]
         if not at_level:
             continue
-        failed = sum(not row.agrees for row in at_level)
-        held = Cell(f"{len(at_level)} ok", "holds")
+        failed = sum(not check.agrees for check in at_level)
+        count = Cell(f"{len(at_level)} ok", "holds")
         if failed:
-            held = Cell(f"{failed}/{len(at_level)} FAIL", "fails")
-        of_each = [
-            [row for row in at_level if name in row.between and {*row.between} <= {name, first, FILE}]
+            count = Cell(f"{failed}/{len(at_level)} FAIL", "fails")
+        of_each_engine = [
+            [check for check in at_level if name in check.between and {*check.between} <= {name, first, FILE}]
             for name in shown_engines
         ]
-        rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
-    heads = [Column("worst of"), *number_columns("checks", *shown_engines)]
-    return Table("", [*heads, Column("% of tolerance, where")], rows)
+        # "accelerations and reactions" is shown as "accelerations"
+        short_level = level.partition(" and ")[0]
+        rows.append([short_level, count, *map(_worst_value, of_each_engine), nearest(at_level)])
+    headings = [Column("worst of"), *number_columns("checks", *shown_engines)]
+    return Table("", [*headings, Column("% of tolerance, where")], rows)
 
 
-def _worst(rows: Sequence[Check]) -> Cell:
-    """Make the cell of the check closest to failing; an empty cell if there are no checks."""
-    if not rows:
+def _worst_value(checks: Sequence[Check]) -> Cell:
+    """Make the cell with the value of the check closest to failing; empty if there are no checks."""
+    if not checks:
         return Cell("")
-    worst = max(rows, key=lambda row: row.tolerance_ratio)
+    worst = max(checks, key=lambda check: check.tolerance_ratio)
     return Cell(f"{worst.value:.1e}", "" if worst.agrees else "fails")
 
 
-def nearest(rows: Sequence[Check]) -> Cell:
+def nearest(checks: Sequence[Check]) -> Cell:
     """Describe the check closest to failing, such as "12 % rocker, 0.5 s, positions".
 
     The number is the value in percent of the tolerance, or above 100 % a multiple of the tolerance ("3 x").
     """
-    worst = max(rows, key=lambda row: row.tolerance_ratio)
-    ratio, (quantity, _, unit) = worst.tolerance_ratio, worst.quantity.rpartition(", ")
+    worst = max(checks, key=lambda check: check.tolerance_ratio)
+    ratio = worst.tolerance_ratio
+    quantity, _, unit = worst.quantity.rpartition(", ")  # a quantity without a unit becomes `unit`
     text = f"{100.0 * ratio:.0f} %" if ratio >= 0.01 else "<1 %"
     if ratio > 1.0:
         text = f"{ratio:.0f} x" if 10.0 <= ratio < 1e4 else f"{ratio:.1g} x"
@@ -106,7 +117,7 @@ def nearest(rows: Sequence[Check]) -> Cell:
     # the constraint violation is the only quantity of its level, so that its name is left out
     name = "" if worst.quantity == CONSTRAINT_VIOLATION else quantity or unit
     place = ", ".join(filter(None, [where, name]))
-    about = worst.where.partition(" at ")[0]
+    about = worst.where.partition(" at ")[0]  # the body or joint, without the time
     return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about)
 
 
@@ -116,28 +127,29 @@ def engines_table(result: ComparisonResult) -> Table:
     rows: Rows = []
     for engine in result.engines:
         run, stop = result.trajectories.get(engine.name), stopped.get(engine.name)
-        far = [f"{result.run_errors[engine.name]:.1e}" if engine.name in result.run_errors else ""]
-        how = brief_settings(run.settings) if run else ""
+        error = f"{result.run_errors[engine.name]:.1e}" if engine.name in result.run_errors else ""
+        settings = brief_settings(run.settings) if run else ""
         when = "" if stop is None or stop.time is None else f" at {stop.time:.3g} s"
-        ended = Cell(f"STOPPED{when}", "fails") if stop else how
-        took = seconds(run.wall_time) if run else ""
-        rows.append([engine.name, took, *(far if result.run_errors else []), ended])
-    heads = [Column(f"{result.scene.duration:g} s of motion"), *number_columns("run time")]
-    heads += number_columns("error") if result.run_errors else []
-    return Table("", [*heads, Column("settings", below=True)], rows)
+        settings_or_stop = Cell(f"STOPPED{when}", "fails") if stop else settings
+        run_time = seconds(run.wall_time) if run else ""
+        rows.append([engine.name, run_time, *([error] if result.run_errors else []), settings_or_stop])
+    headings = [Column(f"{result.scene.duration:g} s of motion"), *number_columns("run time")]
+    headings += number_columns("error") if result.run_errors else []
+    return Table("", [*headings, Column("settings", below=True)], rows)
 
 
 def brief_settings(settings: Mapping[str, Any]) -> str:
     """Describe an engine's settings in a line: integrator, step or tolerance, and loop closure method."""
-    words = [str(settings.get("integrator", ""))]
+    integrator = str(settings.get("integrator", ""))
     if step := settings.get("timestep", settings.get("step")):
-        words[0] += f" {seconds(step)}"
+        integrator += f" {seconds(step)}"
     if "rtol" in settings:
-        words[0] += f" rtol {settings['rtol']:g}"
-    if "solref" in settings:
-        words.append(f"solref {settings['solref'][0]:g} s")
+        integrator += f" rtol {settings['rtol']:g}"
+    texts = [integrator]
+    if "solref" in settings:  # MuJoCo's time constant and damping ratio of constraints
+        texts.append(f"solref {settings['solref'][0]:g} s")
     if "stabilization" in settings:
-        words.append(str(settings["stabilization"]))
+        texts.append(str(settings["stabilization"]))
     if "formulation" in settings:
-        words.append(str(settings["formulation"]))
-    return ", ".join(words)
+        texts.append(str(settings["formulation"]))
+    return ", ".join(texts)

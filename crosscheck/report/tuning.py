@@ -1,4 +1,8 @@
-"""Report of `crosscheck tune`: found settings, their error and cost, and the text to paste into the file."""
+"""Report of `crosscheck tune`: found settings, their error and cost, and the text to paste into the file.
+
+`crosscheck tune` searches the cheapest settings (time step, integrator, solver) of a model file's engine with
+which the error of a run is below a target. The error is relative to the extent of the motion.
+"""
 
 from __future__ import annotations
 
@@ -17,39 +21,42 @@ def report(name: str, tuning: Tuning) -> Report:
         name: name of the model.
         tuning: result of the search.
     """
-    found = tuning.found
+    found = tuning.found  # settings that reach the target; None if none do
     parts: list[Part] = [_table(tuning), Lines("", list(_notes(tuning)))]
     if found is not None and found.changes:
         parts.append(Lines("paste into the model", found.fragment.splitlines()))
     title = f"{name}: settings of {tuning.engine} for an error of {percent(tuning.target)} of the motion"
-    return Report(title, _verdict(tuning), Cell("", "holds" if found else "fails"), parts, summary=parts)
+    judged = Cell("", "holds" if found else "fails")
+    return Report(title, _verdict(tuning), judged, parts, summary=parts)
 
 
 def _verdict(tuning: Tuning) -> str:
-    """Word the found settings, or the smallest error without any."""
+    """Word the found settings; if there are none, the smallest error of all tried settings."""
     found = tuning.found
     if found is None:
-        least = min(tuning.tradeoff, key=lambda one: one.error.relative, default=None)
-        reached = "every run diverged" if least is None else f"the smallest error is {_error(least)}"
+        best = min(tuning.tradeoff, key=lambda tried: tried.error.relative, default=None)
+        reached = "every run diverged" if best is None else f"the smallest error is {_error(best)}"
         return f"NOT REACHED: {reached}, of {tuning.runs} runs"
-    return f"REACHED: {_words(found)}: {_error(found)}, {_cost(found, tuning.own)}"
+    return f"REACHED: {_settings(found)}: {_error(found)}, {_cost(found, tuning.own)}"
 
 
-def _words(one: Tried) -> str:
+def _settings(tried: Tried) -> str:
     """Word settings by their differences from those of the file."""
-    return " ".join(f'{name}="{value}"' for name, value in one.changes.items()) or "the settings of the file"
+    changes = " ".join(f'{name}="{value}"' for name, value in tried.changes.items())
+    return changes or "the settings of the file"
 
 
-def _error(one: Tried) -> str:
+def _error(tried: Tried) -> str:
     """Word the error of a run, as a length or an angle and as a part of the motion."""
-    if one.stopped:
+    error = tried.error
+    if tried.stopped:
         return "diverged"
-    return f"{size(one.error, one.error.is_of_position)}, {percent(one.error.relative)} of the motion"
+    return f"{size(error, error.is_of_position)}, {percent(error.relative)} of the motion"
 
 
-def _cost(one: Tried, own: Tried) -> str:
-    """Word the cost of settings relative to those of the file."""
-    ratio = one.evaluations / own.evaluations
+def _cost(tried: Tried, of_file: Tried) -> str:
+    """Word the cost of settings (evaluations of the equations of motion) relative to those of the file."""
+    ratio = tried.evaluations / of_file.evaluations
     if ratio == 1.0:
         return "as many evaluations as with your settings"
     return f"{ratio:.3g} times the evaluations of your settings"
@@ -58,15 +65,16 @@ def _cost(one: Tried, own: Tried) -> str:
 def _table(tuning: Tuning) -> Table:
     """Make the table of the file's settings, and of settings with smaller errors than all cheaper ones."""
 
-    def row(words: str, one: Tried) -> list[str | Cell]:
-        verdict: Verdict = "holds" if one.reaches(tuning.target) else ""
-        error = "diverged" if one.stopped else percent(one.error.relative).removesuffix(" %")
-        time = "" if one.run_time is None else f"{one.run_time:.2g}"
-        return [words, Cell(error, verdict), f"{one.evaluations / tuning.own.evaluations:.3g}", time]
+    def row(settings: str, tried: Tried) -> list[str | Cell]:
+        verdict: Verdict = "holds" if tried.reaches(tuning.target) else ""
+        error = "diverged" if tried.stopped else percent(tried.error.relative).removesuffix(" %")
+        evaluations = f"{tried.evaluations / tuning.own.evaluations:.3g}"
+        run_time = "" if tried.run_time is None else f"{tried.run_time:.2g}"
+        return [settings, Cell(error, verdict), evaluations, run_time]
 
     columns = [Column("settings"), *number_columns("error, %", "evaluations", "run time")]
     rows: Rows = [row(f"yours: {tuning.settings}", tuning.own)]
-    rows += [row(_words(one), one) for one in tuning.tradeoff]
+    rows += [row(_settings(tried), tried) for tried in tuning.tradeoff]
     return Table("settings with smaller errors at higher costs; costs are relative to yours", columns, rows)
 
 

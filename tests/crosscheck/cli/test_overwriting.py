@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from command_line import run, scene_file, short_example
 
-from crosscheck.report.output import RECORDS
+from crosscheck.report.output import MODEL_RECORDS
 
 
 def test_results_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
@@ -101,7 +101,7 @@ def test_results_of_every_command_are_those_of_one_file(capsys, monkeypatch, tmp
     monkeypatch.chdir(tmp_path)
     arguments, results = QUICK[command]
     home = Path("output", command, "one")
-    record = home / RECORDS[results][0]
+    record = home / MODEL_RECORDS[results][0]
     for path in ("one.yaml", "other/one.yaml"):
         (tmp_path / path).parent.mkdir(exist_ok=True)
         scene_file((tmp_path / path).parent, short_example() | {"name": "mine"}, "one.yaml")
