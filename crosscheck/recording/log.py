@@ -1,6 +1,7 @@
 """Record the runs of several engines for the Rerun viewer.
 
-A recording is a tree of entities. An entity is a path with data: constant ones, or values over time. In the
+Engines are simulators that simulated the same scene (a mechanism with its forces and initial state). A
+recording is a tree of entities. An entity is a path with data: constant ones, or values over time. In the
 paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a number:
 
     /ground                      shapes of the fixed body, once
@@ -9,8 +10,8 @@ paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a num
     /mechanism/ENGINE/BODY/mesh_K  the body's meshes
     /joints/ENGINE/JOINT         joint point, on the joint's second body, over time
     /reactions/ENGINE/JOINT      constraint force on the joint's second body over time
-    /mechanism/your_settings/BODY  the same of the run with the settings of the model file, a ghost that is
-                                 displaced by its error; its meshes as those of engines
+    /mechanism/your_settings/BODY  shapes and pose in the "own run", which the model file's engine makes with
+                                 the settings of the file; meshes as for engines
     /labels/BODY                 name of the body, at its position in the first engine's run
     /tilt/normal, /tilt/vertical  the axis whose tilt is plotted, and the vertical, in the first engine's run
     /wind/NAME                   wind velocity, as an arrow upwind of the plate, in the first engine's run
@@ -66,7 +67,7 @@ DIRECTION_COLOR = (230, 159, 0)
 """Color of given directions, for example towards the sun."""
 
 MIN_VISIBLE_DISTANCE = 0.002
-"""Smallest distance of two engines' bodies that a user can see, in multiples of the mechanism's size."""
+"""Smallest distance of a body in two engines that a user can see, in multiples of the mechanism's size."""
 
 LINE_WIDTH = 1.5
 """Width of the thinnest lines of engines in plots, points."""
@@ -78,7 +79,7 @@ MAX_LABELS = 8
 """Largest number of bodies for which their names are shown at first."""
 
 RERUN_SWITCH = "RERUN"
-"""Environment variable by which users turn off Rerun's logging; it has no effect on our recordings."""
+"""Environment variable by which users turn off Rerun's logging; it has no effect on these recordings."""
 
 
 def application_id(scene: Scene) -> str:
@@ -89,12 +90,12 @@ def application_id(scene: Scene) -> str:
 def new_recording(scene: Scene) -> rr.RecordingStream:
     """Make an empty recording of a scene, with a new recording id."""
     rr.set_strict_mode(True)  # errors raise instead of printing a warning
-    switch = os.environ.pop(RERUN_SWITCH, None)
+    users_switch = os.environ.pop(RERUN_SWITCH, None)
     try:
         return rr.RecordingStream(application_id(scene), recording_id=uuid.uuid4())
     finally:
-        if switch is not None:
-            os.environ[RERUN_SWITCH] = switch
+        if users_switch is not None:
+            os.environ[RERUN_SWITCH] = users_switch
 
 
 def log_run(
@@ -124,31 +125,35 @@ def log_run(
         moments: pairs of a time, s, and a text on the check that is closest to failing there.
         directions: further unit vectors (n, 3), world frame, by name, to draw with the axis whose tilt is
             plotted.
-        own_run: judgement of the run with the settings of the model file, which is drawn as a further ghost;
-            its error is plotted.
+        own_run: judgement of the own run, which is drawn as a further ghost; its error is plotted.
     """
     # what to draw: plots, and which engines deviate visibly from the first
     mechanism = scene.mechanism
     engines = list(trajectories)
     styles = _styles(engines)
-    shown = plots(scene, trajectories, tolerances or {})
+    shown_plots = plots(scene, trajectories, tolerances or {})
     arrow_scale = _arrow_scale(mechanism, trajectories)
     first = next(iter(trajectories.values()), None) or _initial_pose(mechanism)
-    outputs = {engine: run.time for engine, run in trajectories.items()}
+    output_times = {engine: run.time for engine, run in trajectories.items()}
     drawn, ghosts = dict(trajectories), engines[1:]
     if own_run is not None and engines:
-        drawn[YOUR_SETTINGS], ghosts = displaced(first, own_run), [*ghosts, YOUR_SETTINGS]
-        styles[YOUR_SETTINGS] = Style(rgb(palette([YOUR_SETTINGS])[YOUR_SETTINGS]), LINE_WIDTH, ghost=True)
-        shown = [*error_plots(own_run), *shown]
-        outputs[YOUR_SETTINGS] = own_run.run.time
-    apart = {name: _largest_distance(mechanism, first, drawn[name]) for name in ghosts}
+        drawn[YOUR_SETTINGS] = displaced(first, own_run)
+        ghosts = [*ghosts, YOUR_SETTINGS]
+        color = rgb(palette([YOUR_SETTINGS])[YOUR_SETTINGS])
+        styles[YOUR_SETTINGS] = Style(color, LINE_WIDTH, ghost=True)
+        shown_plots = [*error_plots(own_run), *shown_plots]
+        output_times[YOUR_SETTINGS] = own_run.run.time
+    distances = {name: _largest_distance(mechanism, first, drawn[name]) for name in ghosts}
     visible = MIN_VISIBLE_DISTANCE * mechanism.size
-    near = [engine for engine, distance in apart.items() if distance <= visible]
+    hidden_ghosts = [name for name, distance in distances.items() if distance <= visible]
 
     # layout and text
-    hidden = [["mechanism", engine] for engine in near] + [["joints", engine] for engine in engines[1:]]
-    hidden += [["reactions"]] + [["labels"], ["tilt"]] * (len(mechanism.bodies) > MAX_LABELS)
-    layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden, bool(moments))
+    hidden = [["mechanism", name] for name in hidden_ghosts] + [["joints", name] for name in engines[1:]]
+    hidden.append(["reactions"])
+    if len(mechanism.bodies) > MAX_LABELS:
+        hidden += [["labels"], ["tilt"]]
+    heading = _heading(title, engines, distances, hidden_ghosts)
+    layout = blueprint(mechanism, first, shown_plots, heading, hidden, moments=bool(moments))
     send_layout(recording, layout)
     recording.send_recording_name(title)
     text = f"{verdict}\nHidden engines, labels and reactions: eye icons of the blueprint panel, left.\n"
@@ -170,14 +175,14 @@ def log_run(
     for engine, run in trajectories.items():
         _log_joints(recording, mechanism, engine, run, arrow_scale)
     _log_labels(recording, mechanism, first)
-    if any(plot.path[0] == "tilt" for plot in shown):
+    if any(plot.path[0] == "tilt" for plot in shown_plots):
         _log_tilt(recording, mechanism, first, directions or {})
     for force in scene.forces:
         if isinstance(force, WindLoad):
             _log_wind(recording, mechanism, first, force)
 
-    for plot in shown:
-        _log_plot(recording, plot, outputs, styles)
+    for plot in shown_plots:
+        _log_plot(recording, plot, output_times, styles)
 
 
 def recorded(log: Callable[..., None], scene: Scene, *args: Any, **more: Any) -> bytes:
@@ -189,8 +194,8 @@ def recorded(log: Callable[..., None], scene: Scene, *args: Any, **more: Any) ->
         scene: the scene.
         args, more: further arguments of `log`.
     """
-    # Rerun starts two threads for each recording. Only these three steps end the threads and free the memory:
-    # disconnect, drop all references to the recording, clean up.
+    # Rerun starts two threads for each recording. Only the three steps in `finally` end the threads and free
+    # the memory: disconnect, drop all references to the recording, clean up.
     recording = new_recording(scene)
     try:
         memory = recording.memory_recording()
@@ -211,19 +216,32 @@ def _styles(engines: list[str]) -> dict[str, Style]:
     """
     thinnest_first = sorted(engines, reverse=True)
     return {
-        engine: Style(rgb(color), LINE_WIDTH + 2.0 * thinnest_first.index(engine), engine != engines[0])
+        engine: Style(
+            rgb(color),
+            line_width=LINE_WIDTH + 2.0 * thinnest_first.index(engine),
+            ghost=engine != engines[0],
+        )
         for engine, color in palette(engines).items()
     }
 
 
 def _initial_pose(mechanism: Mechanism) -> Trajectory:
     """Make a trajectory of one output, the initial pose, to draw if no engine has a run."""
-    start, names = State.initial(mechanism), (mechanism.body_names, mechanism.joint_names)
-    return Trajectory("", {}, 0.0, np.zeros(1), *names, start.position[None], start.quaternion[None])
+    start = State.initial(mechanism)
+    return Trajectory(
+        engine="",
+        settings={},
+        wall_time=0.0,
+        time=np.zeros(1),
+        body_names=mechanism.body_names,
+        joint_names=mechanism.joint_names,
+        position=start.position[None],
+        quaternion=start.quaternion[None],
+    )
 
 
 def _largest_distance(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
-    """Compute the largest distance, m, between the drawn bodies of two runs at the same time."""
+    """Compute the largest distance, m, of any point of a drawn body in two runs at the same time."""
     n = min(len(first.time), len(other.time))
     differences = (
         drawn_points(mechanism, body, first)[:n] - drawn_points(mechanism, body, other)[:n]
@@ -232,20 +250,22 @@ def _largest_distance(mechanism: Mechanism, first: Trajectory, other: Trajectory
     return max(float(np.max(np.linalg.norm(difference, axis=2))) for difference in differences)
 
 
-def _heading(title: str, engines: list[str], apart: dict[str, float], near: list[str]) -> str:
+def _heading(title: str, engines: list[str], distances: dict[str, float], hidden: list[str]) -> str:
     """Make the title of the 3-D view, which lists the engines that are solid, ghosts or hidden.
 
     Args:
         title: title of the recording.
         engines: all engines; the first is solid.
-        apart: largest distance from the first engine, m, of each other engine.
-        near: engines whose distance is too small to be visible.
+        distances: largest distance from the first engine, m, of each other engine and of the own run.
+        hidden: engines (and the own run) whose distance is too small to be visible.
     """
     parts = [f"{engine} solid" for engine in engines[:1]]
-    parts += [f"{engine} ghost, up to {apart[engine]:.2g} m away" for engine in apart if engine not in near]
-    if near:
-        within = max(apart[engine] for engine in near)
-        parts.append(f"{', '.join(near)} hidden, within {within:.0e} m")
+    for name, distance in distances.items():
+        if name not in hidden:
+            parts.append(f"{name} ghost, up to {distance:.2g} m away")
+    if hidden:
+        within = max(distances[name] for name in hidden)
+        parts.append(f"{', '.join(hidden)} hidden, within {within:.0e} m")
     return f"{title}: {'; '.join(parts)}"
 
 
@@ -283,7 +303,7 @@ def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
 
 
 def log_ground(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
-    """Draw the fixed body in its pose in a run."""
+    """Draw the fixed body, which is body 0, in its pose in a run."""
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
     send_pose(recording, "/ground", run.time[:1], run.position[:1, 0], run.quaternion[:1, 0])
@@ -309,19 +329,21 @@ def log_bodies(
 
 def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
     """Label bodies at their centers of mass, and the ground at its lowest point, below the other bodies."""
-    ground = drawn_points(mechanism, 0, run)[0]
+    ground_points = drawn_points(mechanism, 0, run)[0]  # at the first output
+    lowest = ground_points[[np.argmin(ground_points[:, 2])]]
     for k, name in enumerate(mechanism.body_names):
         path = rr.new_entity_path(["labels", name])
         label = rr.Points3D(np.zeros(3), labels=name, colors=PLAIN_COLOR, radii=0.0)
         recording.log(path, label, static=True)
-        position = run.position[:, k] if k else ground[[np.argmin(ground[:, 2])]]
-        send_pose(recording, path, run.time[: len(position)], position, run.quaternion[: len(position), k])
+        position = lowest if k == 0 else run.position[:, k]
+        count = len(position)  # 1 for the ground
+        send_pose(recording, path, run.time[:count], position, run.quaternion[:count, k])
 
 
 def _log_tilt(
     recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, directions: Mapping[str, Array]
 ) -> None:
-    """Draw arrows from the center of mass of the body whose tilt is plotted.
+    """Draw arrows from the center of mass of the platform, the body whose tilt is plotted.
 
     The arrows are the body's normal (its zeta axis), the vertical, and given directions.
 
@@ -334,18 +356,19 @@ def _log_tilt(
     body, size = platforms(mechanism)[-1], mechanism.size
     position, quaternion = run.position[:, body], run.quaternion[:, body]
     upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternion.shape)
-    for name, turn, length, color in (
+    # arrows along the z axis of an entity that is rotated like the body, or upright
+    for name, orientation, length, color in (
         ("normal", quaternion, 0.6 * size, PLAIN_COLOR),
         ("vertical", upright, 0.9 * size, ARROW_COLOR),
     ):
         arrow = rr.Arrows3D(vectors=[0.0, 0.0, length], labels=name, colors=color, radii=0.02 * size)
         recording.log(f"/tilt/{name}", arrow, static=True)
-        send_pose(recording, f"/tilt/{name}", run.time, position, turn)
-    for name, vectors in directions.items():
+        send_pose(recording, f"/tilt/{name}", run.time, position, orientation)
+    for name, directions_over_time in directions.items():
         look = rr.Arrows3D.from_fields(labels=[name], colors=DIRECTION_COLOR, radii=0.02 * size)
         recording.log(f"/tilt/{name}", look, static=True)
-        ends = {"origins": position, "vectors": 1.2 * size * vectors}
-        send_columns(recording, f"/tilt/{name}", run.time, rr.Arrows3D.columns, **ends)
+        vectors, columns = 1.2 * size * directions_over_time, rr.Arrows3D.columns
+        send_columns(recording, f"/tilt/{name}", run.time, columns, origins=position, vectors=vectors)
 
 
 def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, load: WindLoad) -> None:
@@ -359,11 +382,10 @@ def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajecto
     path = rr.new_entity_path(["wind", load.name])
     look = rr.Arrows3D.from_fields(colors=WIND_COLOR, radii=0.01 * mechanism.size, labels=load.name)
     recording.log(path, look, static=True)
-    # the arrow ends half a plate before the center, against the wind
-    before = 0.5 * np.linalg.norm(load.lengths) * load.direction / np.linalg.norm(load.direction)
-    send_columns(
-        recording, path, run.time, rr.Arrows3D.columns, origins=centers - before - vectors, vectors=vectors
-    )
+    # the arrow ends upwind of the plate, at half of the plate's diagonal from its center
+    offset = 0.5 * np.linalg.norm(load.lengths) * load.direction / np.linalg.norm(load.direction)
+    origins = centers - offset - vectors
+    send_columns(recording, path, run.time, rr.Arrows3D.columns, origins=origins, vectors=vectors)
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:
@@ -385,7 +407,7 @@ def _log_joints(
     """Draw joint points and reaction forces of an engine's run over time; `arrow_scale` is in m per N."""
     for j, joint in enumerate(mechanism.joints):
         second = mechanism.body_index(joint.second)
-        arm = mechanism.reaction_arms[j]
+        arm = mechanism.reaction_arms[j]  # from the second body's center of mass to the joint point
         points = run.position[:, second] + rotated(run.quaternion[:, second], arm)
         path = rr.new_entity_path(["joints", engine, joint.name])
         look = rr.Points3D.from_fields(colors=PLAIN_COLOR, radii=0.03 * mechanism.size)
