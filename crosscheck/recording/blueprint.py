@@ -19,6 +19,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
 
 Y, Z = np.eye(3)[1:]
+"""Unit vectors of the world frame; z is up."""
 
 TIME = "time"
 """Name of the timeline of all recordings; times are in s."""
@@ -26,20 +27,21 @@ TIME = "time"
 EYE_DIRECTION = np.array([0.35, -0.78, 0.72])
 """Direction from the mechanism to the camera, world frame, for motions that are not planar."""
 
-FLATNESS = 1e-4
+PLANAR_RATIO = 1e-4
 """Largest ratio of the motion across a plane to the motion along it for which a motion counts as planar."""
 
-HALF_ANGLE = np.radians(27.5)
+HALF_FIELD_OF_VIEW = np.radians(27.5)
 """Half of the camera's vertical field of view, rad."""
 
-ASPECT = 1.3
+MIN_ASPECT_RATIO = 1.3
 """Smallest ratio of width to height of the 3-D view."""
 
 MARGIN = 1.1
 """Distance of the camera, divided by the smallest distance from which the whole motion is visible."""
 
 LOWER_ROW_HEIGHT = 1.4
-"""Height of the lower row (verdict, plots that engines are judged by), divided by that of the upper row."""
+"""Height of the lower row (verdict, and plots of differences by which engines are judged), divided by the
+height of the upper row."""
 
 MAX_COLUMNS = 3
 """Largest number of plots side by side in one group."""
@@ -98,14 +100,15 @@ def blueprint(
     if moments:
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
         texts.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
+    # two rows of plots: quantities of the motion, and differences by which engines are judged
     rows = [[plot for plot in plots if plot.is_judged is is_judged] for is_judged in (False, True)]
     end = float(run.time[-1])
-    plotted = [_row(row, end) for row in rows if row]
+    plot_rows = [_tabs_of_groups(row, end) for row in rows if row]
     row_heights = [1.0, LOWER_ROW_HEIGHT]
     return make_layout(
         rrb.Horizontal(
             rrb.Vertical(mechanism_view, rrb.Tabs(*texts, active_tab=0), row_shares=row_heights),
-            rrb.Vertical(*plotted, row_shares=row_heights[: len(plotted)]),
+            rrb.Vertical(*plot_rows, row_shares=row_heights[: len(plot_rows)]),
             column_shares=[1.0, 1.2],
         ),
         end,
@@ -150,18 +153,19 @@ def scene_view(
     points_of_bodies = [drawn_points(mechanism, k, run) for k in range(len(mechanism.bodies))]
     moving = np.concatenate([each.reshape(-1, 3) for each in points_of_bodies[1:]])
     ground = points_of_bodies[0][0]
-    near = np.clip(ground, moving.min(axis=0) - mechanism.size, moving.max(axis=0) + mechanism.size)
-    points = np.concatenate([moving, near])
+    nearby = np.clip(ground, moving.min(axis=0) - mechanism.size, moving.max(axis=0) + mechanism.size)
+    points = np.concatenate([moving, nearby])
 
-    # principal axes of the displacements from the start; the squares of their lengths, smallest first
+    # principal axes of the displacements from the start, with sums of squared displacements along each axis,
+    # smallest first
     moved = np.concatenate([(each - each[0]).reshape(-1, 3) for each in points_of_bodies])
-    (across, along, most), axes = np.linalg.eigh(moved.T @ moved)
+    (smallest, middle, largest), axes = np.linalg.eigh(moved.T @ moved)
 
     # view direction (towards the camera), normal of the grid, and the direction that is up in the view
-    direction, floor, up = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION), Z, Z
-    is_line = along <= FLATNESS**2 * most  # a line is in many planes, none of which is the motion's
-    if not is_line and across <= FLATNESS**2 * along:
-        direction = floor = axes[:, 0] * np.sign(axes[:, 0] @ EYE_DIRECTION)
+    direction, grid_normal, up = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION), Z, Z
+    is_line = middle <= PLANAR_RATIO**2 * largest  # many planes contain a line
+    if not is_line and smallest <= PLANAR_RATIO**2 * middle:  # the motion is planar
+        direction = grid_normal = axes[:, 0] * np.sign(axes[:, 0] @ EYE_DIRECTION)
         up = Y if abs(direction[2]) > abs(direction[1]) else Z
 
     # in the frame of the camera (right, up, towards it), the distance from which all points are visible
@@ -170,21 +174,22 @@ def scene_view(
     low, high = (points @ frame.T).min(axis=0), (points @ frame.T).max(axis=0)
     center = 0.5 * (low + high)
     x, y, z = (points @ frame.T - center).T
-    distance = MARGIN * np.max(z + np.maximum(np.abs(y), np.abs(x) / ASPECT) / np.tan(HALF_ANGLE))
+    half_heights = np.maximum(np.abs(y), np.abs(x) / MIN_ASPECT_RATIO)  # of views that contain each point
+    distance = MARGIN * np.max(z + half_heights / np.tan(HALF_FIELD_OF_VIEW))
     target = center @ frame
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=target + distance * direction, look_target=target, eye_up=up
     )
     # lines of the grid are 1, 10, 100, ... m apart (or 0.1, ...), by the size of the motion
-    plane = rr.components.Plane3D(floor, float(np.min(points @ floor)))
+    plane = rr.components.Plane3D(grid_normal, float(np.min(points @ grid_normal)))
     grid = rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(np.max(high - low))), plane=plane)
     return rrb.Spatial3DView(
         origin="/", contents=contents, name=name, eye_controls=eye, line_grid=grid, **more
     )
 
 
-def _row(plots: list[Plot], end: float) -> rrb.Tabs:
-    """Make a tab for each group of plots, whose time axis ends at `end`, s."""
+def _tabs_of_groups(plots: list[Plot], end: float) -> rrb.Tabs:
+    """Make a row of the layout: a tab for each group of plots, whose time axis ends at `end`, s."""
     groups: dict[str, list[Plot]] = {}
     for plot in plots:
         groups.setdefault(plot.group, []).append(plot)

@@ -1,4 +1,8 @@
-"""Choose the engines that a recording draws with meshes, so that its file does not exceed a size limit."""
+"""Choose the engines that a recording draws with meshes, so that its file does not exceed a size limit.
+
+Engines are simulators that ran the same model; the recording draws the bodies of each in its own poses. The
+user can set the limit, `recording_size`.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +27,10 @@ def engines_with_meshes(mechanism: Mechanism, engines: Sequence[str]) -> list[st
 
     The recording shows the bodies of the other engines as bars and simple shapes.
     """
-    size = mesh_bytes(mechanism)
-    return list(engines[: size_in_bytes("recording_size") // size] if size else engines)
+    per_engine = mesh_bytes(mechanism)
+    if not per_engine:
+        return list(engines)
+    return list(engines[: size_in_bytes("recording_size") // per_engine])
 
 
 def without_meshes(mechanism: Mechanism) -> Mechanism:
@@ -34,13 +40,13 @@ def without_meshes(mechanism: Mechanism) -> Mechanism:
 
 
 def meshes_left_out(mechanism: Mechanism, engines: Sequence[str]) -> str:
-    """Name the engines that are drawn without meshes, and the option that draws all; "" if there is none."""
-    others = engines[len(engines_with_meshes(mechanism, engines)) :]
-    if not others:
+    """Name the engines that are drawn without meshes, and the option that draws all; "" if there are none."""
+    without = engines[len(engines_with_meshes(mechanism, engines)) :]
+    if not without:
         return ""
-    size = mesh_bytes(mechanism) / MB
-    needed = int(size * len(engines)) + 1
+    per_engine = mesh_bytes(mechanism) / MB
+    needed = int(per_engine * len(engines)) + 1
     return (
-        f"recording without meshes of {', '.join(others)}: {size:.0f} MB for each engine; "
+        f"recording without meshes of {', '.join(without)}: {per_engine:.0f} MB for each engine; "
         f"to record all: --set recording_size={needed}"
     )

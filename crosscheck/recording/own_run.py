@@ -1,8 +1,10 @@
-"""Draw the run with the settings of a model file in a recording: a ghost, and its error over time.
+"""Draw the "own run" of a model file in a recording: a ghost, and its error over time.
 
-The ghost is a transparent copy of the mechanism. The file's run has other output times than the engines. The
-ghost is drawn at the times of the first engine's run: at the pose in that run, displaced by the error of the
-file's run. The distance of the ghost is the error, without the motion from one output to the next.
+The own run is the run that the file's engine (such as MuJoCo for an MJCF) makes with the settings of the
+file. Its error is the difference from a reference solution at the same times. The ghost is a transparent copy
+of the mechanism. The own run has other output times than the runs of the compared engines. The ghost is
+therefore drawn at the times of the first engine's run: at the pose in that run, displaced by the error of the
+own run. The distance of the ghost from the first engine's bodies is the error.
 """
 
 from __future__ import annotations
@@ -20,39 +22,41 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 YOUR_SETTINGS = "your_settings"
-"""Name of the run with the settings of the file, in the paths and legends of recordings."""
+"""Name of the own run in the paths and legends of recordings."""
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 """Quaternion of no rotation."""
 
 
 def displaced(first: Trajectory, judgement: Judgement) -> Trajectory:
-    """Return an engine's run displaced by the error of the file's run, as far as both go.
+    """Return an engine's run displaced by the error of the own run, until the first of both runs ends.
 
     The error of a body is a displacement of its center of mass and a rotation. Both are interpolated linearly
-    between the output times of the file's run.
+    between the output times of the own run.
 
     Args:
         first: run of an engine.
-        judgement: the file's run and the reference solution at the same times.
+        judgement: the own run and the reference solution at the same times.
     """
     run = judgement.run
     reference = judgement.reference.first(len(run.time))
-    moved = run.position - reference.position
-    turned = continuous(_product(run.quaternion, conjugate(reference.quaternion)), IDENTITY)
+    position_error = run.position - reference.position
+    # quaternions of the rotations from the reference to the run, without jumps of sign
+    rotation_error = continuous(_product(run.quaternion, conjugate(reference.quaternion)), IDENTITY)
+    # outputs of the engine until the own run ends; 1 + 1e-12 allows for round-off of the last time
     count = int(np.searchsorted(first.time, run.time[-1] * (1.0 + 1e-12), side="right"))
     drawn = first.first(count)
-    rotation = _interpolated(turned, run.time, drawn.time)
+    rotation = _interpolated(rotation_error, run.time, drawn.time)
     rotation /= np.linalg.norm(rotation, axis=-1, keepdims=True)
     return replace(
         drawn,
-        position=drawn.position + _interpolated(moved, run.time, drawn.time),
+        position=drawn.position + _interpolated(position_error, run.time, drawn.time),
         quaternion=_product(rotation, drawn.quaternion),
     )
 
 
 def error_plots(judgement: Judgement) -> Iterator[Plot]:
-    """Plot the errors of positions and orientations of the file's run over time, largest over the bodies."""
+    """Plot the errors of positions and orientations of the own run over time, largest over the bodies."""
     position, rotation = errors_over_time(judgement.run, judgement.reference)
     group = "error of your settings"
     for name, title, values in (
@@ -68,11 +72,11 @@ def _product(one: Array, two: Array) -> Array:
     return np.moveaxis(product(np.moveaxis(one, -1, 0), np.moveaxis(two, -1, 0)), 0, -1)
 
 
-def _interpolated(values: Array, times: Array, at: Array) -> Array:
-    """Interpolate values (n, ...) at times (n,), s, linearly at other times (m,), s: (m, ...)."""
+def _interpolated(values: Array, times: Array, new_times: Array) -> Array:
+    """Interpolate values (n, ...) at times (n,), s, linearly to new times (m,), s; returns (m, ...)."""
     if len(times) == 1:
-        return np.repeat(values, len(at), axis=0)
-    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    weight = np.clip((at - times[right - 1]) / (times[right] - times[right - 1]), 0.0, 1.0)
+        return np.repeat(values, len(new_times), axis=0)
+    right = np.clip(np.searchsorted(times, new_times), 1, len(times) - 1)
+    weight = np.clip((new_times - times[right - 1]) / (times[right] - times[right - 1]), 0.0, 1.0)
     weight = weight.reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1.0 - weight) * values[right - 1] + weight * values[right])

@@ -1,4 +1,8 @@
-"""Choose the plots of a recording: one `Plot` per quantity over time, with one line per engine."""
+"""Choose the plots of a recording: one `Plot` per quantity over time, with one line per engine.
+
+Engines are simulators that ran the same scene (a mechanism with its forces and controllers). A recording
+shows their runs in the Rerun viewer.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ from newton_euler.model.spanning_tree import coordinate_name
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-SMALLEST = 1e-18
+MIN_LOG_DIFFERENCE = 1e-18
 """Smallest difference, m or rad, in plots of logarithms; smaller ones, also zero, are replaced by it."""
 
 MIN_VARIATION = 1e-5
@@ -42,7 +46,7 @@ class Plot:
         path: parts of the path of the lines in the recording, below `/plots`; the engine's name is added.
         title: the quantity and its unit.
         lines: values (n,) over the output times, by engine.
-        scale: a large value of the quantity, in its unit; a plot is left out if its lines vary much less.
+        scale: a large value of the quantity, in its unit; a plot whose lines vary much less is left out.
         target: set-point of a control law, a constant or a function of time; None without one.
         tolerances: tolerance of each engine, in the unit of the plot.
         is_judged: True for a difference or a constraint violation, by which engines are judged; False for a
@@ -85,7 +89,10 @@ def plots(scene: Scene, trajectories: dict[str, Trajectory], tolerances: Toleran
 
 
 def rotated(quaternion: Array, vector: Array) -> Array:
-    """Rotate vectors (..., 3) from the body frame to the world frame, by unit quaternions (..., 4)."""
+    """Rotate vectors (..., 3) from the body frame to the world frame, by unit quaternions (..., 4).
+
+    With the quaternion (e0, e), the rotated vector is v + e0 t + e x t with t = 2 e x v.
+    """
     e0, e = quaternion[..., :1], quaternion[..., 1:]
     turned = 2.0 * np.cross(e, vector)
     return np.asarray(vector + e0 * turned + np.cross(e, turned))
@@ -125,18 +132,22 @@ def _coordinates(scene: Scene) -> list[Key]:
 def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Plot joint coordinates with their set-points, and the tilt of a platform."""
     mechanism = scene.mechanism
-    declared = [law.law if isinstance(law, Digital) else law for law in scene.control]
-    targets = {law.key: law.target for law in declared if isinstance(law, DeclaredLaw)}
-    for key in _coordinates(scene)[:MAX_COORDINATES]:
-        name, slides = coordinate_name(mechanism.joint(key[0]), key[1]), mechanism.is_slide(*key)
-        moved = {e: replace(run, mechanism=mechanism).joint(key[0]) for e, run in trajectories.items()}
-        lines = {engine: motion.coordinates[:, key[1]] for engine, motion in moved.items()}
-        title, large = (f"{name} [m]", mechanism.size) if slides else (f"{name} [rad]", 1.0)
-        yield Plot("Motion", ("coordinate", name), title, lines, large, targets.get(key))
+    # set-points by joint coordinate, also of laws that a digital controller evaluates at its samples
+    continuous = [law.law if isinstance(law, Digital) else law for law in scene.control]
+    targets = {law.key: law.target for law in continuous if isinstance(law, DeclaredLaw)}
+    for joint, number in _coordinates(scene)[:MAX_COORDINATES]:
+        name = coordinate_name(mechanism.joint(joint), number)
+        lines = {
+            engine: replace(run, mechanism=mechanism).joint(joint).coordinates[:, number]
+            for engine, run in trajectories.items()
+        }
+        unit, scale = ("m", mechanism.size) if mechanism.is_slide(joint, number) else ("rad", 1.0)
+        target = targets.get((joint, number))
+        yield Plot("Motion", ("coordinate", name), f"{name} [{unit}]", lines, scale, target)
     for body in platforms(mechanism)[-1:]:
         name = mechanism.body_names[body]
         lines = {engine: tilt(run.quaternion[:, body]) for engine, run in trajectories.items()}
-        yield Plot("Motion", ("tilt", name), f"tilt of {name} [deg]", lines, 90.0)
+        yield Plot("Motion", ("tilt", name), f"tilt of {name} [deg]", lines, scale=90.0)
 
 
 def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
@@ -146,26 +157,26 @@ def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterato
         name = coordinate_name(scene.mechanism.joint(law.joint), law.coordinate)
         unit = "N" if scene.mechanism.is_slide(law.joint, law.coordinate) else "N m"
         lines = {engine: force[:, k] for engine, force in forces.items()}
-        yield Plot("Control", ("control", name), f"{name} [{unit}]", lines, _max_abs(forces))
+        yield Plot("Control", ("control", name), f"{name} [{unit}]", lines, scale=_max_abs(forces))
 
 
 def _energy_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Plot the kinetic and the potential energy."""
-    found = {kind: _stored_arrays(trajectories, f"{kind}_energy") for kind in ("kinetic", "potential")}
-    large = max(map(_max_abs, found.values()))
-    for kind, lines in found.items():
-        yield Plot("Energy", ("energy", kind), f"{kind} energy [J]", lines, large)
+    energies = {kind: _stored_arrays(trajectories, f"{kind}_energy") for kind in ("kinetic", "potential")}
+    scale = max(map(_max_abs, energies.values()))
+    for kind, lines in energies.items():
+        yield Plot("Energy", ("energy", kind), f"{kind} energy [J]", lines, scale)
 
 
 def _stored_arrays(trajectories: dict[str, Trajectory], name: str) -> dict[str, Array]:
     """Return an array of `Trajectory`, given by its name, of the runs that have the array; by engine."""
-    values = {engine: getattr(run, name) for engine, run in trajectories.items()}
-    return {engine: line for engine, line in values.items() if line is not None}
+    arrays = {engine: getattr(run, name) for engine, run in trajectories.items()}
+    return {engine: array for engine, array in arrays.items() if array is not None}
 
 
-def _max_abs(lines: dict[str, Array]) -> float:
-    """Return the largest absolute value of some arrays; 0 if there are none."""
-    return max((float(np.max(np.abs(line), initial=0.0)) for line in lines.values()), default=0.0)
+def _max_abs(arrays: dict[str, Array]) -> float:
+    """Return the largest absolute value of the arrays of all engines; 0 if there are none."""
+    return max((float(np.max(np.abs(array), initial=0.0)) for array in arrays.values()), default=0.0)
 
 
 def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances) -> Iterator[Plot]:
@@ -174,20 +185,28 @@ def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances
     Differences of positions and orientations are the largest over the bodies, violations the largest over the
     joints. Tolerances are lines in the same plots.
     """
-    (reference, first), *others = trajectories.items()
-    group = f"log10 of differences from {reference}; thin lines: tolerances"
-    for name, quantity, title, values in (
-        ("position", POSES[0], "position [m]", {e: positions_apart(first, r) for e, r in others}),
-        ("angle", POSES[1], "angle [rad]", {e: orientations_apart(first, r) for e, r in others}),
-        (
-            "drift",
-            CONSTRAINT_VIOLATION,
-            "drift [m, rad]",
-            _stored_arrays(trajectories, "constraint_violation"),
-        ),
+    (first_engine, first), *others = trajectories.items()
+    group = f"log10 of differences from {first_engine}; thin lines: tolerances"
+    positions, orientations = POSES  # names of the quantities in checks
+    violations = _stored_arrays(trajectories, "constraint_violation")
+    for name, quantity, title, differences in (
+        ("position", positions, "position [m]", {e: positions_apart(first, run) for e, run in others}),
+        ("angle", orientations, "angle [rad]", {e: orientations_apart(first, run) for e, run in others}),
+        ("drift", CONSTRAINT_VIOLATION, "drift [m, rad]", violations),
     ):
-        lines = {engine: np.log10(np.maximum(np.max(x, axis=1), SMALLEST)) for engine, x in values.items()}
-        single = quantity == CONSTRAINT_VIOLATION
-        found = {e: tolerances.get((quantity, e) if single else (quantity, reference, e), 0.0) for e in lines}
-        bounds = {engine: float(np.log10(bound)) for engine, bound in found.items() if bound > 0.0}
-        yield Plot(group, ("agreement", name), title, lines, tolerances=bounds, is_judged=True)
+        lines, logarithms_of_tolerances = {}, {}
+        for engine, values in differences.items():
+            lines[engine] = np.log10(np.maximum(np.max(values, axis=1), MIN_LOG_DIFFERENCE))
+            # the violation is of one engine, differences are between two
+            key = (quantity, engine) if name == "drift" else (quantity, first_engine, engine)
+            tolerance = tolerances.get(key, 0.0)
+            if tolerance > 0.0:
+                logarithms_of_tolerances[engine] = float(np.log10(tolerance))
+        yield Plot(
+            group,
+            ("agreement", name),
+            title,
+            lines,
+            tolerances=logarithms_of_tolerances,
+            is_judged=True,
+        )

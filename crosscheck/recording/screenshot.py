@@ -1,4 +1,8 @@
-"""Take pictures (PNG) of a recording with the Rerun viewer, without a display."""
+"""Take pictures (PNG) of a recording with the Rerun viewer, without a display.
+
+A recording is a file (.rrd) of the motion of a mechanism. The viewer runs as a separate program without a
+window ("headless"); this module tells it over a local network port which time to show.
+"""
 
 from __future__ import annotations
 
@@ -38,13 +42,13 @@ MECHANISM = "3D"
 
 
 def screenshots(
-    rrd: str | os.PathLike[str], moments: Sequence[float], view_class: str | None = None
+    rrd: str | os.PathLike[str], times: Sequence[float], view_class: str | None = None
 ) -> list[bytes]:
     """Take pictures of a recording in the viewer.
 
     Args:
         rrd: path of the recording.
-        moments: times, s, on the recording's timeline `time`.
+        times: times, s, on the recording's timeline `time`.
         view_class: Rerun's class of the view to show, such as `MECHANISM`; None for the whole window.
 
     Returns:
@@ -59,15 +63,15 @@ def screenshots(
         with _viewer() as viewer, tempfile.TemporaryDirectory() as folder:
             viewer.open(str(Path(rrd).resolve()))
             _wait_until_loaded(viewer, rrd)
-            viewer.run_command("ui.toggle_top_panel")
+            viewer.run_command("ui.toggle_top_panel")  # hide it
             time.sleep(NOTICES_S)
             views = [view.view_id for view in viewer.get_state().views if view.view_class == view_class]
-            picture, taken = Path(folder) / "picture.png", []
-            for moment in moments:
-                viewer.set_time("time", duration=moment, play_state="paused")
+            picture, pictures = Path(folder) / "picture.png", []
+            for seconds in times:
+                viewer.set_time("time", duration=seconds, play_state="paused")
                 viewer.save_screenshot(str(picture), next(iter(views), None))
-                taken.append(picture.read_bytes())
-            return taken
+                pictures.append(picture.read_bytes())
+            return pictures
     except (RuntimeError, OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise CrosscheckError(f"no picture of {os.fspath(rrd)}: {reason}") from error
@@ -79,8 +83,9 @@ def _viewer() -> Iterator[ViewerClient]:
 
     The viewer gets a separate process group, because Rerun's program may start the viewer as a child process.
     """
-    with socket.create_server((LOOPBACK, 0)) as probe:
+    with socket.create_server((LOOPBACK, 0)) as probe:  # finds a free port
         port = int(probe.getsockname()[1])
+    # -P: do not import modules from the current folder
     command = [sys.executable, "-P", "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen"]
     command += ["--headless", "--port", str(port), "--window-size", WINDOW]
     with tempfile.TemporaryFile() as log:

@@ -1,4 +1,9 @@
-"""Draw the bodies of a mechanism in a Rerun recording: meshes, boxes, spheres, capsules and cylinders."""
+"""Draw the bodies of a mechanism in a Rerun recording: meshes, boxes, spheres, capsules and cylinders.
+
+A recording shows the runs of several engines (simulators): solid bodies of the first engine, and transparent
+ones, "ghosts", of the others. Shapes and meshes of a mechanism are given at its initial pose, in the world
+frame; Rerun needs them in the frame of the body.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +23,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 GHOST_OPACITY = 70
-"""Opacity of the meshes of ghosts (bodies of other engines than the first), from 0 to 255."""
+"""Opacity of the meshes of ghosts, from 0 to 255."""
 
 GROUND_BAR_RADIUS = 0.01
 """Radius of the bars that are drawn for a ground without shapes, in multiples of the mechanism's size."""
@@ -62,8 +67,7 @@ def log_shapes(
         body: number of the body.
         style: color and look.
     """
-    # positions and orientations of shapes are given in the initial pose, world frame
-    pose = mechanism.bodies[body].pose
+    pose = mechanism.bodies[body].pose  # at the initial pose of the mechanism
     world_to_body = conjugate(mechanism.bodies[body].quaternion)
     meshes = mechanism.bodies[body].meshes
     shapes = drawn_shapes(mechanism, body)
@@ -95,7 +99,10 @@ def log_shapes(
 
 
 def _bars(bars: Sequence[Capsule | Cylinder], pose: Pose, style: Style) -> rr.Capsules3D | rr.Cylinders3D:
-    """Convert capsules, or cylinders, to Rerun's shapes in the frame of a body with this initial pose."""
+    """Convert capsules, or cylinders, to Rerun's shapes in the frame of a body with this initial pose.
+
+    Rerun's capsules extend from a point along the z axis, its cylinders have their center there.
+    """
     looks: dict[str, Any] = {
         "lengths": [bar.length for bar in bars],
         "radii": [bar.radius for bar in bars],
@@ -114,12 +121,12 @@ def drawn_shapes(mechanism: Mechanism, body: int) -> tuple[Shape, ...]:
     A body without meshes and shapes is drawn as bars between its joints. The bars of the ground connect its
     joints in a ring, so that kinematic loops look closed.
     """
-    own = mechanism.bodies[body]
-    if body == 0 and not (own.meshes or own.shapes):
+    drawn = mechanism.bodies[body]
+    if body == 0 and not (drawn.meshes or drawn.shapes):
         points = [mechanism.joints[k].point for k in mechanism.joints_at[0]]
         pairs = zip(points, [*points[1:], *points[:1]], strict=True)
         return tuple(Capsule(a, b, GROUND_BAR_RADIUS * mechanism.size) for a, b in pairs if np.any(a != b))
-    return own.shapes if own.meshes else mechanism.shapes(body)
+    return drawn.shapes if drawn.meshes else mechanism.shapes(body)
 
 
 def drawn_points(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
@@ -134,10 +141,11 @@ def drawn_points(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
         Array (n, m, 3), m, world frame.
     """
     pose = mechanism.bodies[body].pose
-    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of the corners of a box
     drawn = drawn_shapes(mechanism, body)
-    # the center of mass is one of the points, except for a visible ground, whose center means nothing
-    points = [] if body == 0 and (drawn or mechanism.bodies[body].meshes) else [pose.position[None]]
+    # the center of mass is one of the points, except for a visible ground, which has no center of mass
+    is_visible_ground = body == 0 and bool(drawn or mechanism.bodies[body].meshes)
+    points = [] if is_visible_ground else [pose.position[None]]
     for mesh in mechanism.bodies[body].meshes:
         low, high = mesh.bounds
         points.append(0.5 * (low + high) + signs * 0.5 * (high - low))
@@ -190,7 +198,10 @@ def _normals(vertices: Array, triangles: Array) -> Array:
 
 
 def _rotation_from_z(vector: Array) -> Array:
-    """Compute a rotation, quaternion (4,), from the z axis to the direction of a vector (3,); z for zero."""
+    """Compute the quaternion (4,) of a rotation from the z axis to the direction of a vector (3,).
+
+    The rotation of the zero vector is that of z itself.
+    """
     length = float(np.linalg.norm(vector))
     axis = vector / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
     return from_rotation(np.column_stack([*perpendicular_pair(axis), axis]))

@@ -45,7 +45,7 @@ def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
 
 
 def _show_in_window(log: Callable[..., None], scene: Scene, *args: Any) -> None:
-    """Open a viewer, send a recording to it, and end Rerun's threads; arguments as of `show`."""
+    """Open a viewer, send a recording to it, and end Rerun's threads; the arguments are those of `show`."""
     recording = new_recording(scene)
     try:
         with safe_path():  # the viewer must not import modules from the current folder
@@ -53,6 +53,7 @@ def _show_in_window(log: Callable[..., None], scene: Scene, *args: Any) -> None:
         log(recording, scene, *args)
         recording.flush(timeout_sec=SENDING_TIMEOUT_S)
     finally:
+        # only these three steps end the threads: disconnect, drop all references, clean up
         recording.disconnect()
         del recording
         bindings.flush_and_cleanup_orphaned_recordings()

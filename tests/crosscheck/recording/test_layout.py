@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 
 import newton_euler
 from crosscheck.library import load
-from crosscheck.recording.blueprint import ASPECT, EYE_DIRECTION, HALF_ANGLE
+from crosscheck.recording.blueprint import EYE_DIRECTION, HALF_FIELD_OF_VIEW, MIN_ASPECT_RATIO
 from crosscheck.recording.plots import plots, tilt
 from crosscheck.recording.shapes import drawn_points
 from crosscheck.support.palette import ENGINE_COLORS, OTHER_COLORS, palette, rgb
@@ -49,8 +49,8 @@ def test_all_that_moves_is_seen_and_a_plane_face_on(tmp_path, name, direction, u
         points = drawn_points(scene.mechanism, body, run) - position
         depth = -points @ seen
         assert np.all(depth > 0.0)
-        assert np.all(np.abs(points @ right) < ASPECT * np.tan(HALF_ANGLE) * depth)
-        assert np.all(np.abs(points @ np.cross(seen, right)) < np.tan(HALF_ANGLE) * depth)
+        assert np.all(np.abs(points @ right) < MIN_ASPECT_RATIO * np.tan(HALF_FIELD_OF_VIEW) * depth)
+        assert np.all(np.abs(points @ np.cross(seen, right)) < np.tan(HALF_FIELD_OF_VIEW) * depth)
 
 
 def test_what_neither_moves_nor_parts_is_not_plotted():

@@ -31,7 +31,7 @@ from crosscheck.recording.log import (
     log_run,
     recorded,
 )
-from crosscheck.recording.plots import SMALLEST, plots
+from crosscheck.recording.plots import MIN_LOG_DIFFERENCE, plots
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -126,7 +126,7 @@ def test_no_difference_is_drawn_at_the_floor(
 ) -> None:
     write_recording(tmp_path / "same.rrd", scene, {"one": runs["zeta"], "two": runs["zeta"]})
     values = read_recording(tmp_path / "same.rrd").scalars("/plots/agreement/position/two")
-    np.testing.assert_array_equal(values, np.full(N, np.log10(SMALLEST)))
+    np.testing.assert_array_equal(values, np.full(N, np.log10(MIN_LOG_DIFFERENCE)))
 
 
 def test_poses_are_x_y_z_w(recording: Recording, runs: dict[str, Trajectory]) -> None:
