@@ -8,8 +8,8 @@ element are violated:
 - Kinematics: poses of an engine violate the scene's constraints of the wrong joint, or of all joints of a
   body whose frame is wrong.
 - Dynamics: accelerations and reactions of an engine violate Newton's and Euler's equations with the scene's
-  masses and forces. A wrong mass or inertia violates the equations of a single body, wrong gravity those of
-  all bodies, and a wrong spring or controller those of the two bodies of a joint.
+  masses and forces. A wrong mass or inertia violates the equations of a single body. Wrong gravity violates
+  those of all bodies, and a wrong spring or controller those of the two bodies of a joint.
 - Velocity terms: accelerations satisfy the equations of the bodies, but violate the constraints of the joint
   whose velocity-dependent term is wrong.
 """
@@ -361,7 +361,7 @@ def _unit_loads(equations: Cartesian, force: ForceAtJoint, state: State) -> Arra
     """
     q, _ = equations.coordinates(state)
     frames = state.frames()
-    # By virtual work, the loads are the Jacobian of the coordinate with respect to motions of its two bodies
+    # The loads are the Jacobian of the coordinate with respect to motions of its two bodies (virtual work)
     if force.on_ball:
         first, second = ends(equations.mechanism, force.joint)  # numbers of the bodies
         jacobian = SPIN  # of the relative angular velocity

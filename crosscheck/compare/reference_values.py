@@ -101,7 +101,7 @@ def measure(
 
     The integration error of the engine is estimated from two runs, the second with ten or a hundred times
     looser tolerances or with twice the step. The error is `ERROR_PER_CHANGE` times the largest difference of
-    the two runs up to the time of the reference value, but at most `MAX_RELATIVE_ERROR` times the largest
+    the two runs up to the time of the reference value. It is at most `MAX_RELATIVE_ERROR` times the largest
     value of the quantity; round-off is added.
 
     Args:

@@ -4,8 +4,8 @@ A comparison simulates one scene (a mechanism with its forces, inputs and initia
 or two models in one engine. `crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has
 the verdict in words, and `crosscheck.report` makes tables and pages of results.
 
-The "own run" is the run that the engine of a model file (such as MuJoCo for an MJCF) makes with the time step
-and the solver settings of the file. It is judged separately, by its error.
+The "own run" is the run of a model file in the file's engine (such as MuJoCo for an MJCF) with the time step
+and the solver settings of the file. The own run is judged separately, by its error.
 """
 
 from __future__ import annotations

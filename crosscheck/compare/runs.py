@@ -159,7 +159,7 @@ def compare_runs(
     """Compare runs at the levels "trajectories", "drift" and "energy".
 
     Each engine has a fixed relative tolerance for its expected error. If a check exceeds that tolerance, the
-    engine is run again, once, with a smaller step or tighter tolerances, and the tolerance of the check is
+    engine is run again, once, with a smaller step or tighter tolerances. The tolerance of the check is then
     extended by `ERROR_PER_CHANGE` times the change of the run. This assumes that refining reduces the error.
     If the difference does not decrease in the refined run, and exceeds the fixed tolerances and round-off,
     the check is not judged.

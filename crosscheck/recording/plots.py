@@ -116,8 +116,8 @@ def tilt(quaternion: Array) -> Array:
 def _coordinates(scene: Scene) -> list[Key]:
     """Choose the joint coordinates to plot: (joint, number) pairs.
 
-    These are the coordinates that control laws or springs act on; if there are none, those of actuated
-    joints; if there are none of these either, those of joints at the ground.
+    These are the coordinates that control laws or springs act on. If there are none, the coordinates of
+    actuated joints are plotted, and without actuated joints those of joints at the ground.
     """
     joints, ground = scene.mechanism.joints, scene.mechanism.body_names[0]
     acting = (*scene.control, *(force for force in scene.forces if isinstance(force, JointSpring)))

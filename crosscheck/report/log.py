@@ -1,4 +1,4 @@
-"""Words of the judgement of a log: its error against the reference, and what limits the comparison.
+"""Text of the judgement of a log: its error against the reference, and what limits the comparison.
 
 A log is a table of positions and velocities over time that another simulator recorded for a model. The
 reference is a run of the same model in newton_euler (this project's solver), from the start of the log.
@@ -27,7 +27,7 @@ POINTS = {"center": "centers of mass", "frame": "origins of body frames"}
 
 
 def log_lines(judgement: LogJudgement) -> Lines:
-    """Word the judgement of a log, the result first."""
+    """Format the judgement of a log, the result first."""
     return Lines("", list(_lines(judgement)), verdict=judgement.band.verdict)
 
 

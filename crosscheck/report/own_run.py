@@ -1,4 +1,4 @@
-"""Words of the judgement of the "own run": its error, the causes, and settings that reduce the error.
+"""Text of the judgement of the "own run": its error, the causes, and settings that reduce the error.
 
 The own run is the run of a model file (such as an MJCF) in the file's engine, with the time step, integrator
 and solver settings of the file. It is compared with a reference solution of higher accuracy. In: a
@@ -35,7 +35,7 @@ SAME_RUN_TIME = 1.25
 
 
 def own_run_lines(judgement: Judgement) -> Lines:
-    """Word a judgement, the result first."""
+    """Format a judgement, the result first."""
     return Lines("", list(_lines(judgement)), verdict=judgement.band.verdict)
 
 
@@ -75,16 +75,16 @@ def _lines(judgement: Judgement) -> Iterator[str]:
 
 
 def _by_position(judgement: Judgement, error: RunError) -> bool:
-    """Return True to word an error by positions, False by rotations.
+    """Return True to give an error by positions, False by rotations.
 
-    All errors are worded like that of the judged run. If that run diverged, an error is worded by positions
+    All errors are given like that of the judged run. If that run diverged, an error is given by positions
     unless the error of positions is a small part of it.
     """
     return error.is_of_position if judgement.stopped else judgement.error.is_of_position
 
 
 def _causes(judgement: Judgement) -> list[str]:
-    """Word the causes; for a run that diverged, the settings without which it completes."""
+    """Format the causes; for a run that diverged, the settings without which it completes."""
     if judgement.stopped:
         names = [each.name for each in judgement.causes if each.brings_back]
         which = "one of these" if names[1:] else "it"
@@ -101,7 +101,7 @@ def _causes(judgement: Judgement) -> list[str]:
 
 
 def _stability(mode: Stability) -> Iterator[str]:
-    """Word the fastest mode, the elements that make it, and the stability limit of the time step.
+    """Format the fastest mode, the elements that make it, and the stability limit of the time step.
 
     Args:
         mode: the fastest mode of the linearized motion, and the limit of stable time steps.
@@ -135,7 +135,7 @@ def _elements(mode: Stability) -> str:
 
 
 def _body(body: MovingBody) -> str:
-    """Word which body moves in a mode, and a much heavier neighbor."""
+    """Format which body moves in a mode, and a much heavier neighbor."""
     words = f"mostly {body.name!r} moves, {_mass(body.mass)}"
     if body.neighbor_mass > HEAVY_NEIGHBOR * body.mass:
         words += f"; its neighbor {body.neighbor!r} has {_mass(body.neighbor_mass)}"
@@ -143,13 +143,13 @@ def _body(body: MovingBody) -> str:
 
 
 def _model_change(change: ModelChange) -> str:
-    """Word a change of the model and what it does to the motion."""
+    """Format a change of the model and what it does to the motion."""
     error = change.error
     return f"{change.change}: completes, {size(error, error.is_of_position)} from the motion of the file"
 
 
 def headline(judgement: Judgement) -> str:
-    """Word the accuracy and the error of a judged run in a few words, such as "OFF BY 2 mm"."""
+    """Format the accuracy and the error of a judged run in a few words, such as "OFF BY 2 mm"."""
     error = judgement.error
     if judgement.stopped:
         return "DIVERGED"
@@ -163,12 +163,12 @@ def headline(judgement: Judgement) -> str:
 
 
 def size(error: RunError, by_position: bool) -> str:
-    """Word the error of positions, a length, or the error of rotations, in degrees."""
+    """Format the error of positions, a length, or the error of rotations, in degrees."""
     return length(error.position) if by_position else f"{math.degrees(error.rotation):.2g} deg"
 
 
 def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
-    """Yield words on all errors of a run, with body and time.
+    """Yield texts on all errors of a run, with body and time.
 
     Args:
         judgement: judgement of the run.
@@ -188,7 +188,7 @@ def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
 
 
 def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
-    """Word other settings, their error and their run time relative to the settings of the file."""
+    """Format other settings, their error and their run time relative to the settings of the file."""
     cost = "same run time"
     if remedy.run_time > SAME_RUN_TIME and remedy.evaluations > 1.0:
         cost = f"{remedy.run_time:.1f} times the run time"
@@ -197,7 +197,7 @@ def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
 
 
 def percent(value: float) -> str:
-    """Word a ratio in percent."""
+    """Format a ratio in percent."""
     number = 100.0 * value
     if number >= 10.0:
         return f"{number:.0f} %"
@@ -205,5 +205,5 @@ def percent(value: float) -> str:
 
 
 def _mass(value: float) -> str:
-    """Word a mass in kg or g."""
+    """Format a mass in kg or g."""
     return f"{value:.3g} kg" if value >= 0.1 else f"{1e3 * value:.2g} g"

@@ -1,9 +1,9 @@
 """`crosscheck report`: write the results of commands as one HTML page, with all pictures in the page.
 
 Each command of crosscheck writes a result file (JSON) that contains a report: tables and sentences. The page
-shows the reports of all result files in a folder, or in its subfolders, with plots of the runs and pictures
-of the 3-D recordings that are stored beside them. The page is rendered from the templates next to this module
-by jinja2, which escapes all texts.
+shows the reports of all result files in a folder, or in its subfolders. It also has plots of the runs and
+pictures of the 3-D recordings in the same folders. The page is rendered from the templates next to this
+module by jinja2, which escapes all texts.
 """
 
 from __future__ import annotations

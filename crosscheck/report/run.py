@@ -1,8 +1,8 @@
 """Make the report of a crosscheck: the checks as tables, and sentences on the limits of the verdict.
 
-A crosscheck runs one scene (a mechanism with its forces, inputs and initial state) in several engines, or two
-models (such as an MJCF and a URDF of one robot) in newton_euler, and compares the results. In: the result, a
-`ComparisonResult`. Out: a `Report` for the terminal and for pages.
+A crosscheck runs one scene (a mechanism with its forces, inputs and initial state) in several engines and
+compares the runs. It can also run two models, such as an MJCF and a URDF of one robot, in newton_euler. In:
+the result, a `ComparisonResult`. Out: a `Report` for the terminal and for pages.
 """
 
 from __future__ import annotations
@@ -123,9 +123,9 @@ def _untested_table(coverage: Coverage) -> Table:
 def tables(result: ComparisonResult) -> Iterator[Table]:
     """Yield the tables of checks.
 
-    There is a table of engines against the model file, of pairs of engines, of each engine by itself, and of
-    the two formulations of the equations in newton_euler (joint and Cartesian coordinates). Tables of
-    reference values and of failed checks follow.
+    The first tables are of engines against the model file, of pairs of engines, and of each engine by itself.
+    The next one is of the two formulations of the equations in newton_euler (joint and Cartesian
+    coordinates). Tables of reference values and of failed checks follow.
     """
     titles = {
         "file": f"each engine against {result.title} as its file's own reader has it",

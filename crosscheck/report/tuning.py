@@ -31,7 +31,7 @@ def report(name: str, tuning: Tuning) -> Report:
 
 
 def _verdict(tuning: Tuning) -> str:
-    """Word the found settings; if there are none, the smallest error of all tried settings."""
+    """Format the found settings; if there are none, the smallest error of all tried settings."""
     found = tuning.found
     if found is None:
         best = min(tuning.tradeoff, key=lambda tried: tried.error.relative, default=None)
@@ -41,13 +41,13 @@ def _verdict(tuning: Tuning) -> str:
 
 
 def _settings(tried: Tried) -> str:
-    """Word settings by their differences from those of the file."""
+    """Format settings by their differences from those of the file."""
     changes = " ".join(f'{name}="{value}"' for name, value in tried.changes.items())
     return changes or "the settings of the file"
 
 
 def _error(tried: Tried) -> str:
-    """Word the error of a run, as a length or an angle and as a part of the motion."""
+    """Format the error of a run, as a length or an angle and as a part of the motion."""
     error = tried.error
     if tried.stopped:
         return "diverged"
@@ -55,7 +55,7 @@ def _error(tried: Tried) -> str:
 
 
 def _cost(tried: Tried, of_file: Tried) -> str:
-    """Word the cost of settings (evaluations of the equations of motion) relative to those of the file."""
+    """Format the cost of settings (evaluations of the equations of motion) relative to those of the file."""
     ratio = tried.evaluations / of_file.evaluations
     if ratio == 1.0:
         return "as many evaluations as with your settings"
