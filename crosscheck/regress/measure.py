@@ -67,12 +67,14 @@ differ."""
 FIXED_STEP_COUNTS = {"newton_euler": 40, "mujoco": 40, "pinocchio": 10}
 """Numbers of steps of short runs, by engine. Python calls Pinocchio four times per step, therefore fewer."""
 
-CARTESIAN_FRACTION, MAX_CARTESIAN_STEPS = 0.1, 1000
-"""Limits of the duration of the run in Cartesian coordinates: as a fraction of the scene's duration, and in
-multiples of `MeasurementPlan.step`.
+CARTESIAN_FRACTION = 0.1
+"""Duration of the run in Cartesian coordinates, as a fraction of the scene's duration.
 
 With redundant or nearly singular constraints a Cartesian run costs a hundred times as much as in joint
 coordinates. It tests the same integrator, so a short one is enough."""
+
+MAX_CARTESIAN_STEPS = 1000
+"""Upper limit of the duration of the Cartesian run, in multiples of the plan's fixed step."""
 
 MAX_SLOW_OPERATIONS = 1500
 """Largest number of arithmetic operations of the compiled right-hand side dv/dt for which code that is slow
@@ -85,11 +87,13 @@ code."""
 RADAU_RTOL = 1e-10
 """Relative tolerance of Radau (implicit, order 5): a few hundred steps in a short run."""
 
-COUNT_RTOL, MAX_COUNT_GROWTH = 1e-6, 0.02
-"""Relative tolerance of the runs whose steps are counted, and fraction by which a count may grow.
+COUNT_RTOL = 1e-6
+"""Relative tolerance of the runs whose steps are counted. At the tighter tolerances of other runs the number
+of steps depends on the round-off of the processor."""
 
-At the tighter tolerances of other runs the number of steps depends on the round-off of the processor. Other
-versions of libraries round constants differently, which can add or remove a step."""
+MAX_COUNT_GROWTH = 0.02
+"""Fraction by which a count may grow: other versions of libraries round constants differently, which can add
+a step."""
 
 JOINT_GAP = 1e-3
 """Size of the steps by which coordinates are moved to pull joints apart, in sizes of the mechanism or rad;
@@ -106,11 +110,13 @@ run at a tenth of it have to complete."""
 TIGHTER_FACTOR = 0.1
 """Factor of the relative tolerances in the second run, whose changes show the error of the first run."""
 
-MAX_ERROR_GROWTH, MIN_ERROR = 0.02, 1e-6
-"""Fraction by which errors of the own run may grow, and relative error below which growth is no change.
+MAX_ERROR_GROWTH = 0.02
+"""Fraction by which errors of the own run may grow. Engines repeat a run to the last digit: an error that
+grows by more shows a change of the model, its settings or the engine."""
 
-Engines repeat a run to the last digit: an error that grows by 2 % shows a change of the model, its settings
-or the engine. Errors below a millionth of the motion are dominated by round-off and solver tolerances."""
+MIN_ERROR = 1e-6
+"""Growth of an error of the own run, divided by the extent of the motion, that is no change: round-off and
+solver tolerances dominate smaller errors."""
 
 ERROR_TOLERANCE_REASON = (
     f"{100 * MAX_ERROR_GROWTH:g} % of the error or {MIN_ERROR:g} of the motion, the larger one, plus "
@@ -121,8 +127,11 @@ ERROR_TOLERANCE_REASON = (
 RK4_EVALUATIONS = 4
 """Evaluations of the equations per step of RK4."""
 
-XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
-"""Labels of the components of vectors and quaternions."""
+XYZ = ("x", "y", "z")
+"""Labels of the components of vectors."""
+
+WXYZ = ("w", "x", "y", "z")
+"""Labels of the components of quaternions."""
 
 
 def regress_scene(scene: Scene) -> Scene:
@@ -364,7 +373,8 @@ class Measurement:
             yield self.quantity(f"{label}: {name}", unit, array, allowed, rows, XYZ)
 
     def open_joints(self, formulation: str) -> StoredQuantity:
-        """Measure accelerations with joints pulled apart and moving apart, under Baumgarte's stabilization.
+        """Measure accelerations with joints pulled apart and moving apart, under Baumgarte's stabilization
+        with its default gain `PAPER_ALPHA`.
 
         The tolerance uses the condition number of the constraints in this state: constraints that are
         redundant with closed joints are only nearly redundant with open joints.
@@ -412,6 +422,7 @@ class Measurement:
         relative = self.run_tolerance[formulation]
         length = relative * reach(self.scene, run.position)  # m, relative to the largest coordinate
         linear, angular = run.linear_velocity, run.angular_velocity
+        # m/s, relative to the largest velocity, at least one size of the mechanism per second
         speed = relative * max(size, float(np.max(np.abs(linear))), size * float(np.max(np.abs(angular))))
         for name, unit, array, allowed, letters in (
             ("position", "m", run.position, length, XYZ),
