@@ -22,13 +22,13 @@ from newton_euler.scalars import Array
 READING = "reading"
 """Level that compares an imported scene with its model file, before the levels that compare engines."""
 
-OF_EQUATIONS = ("model", "kinematics", "dynamics", "accelerations and reactions")
+LEVELS_OF_EQUATIONS = ("model", "kinematics", "dynamics", "accelerations and reactions")
 """Levels that compare the equations of motion of two engines at given states, in their order."""
 
-OF_RUNS = ("trajectories", "drift", "energy")
+LEVELS_OF_RUNS = ("trajectories", "drift", "energy")
 """Levels that compare whole simulations (runs), in their order."""
 
-LEVELS = (READING, *OF_EQUATIONS, *OF_RUNS)
+LEVELS = (READING, *LEVELS_OF_EQUATIONS, *LEVELS_OF_RUNS)
 """All levels of a comparison of engines, in their order."""
 
 REFERENCE = "reference"
@@ -190,7 +190,7 @@ def not_compared(rows: Sequence[Check]) -> Iterator[str]:
     """Yield a line for each level at which pairs of engines differ: a pair that differs is not compared at
     later levels."""
     # Group the pairs by the last level at which they differ
-    levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
+    levels = ("model", START, *LEVELS_OF_EQUATIONS[1:], *LEVELS_OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
     pairs_by_level: dict[str, list[Sequence[str]]] = {}
     for pair in dict.fromkeys(pairs):

@@ -18,7 +18,15 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from crosscheck.compare.check import CONSTRAINT_VIOLATION, FILE, LEVELS, OF_RUNS, READING, REFERENCE, Check
+from crosscheck.compare.check import (
+    CONSTRAINT_VIOLATION,
+    FILE,
+    LEVELS,
+    LEVELS_OF_RUNS,
+    READING,
+    REFERENCE,
+    Check,
+)
 from crosscheck.compare.reference_values import ReferenceCheck
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.equations.redundancy import NearlyRedundant
@@ -199,7 +207,7 @@ def diagnose(
     wrong = {check.engine for check in reference_checks if not check.agrees}
     diagnoses = []
     while (diagnosis := _first_difference(names, judged, wrong)) is not None:
-        if diagnosis.level in OF_RUNS and diagnosis.quantity != MOMENTUM_BALANCE:
+        if diagnosis.level in LEVELS_OF_RUNS and diagnosis.quantity != MOMENTUM_BALANCE:
             # The equations agree, only runs differ: look for a cause in soft constraints
             drift = [
                 check
@@ -263,7 +271,7 @@ def _by_formulation(names: Sequence[str], checks: Iterable[Check]) -> tuple[list
 
 def _is_of_one_formulation(check: Check) -> bool:
     """Return False for a check of `NEWTON_EULER` that is the worst over all formulations."""
-    return NEWTON_EULER not in check.between or check.level in (READING, *OF_RUNS)
+    return NEWTON_EULER not in check.between or check.level in (READING, *LEVELS_OF_RUNS)
 
 
 def _renamed(check: Check, new_names: Mapping[str, str]) -> Check:
@@ -326,7 +334,7 @@ def _file_diagnosis(names: Sequence[str], checks: Sequence[Check]) -> Diagnosis 
         return None
     compared = _ordered(names, (name for check in with_file for name in check.between if name != FILE))
     differing = _ordered(names, (name for check in failed for name in check.between if name != FILE))
-    of_models = [check for check in checks if check.level not in OF_RUNS]
+    of_models = [check for check in checks if check.level not in LEVELS_OF_RUNS]
     if len(differing) == 1 and len(compared) > 1:
         outlier = differing[0]
         others = [name for name in compared if name != outlier]
@@ -438,7 +446,7 @@ def _decided_by_single_check(
         and not check.agrees
         and check.between[0] in names
         # the momentum balance at levels of equations, all other checks at levels of runs
-        and (check.quantity == MOMENTUM_BALANCE) == (level not in OF_RUNS)
+        and (check.quantity == MOMENTUM_BALANCE) == (level not in LEVELS_OF_RUNS)
     }
     if len(failed) == 1:
         return next(iter(failed.items()))
@@ -473,7 +481,8 @@ def _diagnosis(
     if outlier == FILE:
         fault = "reading"
     elif outlier:
-        fault = "integration" if check.level in OF_RUNS and check.quantity != MOMENTUM_BALANCE else "model"
+        tests_run = check.level in LEVELS_OF_RUNS and check.quantity != MOMENTUM_BALANCE
+        fault = "integration" if tests_run else "model"
     return Diagnosis(
         outlier=outlier,
         differing=tuple(differing),

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from crosscheck.compare.check import OF_RUNS, Check
+from crosscheck.compare.check import LEVELS_OF_RUNS, Check
 from crosscheck.compare.result import ComparisonResult
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.render import as_json, markdown
@@ -110,7 +110,7 @@ def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
 
 def _worst_moments(checks: Sequence[Check]) -> Iterator[tuple[float, str]]:
     """Yield the time, s, and a text of the check closest to failing, for each level of checks of runs."""
-    for level in OF_RUNS:
+    for level in LEVELS_OF_RUNS:
         at_level = [check for check in checks if check.level == level and check.judged]
         worst = max(at_level, key=lambda check: check.tolerance_ratio, default=None)
         if worst and (where := PLACE_AND_TIME.fullmatch(worst.where)):

@@ -13,8 +13,8 @@ from typing import Any
 from crosscheck.compare.check import (
     CONSTRAINT_VIOLATION,
     FILE,
-    OF_EQUATIONS,
-    OF_RUNS,
+    LEVELS_OF_EQUATIONS,
+    LEVELS_OF_RUNS,
     READING,
     REFERENCE,
     START,
@@ -74,7 +74,7 @@ def levels_table(result: ComparisonResult) -> Table:
     checks = judged_checks(result)
     rows: Rows = []
     # `START` is a level of the comparison of two models
-    for level in (READING, "model", START, *OF_EQUATIONS[1:], *OF_RUNS, REFERENCE):
+    for level in (READING, "model", START, *LEVELS_OF_EQUATIONS[1:], *LEVELS_OF_RUNS, REFERENCE):
         at_level = [check for check in checks if check.level == level]
         if not at_level:
             continue

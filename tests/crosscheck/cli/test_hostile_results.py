@@ -61,8 +61,8 @@ def check(case: Refused, server: Server, tmp_path: Path) -> None:
 
 KINDS = (json_cases, baseline_cases, size_cases, option_cases)
 CASES = {case.name: case for kind in KINDS for case in kind()}
-OF_RUNS = (array_cases, archive_cases)
-RUN_CASES = [case.name for kind in OF_RUNS for case in kind(Path())]
+LEVELS_OF_RUNS = (array_cases, archive_cases)
+RUN_CASES = [case.name for kind in LEVELS_OF_RUNS for case in kind(Path())]
 FAST, FAST_RUN = list(CASES)[::15], [*RUN_CASES[1::15], "archives exchanged"]
 
 
@@ -79,12 +79,12 @@ def test_more_that_cannot_be_used(name: str, server: Server, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", FAST_RUN)
 def test_a_damaged_run_is_refused(name: str, server: Server, finished: Path, tmp_path: Path) -> None:
-    (case,) = (case for kind in OF_RUNS for case in kind(finished) if case.name == name)
+    (case,) = (case for kind in LEVELS_OF_RUNS for case in kind(finished) if case.name == name)
     check(case, server, tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in RUN_CASES if name not in FAST_RUN])
 def test_more_damaged_runs(name: str, server: Server, finished: Path, tmp_path: Path) -> None:
-    (case,) = (case for kind in OF_RUNS for case in kind(finished) if case.name == name)
+    (case,) = (case for kind in LEVELS_OF_RUNS for case in kind(finished) if case.name == name)
     check(case, server, tmp_path)

@@ -16,7 +16,7 @@ from test_two_ways import DURATION, PERIOD, whole, written_mjcf, written_urdf
 import mjcf
 import urdf
 from crosscheck.cli.run import _distinct_name
-from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS, START
+from crosscheck.compare.check import LEVELS_OF_EQUATIONS, LEVELS_OF_RUNS, START
 from crosscheck.compare.two_models import compare
 from crosscheck.compare.two_models.align import alignments
 from crosscheck.compare.two_models.compare import TwoModelComparison, compare_models
@@ -91,11 +91,11 @@ def first_failing(result: TwoModelComparison) -> tuple[str, str, str]:
 def test_one_mechanism_cut_in_two_ways_is_the_same(tmp_path: Path, one: str, other: str) -> None:
     result = compared(read_mjcf(tmp_path, written_mjcf(one, sites=False)), read_urdf(tmp_path, other))
     assert result.verdict.startswith("SAME: a and b agree in all ")
-    assert {row.level for row in result.checks} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
+    assert {row.level for row in result.checks} == {*LEVELS_OF_EQUATIONS, *LEVELS_OF_RUNS, START} - {"drift"}
     reactions = [row for row in result.checks if row.quantity.startswith("reaction")]
     assert len(reactions) == 2
     judged = [row for row in result.checks if row.judged]
-    assert all(row.value < ROUND_OFF for row in judged if row.level in OF_EQUATIONS)
+    assert all(row.value < ROUND_OFF for row in judged if row.level in LEVELS_OF_EQUATIONS)
 
 
 def test_notes_tell_what_is_not_the_same_by_name(tmp_path: Path) -> None:
@@ -367,7 +367,11 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["agrees"] is True
     assert [part["source"] for part in summary["models"]] == [str(model), str(converted)]
-    assert {figure["level"] for figure in summary["checks"]} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
+    assert {figure["level"] for figure in summary["checks"]} == {
+        *LEVELS_OF_EQUATIONS,
+        *LEVELS_OF_RUNS,
+        START,
+    } - {"drift"}
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled,
 from verdicts import ALL, figure, verdicts
 
 import mjcf
-from crosscheck.compare.check import OF_EQUATIONS, Check, not_compared
+from crosscheck.compare.check import LEVELS_OF_EQUATIONS, Check, not_compared
 from crosscheck.compare.levels import compare, compare_equations, sampled
 from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.runs import compare_runs
@@ -103,7 +103,7 @@ def test_tracker_is_held_to_what_it_can_meet(tracker, tracker_run):
     rows = compare(tracker, engines, {"newton_euler": tracker_run(), "mujoco": mjcf.simulate(tracker)}, 5)
     assert_agrees(rows)
     for row in rows:
-        if row.level in OF_EQUATIONS and row.judged:
+        if row.level in LEVELS_OF_EQUATIONS and row.judged:
             # round-off at condition 1e4, relative to the mechanism's motion. In differences over 1e-3 rad
             # the round-off of velocities, 1e-16, counts 1e3 times
             bound = 1e-12 if row.quantity == "joint acceleration, rel" else 1e-13

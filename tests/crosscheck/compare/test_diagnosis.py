@@ -13,7 +13,7 @@ from verdicts import verdicts
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS, Check
+from crosscheck.compare.check import LEVELS_OF_EQUATIONS, LEVELS_OF_RUNS, Check
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.diagnosis import FILE, READING, diagnose
 from crosscheck.compare.levels import compare_equations
@@ -75,7 +75,10 @@ def test_who_parts_from_two_that_agree_is_odd(values, outlier, agree):
 
 @pytest.mark.parametrize(
     ("level", "fault"),
-    [*((level, "model") for level in OF_EQUATIONS), *((level, "integration") for level in OF_RUNS)],
+    [
+        *((level, "model") for level in LEVELS_OF_EQUATIONS),
+        *((level, "integration") for level in LEVELS_OF_RUNS),
+    ],
 )
 def test_models_and_integrations_are_told_apart(level, fault):
     (found,) = diagnose(NAMES, pairs(level, 5.0, 0.5, 5.0))

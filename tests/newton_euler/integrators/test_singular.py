@@ -12,7 +12,7 @@ from mechanisms import bar, pendulum, seven_hinges
 from scipy.integrate import solve_ivp
 
 import newton_euler
-from crosscheck.compare.check import OF_EQUATIONS
+from crosscheck.compare.check import LEVELS_OF_EQUATIONS
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES, choose
@@ -379,7 +379,7 @@ def test_runs_of_an_undetermined_start_are_not_compared():
     assert [stop.what for stop in found.unfinished if stop.undetermined] == ["newton_euler"]
     assert (found.diagnosis, found.notes, found.run_errors) == ((), (), {})
     levels = {row.level for row in found.checks}
-    assert levels >= set(OF_EQUATIONS)
+    assert levels >= set(LEVELS_OF_EQUATIONS)
     assert not levels & {"trajectories", "drift"}
 
 

@@ -12,7 +12,7 @@ import pytest
 from mjcf_models import BOX, model, reading
 
 import urdf
-from crosscheck.compare.check import OF_EQUATIONS, OF_RUNS
+from crosscheck.compare.check import LEVELS_OF_EQUATIONS, LEVELS_OF_RUNS
 from crosscheck.compare.crosscheck import crosscheck
 from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES
@@ -248,4 +248,4 @@ def test_a_file_that_starts_in_a_singular_configuration_is_read_and_compared(tmp
     (said,) = (line for line in verdict.crosscheck.mapping.start if line.startswith("excited: "))
     assert "the start is a singular configuration" in said
     assert verdict.outcome is Outcome.AGREE_AT_RANDOM_STATES_ONLY
-    assert {figure.level for figure in verdict.checks} >= {*OF_EQUATIONS, *OF_RUNS}
+    assert {figure.level for figure in verdict.checks} >= {*LEVELS_OF_EQUATIONS, *LEVELS_OF_RUNS}
