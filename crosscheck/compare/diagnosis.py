@@ -56,11 +56,11 @@ nearly allows. The stiffness k, divided by the inertia, is s^2 / (1e-4 (2e-3 s)^
 t = 20 s it changes the motion by k t^2 = 1 %."""
 
 FAULTS = {
-    "model": "{} model is wrong",
-    "integration": "{} integration is at fault",
+    "model": "{0} model is wrong",
+    "integration": "{0} integration is at fault",
     "reading": "the reading of the file is wrong",
-    "softness": "{} constraints are too soft: {}",
-    "resolution": "{} step is too large for this model, or its soft constraints resist each other",
+    "softness": "{0} constraints are too soft: {1}",
+    "resolution": "{0} step is too large for this model, or its soft constraints resist each other",
     "redundancy": "what each makes of nearly redundant constraints is the difference: {1}",
 }
 """Sentence for each likely cause. {0} stands for the possessive of the outlier, such as "mujoco's", {1} for
@@ -202,7 +202,7 @@ def diagnose(
     redundancy = "; ".join(
         str(each) for each in nearly_redundant if each.singular_value > MIN_SOFT_SINGULAR_VALUE
     )
-    judged = [check for check in checks if check.judged]  # the others are for information only
+    judged = [check for check in checks if check.judged]  # others can neither pass nor fail
     names = [*engines, *([FILE] if any(FILE in check.between for check in judged) else [])]
     wrong = {check.engine for check in reference_checks if not check.agrees}
     diagnoses = []
