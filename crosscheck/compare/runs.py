@@ -106,6 +106,7 @@ def measure_run_errors(scene: Scene, engines: Sequence[Engine], runs: Runs) -> d
     Raises:
         NewtonEulerError, CrosscheckError: if the reference run does not complete.
     """
+    # only engines with soft constraints have the function `evaluate_soft_constraints`
     rigid = next((engine for engine in engines if engine.evaluate_soft_constraints is None), None)
     if rigid is None or not runs:
         return {}
@@ -181,8 +182,8 @@ def compare_runs(
     refined_runs: dict[str, Trajectory] = {}
     not_refinable: set[str] = set()
 
-    def length(between: Sequence[Engine]) -> float:
-        """Return the unit of lengths, m: the mechanism's reach until the shorter of some runs ends.
+    def length_unit(between: Sequence[Engine]) -> float:
+        """Return the unit of lengths, m: the mechanism's reach until the shortest run of `between` ends.
 
         The run with the smallest reach counts: a diverging run must not extend the tolerances.
         """
@@ -226,6 +227,7 @@ def compare_runs(
         name = max(refined, key=lambda engine: change_if_refined(engine, difference)).name
 
         def decreases(others: Runs) -> bool:
+            """Return True if the refined run of the engine `name` reduces the value, given other runs."""
             before = float(np.max(compared_value({**others, name: runs[name]})))
             after = float(np.max(compared_value({**others, name: refined_runs[name]})))
             return after <= max(MAX_REMAINING_ERROR * before, floor)
@@ -308,7 +310,7 @@ def compare_runs(
         """Compare poses of two engines; a pair that fails is added to `differing_pairs`."""
         fixed = a.trajectory_error + b.trajectory_error + noise
         for quantity, difference, unit in (
-            (POSES[0], positions_apart, length((a, b))),
+            (POSES[0], positions_apart, length_unit((a, b))),
             (POSES[1], orientations_apart, 1.0),
         ):
             compared_value = between_two(a, b, difference)
@@ -327,7 +329,7 @@ def compare_runs(
                 compared_value=partial(_violation, engine.name),
                 difference=_violations_apart,
                 fixed=engine.drift + noise,
-                unit=length((engine,)),
+                unit=length_unit((engine,)),
             )
 
     def kinetic_energy(a: Engine, b: Engine) -> Iterator[Check]:
