@@ -174,9 +174,9 @@ def chain_despite_errors(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
         raise errors[0]
 
 
-def not_judged(rows: Sequence[Check]) -> str:
+def not_judged(checks: Sequence[Check]) -> str:
     """Report how many checks are not judged because an engine is unconverged, and why; empty if none."""
-    engines = [row.unconverged for row in rows if row.unconverged]
+    engines = [check.unconverged for check in checks if check.unconverged]
     count = "1 more check is" if len(engines) == 1 else f"{len(engines)} more checks are"
     return f"; {count} not judged: {unconverged_reason(engines)}" if engines else ""
 
@@ -186,16 +186,16 @@ def unconverged_reason(engines: Iterable[str]) -> str:
     return f"a finer run of {' and '.join(dict.fromkeys(engines))} reduces the difference too little"
 
 
-def not_compared(rows: Sequence[Check]) -> Iterator[str]:
+def not_compared(checks: Sequence[Check]) -> Iterator[str]:
     """Yield a line for each level at which pairs of engines differ: a pair that differs is not compared at
     later levels."""
     # Group the pairs by the last level at which they differ
     levels = ("model", START, *LEVELS_OF_EQUATIONS[1:], *LEVELS_OF_RUNS)
-    pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
+    pairs = (check.between for check in checks if len(check.between) == 2 and FILE not in check.between)
     pairs_by_level: dict[str, list[Sequence[str]]] = {}
     for pair in dict.fromkeys(pairs):
-        failed = [row for row in rows if row.between == pair and not row.agrees]
-        last = max((levels.index(row.level) for row in failed), default=len(levels) - 1)
+        failed = [check for check in checks if check.between == pair and not check.agrees]
+        last = max((levels.index(check.level) for check in failed), default=len(levels) - 1)
         if last + 1 < len(levels):
             pairs_by_level.setdefault(levels[last], []).append(pair)
     for level, differing in pairs_by_level.items():
@@ -221,14 +221,14 @@ def reach(scene: Scene, position: Array) -> float:
     return max(scene.mechanism.size, float(np.max(np.abs(position))))
 
 
-def require_finite(rows: Iterable[Check]) -> Iterator[Check]:
+def require_finite(checks: Iterable[Check]) -> Iterator[Check]:
     """Yield the checks with finite values; then raise `CrosscheckError` for the first other check."""
     not_finite = []
-    for row in rows:
-        if np.isfinite(row.value):
-            yield row
+    for check in checks:
+        if np.isfinite(check.value):
+            yield check
         else:
-            not_finite.append(row)
+            not_finite.append(check)
     if not_finite:
         first = not_finite[0]
         raise CrosscheckError(

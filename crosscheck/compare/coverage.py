@@ -109,20 +109,20 @@ class Coverage:
         return f"motion covers {tested} of {len(self.elements)} elements"
 
 
-def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Check]) -> Coverage | None:
+def coverage(scene: Scene, runs: Mapping[str, Trajectory], checks: Sequence[Check]) -> Coverage | None:
     """Compute the coverage of runs that were compared; None if no trajectories were compared.
 
     Args:
         scene: the scene that was simulated.
         runs: run of each engine. Coverage is computed up to the end of the shortest run.
-        rows: all checks; the tolerance is the smallest one of the trajectories.
+        checks: all checks; the tolerance is the smallest one of the trajectories.
 
     Raises:
         NewtonEulerError: for a scene that newton_euler does not run.
     """
-    compared = [row for row in rows if row.level == "trajectories" and row.judged]
+    compared = [check for check in checks if check.level == "trajectories" and check.judged]
     length, angle = (  # tolerances of positions, m, and orientations, rad
-        min((row.tolerance for row in compared if row.quantity == quantity), default=None)
+        min((check.tolerance for check in compared if check.quantity == quantity), default=None)
         for quantity in POSES
     )
     if length is None or angle is None:

@@ -398,10 +398,10 @@ def compare_runs_until(
     if count < 2 or count == len(scene.times):
         return
     shorter = {name: run.first(count) for name, run in runs.items()}
-    for row in compare_runs(scene, engines, shorter, energy, differing):
-        if row.level == "trajectories":
-            quantity, _, unit = row.quantity.rpartition(", ")
-            yield replace(row, quantity=f"{quantity} until {until:.4g} s, {unit}")
+    for check in compare_runs(scene, engines, shorter, energy, differing):
+        if check.level == "trajectories":
+            quantity, _, unit = check.quantity.rpartition(", ")
+            yield replace(check, quantity=f"{quantity} until {until:.4g} s, {unit}")
 
 
 def _redundancy_noise(scene: Scene) -> float:
