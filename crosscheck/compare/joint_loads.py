@@ -44,7 +44,7 @@ class JointLoads:
             NewtonEulerError: for a state at which accelerations cannot be computed.
         """
         self._system, self._states = Relative(scene), states
-        self._size = scene.mechanism.longest
+        self._longest = scene.mechanism.longest  # length of the longest body, m
         self._frames = [state.frames() for _, state in states]
         self._coordinates = [self._system.coordinates(state) for _, state in states]
         self._evaluations = [
@@ -60,7 +60,7 @@ class JointLoads:
         """Smallest inertia of all bodies, kg: mass, or principal moment of inertia / longest body^2."""
         bodies = self._system.mechanism.bodies[1:]
         return min(
-            min(body.mass, float(np.linalg.eigvalsh(body.inertia)[0]) / self._size**2) for body in bodies
+            min(body.mass, float(np.linalg.eigvalsh(body.inertia)[0]) / self._longest**2) for body in bodies
         )
 
     def motion_change(self, displaced: JointEquations) -> tuple[float, float]:
@@ -98,10 +98,10 @@ class JointLoads:
             first, second = frames[displaced.first], frames[displaced.second]
             force = evaluation.reaction_force[number]
             torque = evaluation.reaction_torque[number] + np.cross(second.rotation @ arm, force)
-            wrench = np.concatenate([force, torque / self._size])
+            wrench = np.concatenate([force, torque / self._longest])
             # Its projection onto the constraint directions of the displaced joint is supported
             jacobian = displaced.jacobian(first, second)
-            directions = np.concatenate([jacobian.r_second.T, jacobian.theta_second.T / self._size])
+            directions = np.concatenate([jacobian.r_second.T, jacobian.theta_second.T / self._longest])
             unsupported.append(wrench - directions @ np.linalg.lstsq(directions, wrench)[0])
         return np.array(unsupported)
 
@@ -124,7 +124,7 @@ class JointLoads:
         center = frames[displaced.second].position
         yielding = np.zeros((len(frames), 6))
         for body in np.flatnonzero(moving):
-            turn = direction[3:] / self._size
+            turn = direction[3:] / self._longest
             yielding[body, :3] = direction[:3] + np.cross(turn, frames[body].position - center)
             yielding[body, 3:] = turn
         momenta = self._momenta(k, yielding[:, :, None])[:, :, 0]
