@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 
 NO_MEMORY = ("failed to map segment", "llocate", "start new thread", "spawn background thread", "bad_alloc")
-"""Parts of messages by which NumPy, LLVM, Rerun and other libraries report a lack of memory or of threads."""
+"""Parts of messages by which NumPy, LLVM, Rerun and other libraries report a lack of memory or of threads;
+"llocate" is part of both "allocate" and "Allocate"."""
 
 
 class CrosscheckError(Exception):
