@@ -44,7 +44,8 @@ ForceAtJoint = Law | JointSpring | BallSpring
 """Control law of an actuator, or spring, that acts at a joint."""
 
 MIN_VIOLATION = 1e-11
-"""Smallest constraint violation that is not round-off: sizes of the mechanism or rad; of rates, 1/s."""
+"""Smallest constraint violation that is not round-off: of poses, sizes of the mechanism or rad; of
+velocities, 1/s."""
 
 MIN_ACCELERATION_VIOLATION = 1e-9
 """Smallest violation of joint constraints by accelerations that is not round-off, divided by the largest
@@ -53,11 +54,11 @@ acceleration."""
 MIN_RESIDUAL_RATIO = 1e-2
 """Residuals below this fraction of the largest one are side effects, such as squares of a small error."""
 
-EXPLAINED = 1e-4
+MAX_UNEXPLAINED_RATIO = 1e-4
 """Largest residual of Newton's and Euler's equations that may remain after the fit of a wrong parameter,
 divided by the largest residual before. Residuals are linear in a small error up to about this fraction."""
 
-UNBALANCED = 1e-10
+MIN_RELATIVE_RESIDUAL = 1e-10
 """Smallest residual of Newton's and Euler's equations, N, that is not round-off, divided by a typical force:
 the scene's unit of energy over its size. 1e-10 is the round-off at a condition number of 100."""
 
@@ -74,9 +75,10 @@ def kinematic_cause(first: Samples, second: Samples) -> str | None:
         all its joints are. None if no constraint is violated, so that an engine has too many constraints.
     """
     for search in (_violated_after_closure, _violated_in_tree, _violated_closure):
+        # the second engine first: the first one is usually newton_euler, this project's solver
         for samples in (second, first):
-            if (found := search(samples)) is not None:
-                return found
+            if (name := search(samples)) is not None:
+                return name
     return None
 
 
@@ -231,7 +233,7 @@ def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause
     for samples in (second, first):
         residuals = momentum_residuals(samples)
         largest = np.abs(residuals).max(axis=(0, 2))  # of each moving body
-        if not largest.max() > UNBALANCED * first.states.energy / scene.mechanism.size:
+        if not largest.max() > MIN_RELATIVE_RESIDUAL * first.states.energy / scene.mechanism.size:
             continue
         if forces and (fitted := _fitted_gravity(scene, residuals)) is not None:
             return Cause("gravity", _instead_of(fitted, scene.gravity, "m/s^2"))
@@ -254,7 +256,7 @@ def _fitted_gravity(scene: Scene, residuals: Array) -> Array | None:
     change = np.einsum("nbi,b->i", residuals[..., :3], mass) / (len(residuals) * (mass @ mass))
     remaining = residuals.copy()
     remaining[..., :3] -= mass[:, None] * change
-    explains = np.abs(remaining).max() < EXPLAINED * np.abs(residuals).max()
+    explains = np.abs(remaining).max() < MAX_UNEXPLAINED_RATIO * np.abs(residuals).max()
     return scene.gravity + change if explains else None
 
 
@@ -305,7 +307,7 @@ def _fitted_forces(unit_loads: Array, residuals: Array) -> Array | None:
     for residual, loads in zip(remaining, unit_loads.reshape(*unit_loads.shape[:2], -1), strict=True):
         forces.append(np.linalg.lstsq(loads.T, residual)[0])
         residual -= forces[-1] @ loads  # in place: changes `remaining`
-    explains = np.abs(remaining).max() < EXPLAINED * np.abs(flat).max()
+    explains = np.abs(remaining).max() < MAX_UNEXPLAINED_RATIO * np.abs(flat).max()
     return np.array(forces) if explains else None
 
 
@@ -321,7 +323,7 @@ def _wrong_parameter(force: ForceAtJoint, extra: Array, at_states: Sequence[Surr
     Returns:
         Text with the name of the parameter and both values; empty if no parameter explains the forces.
     """
-    if np.ptp(extra, axis=0).max() < EXPLAINED * np.abs(extra).max():
+    if np.ptp(extra, axis=0).max() < MAX_UNEXPLAINED_RATIO * np.abs(extra).max():
         return ""
     given = np.array([np.atleast_1d(force.at_joint(state)) for state in at_states])
     for name in force.parameters:
@@ -334,7 +336,7 @@ def _wrong_parameter(force: ForceAtJoint, extra: Array, at_states: Sequence[Surr
         if not np.any(slope):
             continue
         change = float(np.sum(slope * extra) / np.sum(slope * slope))
-        if np.abs(extra - change * slope).max() < EXPLAINED * np.abs(extra).max():
+        if np.abs(extra - change * slope).max() < MAX_UNEXPLAINED_RATIO * np.abs(extra).max():
             return f"{name} {_instead_of(np.array([value + change]), np.array([value]))}"
     return ""
 
@@ -342,7 +344,7 @@ def _wrong_parameter(force: ForceAtJoint, extra: Array, at_states: Sequence[Surr
 def _instead_of(fitted: Array, of_scene: Array, unit: str = "") -> str:
     """Format fitted numbers (n,) and those of the scene, as "1.1 instead of 1 m/s^2"."""
     # Numbers far below the change are round-off of zero
-    rounded = np.where(np.abs(fitted) > EXPLAINED * np.abs(fitted - of_scene).max(), fitted, 0.0)
+    rounded = np.where(np.abs(fitted) > MAX_UNEXPLAINED_RATIO * np.abs(fitted - of_scene).max(), fitted, 0.0)
     texts = (" ".join(f"{number:.4g}" for number in numbers) for numbers in (rounded, of_scene))
     return f"{' instead of '.join(texts)} {unit}".rstrip()
 
