@@ -165,6 +165,15 @@ class Inputs:
         control[self._places] += self._by_sine * np.sin(phase) + self._by_cosine * np.cos(phase)
         return control
 
+    @property
+    def terms(self) -> dict[str, list[float]]:
+        """Terms of the controls, (nu,) each: constant + sine sin(w t) + cosine cos(w t), w in rad/s."""
+        frequency, sine, cosine = np.zeros((3, len(self.control)))
+        frequency[self._places] = self._frequency
+        sine[self._places], cosine[self._places] = self._by_sine, self._by_cosine
+        terms = {"constant": self.control, "sine": sine, "cosine": cosine, "angular_frequency": frequency}
+        return {name: values.tolist() for name, values in terms.items()}
+
 
 def _numbers(values: tuple[float, ...] | None) -> str:
     """Write numbers as in MJCF; "" for None."""
@@ -174,6 +183,18 @@ def _numbers(values: tuple[float, ...] | None) -> str:
 def _attributes(values: Mapping[str, str]) -> str:
     """Write attributes as in XML."""
     return " ".join(f'{name}="{value}"' for name, value in values.items())
+
+
+def _differing_numbers(model: Any, changed: Any) -> dict[str, Any]:
+    """Return the numbers of a changed compiled model that differ from another one, by name in Python."""
+    found: dict[str, Any] = {}
+    for prefix, one, other in (("opt.", model.opt, changed.opt), ("", model, changed)):
+        for name in dir(one):
+            value = getattr(other, name)
+            is_number = isinstance(value, int | float | np.ndarray) and not name.startswith("_")
+            if is_number and not np.array_equal(getattr(one, name), value):
+                found[prefix + name] = np.asarray(value).tolist()
+    return found
 
 
 class MujocoFile(FileSimulation[MujocoSettings]):
@@ -256,6 +277,21 @@ class MujocoFile(FileSimulation[MujocoSettings]):
                     f"own: {elements}{f' and {more} more' if more > 0 else ''} -->"
                 )
         return "\n".join(lines)
+
+    def start(self, reduced: bool) -> dict[str, Any]:
+        """Return qpos, qvel, act, eq_active and controls; and arrays of the model that the run changes.
+
+        See `FileSimulation.start`. Arrays are named as in Python, such as "opt.disableflags".
+        """
+        model, active = self._prepared(reduced)
+        return {
+            "qpos": self._start.tolist(),
+            "qvel": self._velocity.tolist(),
+            "act": self._inputs.activation.tolist(),
+            "eq_active": active.tolist(),
+            "ctrl": self._inputs.terms,
+            "model": _differing_numbers(self._model, model),
+        }
 
     def causes(self) -> Iterator[Cause[MujocoSettings]]:
         own = self.settings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import islice
 from typing import Any
 
@@ -90,6 +90,8 @@ class Judgement:
         reference: the reference solution at the same times.
         stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
             judged run without them completes; "" otherwise.
+        start: start, controls, changed numbers and output times of the judged run. The engine alone can repeat
+            the run with these, see `FileSimulation.start`.
     """
 
     engine: str
@@ -106,6 +108,7 @@ class Judgement:
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
     stopped_as_it_stands: str = ""
+    start: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def band(self) -> Band:
@@ -181,6 +184,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         stability,
         changes,
         "" if run.stopped else as_it_stands,
+        {**simulation.start(reduced=bool(events)), "output_times": compared.reference.time.tolist()},
     )
 
 

@@ -1,6 +1,11 @@
-"""Study of public models: run `crosscheck run` on listed MJCF and URDF files, and write a table of verdicts.
+"""Study of public models: run `crosscheck run` on listed MJCF and URDF files, and write a table.
 
     python -m crosscheck.studies.models docs/results/models.yaml FOLDER --write docs/results/models.md
+    python -m crosscheck.studies.models docs/results/own_runs.yaml FOLDER --table own-runs \\
+        --write docs/results/own_runs.md
+
+The first table has the verdicts of all engines. The second one has the errors of the runs that the files make
+with their own settings.
 
 FOLDER contains clones of the repositories as OWNER/NAME. Each file runs in a separate process with a limit of
 CPU time. Results are stored in the file models.json of the output folder. With `--only TEXT`, only files
@@ -18,6 +23,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +36,14 @@ from crosscheck.compare.outcome import ExitStatus, Outcome
 from crosscheck.library.model_files import is_urdf_file
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
+from crosscheck.studies.own_run_table import OwnRunResult, own_run_result, own_run_table
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
 from newton_euler.folders import make_folder
 from newton_euler.reading.import_report import ACTING, FATES, ImportedElement, ImportReport
 
 MAX_CPU_TIME = 600
-"""Largest CPU time of one model, s. Other programs on the machine do not affect CPU time."""
+"""Default of the largest CPU time of one model, s. Other programs on the machine do not affect CPU time."""
 
 MAX_WALL_TIME = 3600.0
 """Largest wall time of one model, s."""
@@ -83,6 +90,8 @@ class Repository(BaseModel):
 
     Attributes:
         repository: name of the repository as OWNER/NAME.
+        commit: commit of the files; "" if it is not stated.
+        folder: folder of the files, relative to the list; "" for FOLDER/OWNER/NAME.
         options: options that all files share.
         files: the model files.
     """
@@ -90,6 +99,8 @@ class Repository(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     repository: str
+    commit: str = ""
+    folder: str = ""
     options: dict[str, Any] = Field(default_factory=dict)
     files: list[ListedModel]
 
@@ -107,6 +118,7 @@ class ModelResult(BaseModel):
         covered: number of elements of the scene that the motion tests, as "3 of 4".
         lacks: description of the parts of the file that were not simulated.
         processor_time: CPU time of all processes of the command, s.
+        own_run: judgement of the file's own run; None if the run was not judged.
     """
 
     verdict: str
@@ -117,6 +129,7 @@ class ModelResult(BaseModel):
     covered: str = ""
     lacks: str = ""
     processor_time: float
+    own_run: OwnRunResult | None = None
 
 
 def read_list(path: Path) -> list[Repository]:
@@ -132,17 +145,25 @@ def read_list(path: Path) -> list[Repository]:
         raise CrosscheckError(f"{path} is no list of models: {error}") from error
 
 
-def run_model(folder: Path, repository: Repository, entry: ListedModel, output: Path) -> ModelResult:
+def run_model(
+    home: Path,
+    repository: Repository,
+    entry: ListedModel,
+    output: Path,
+    limit: int = MAX_CPU_TIME,
+    has_own_run: bool = False,
+) -> ModelResult:
     """Run `crosscheck run` on one model file.
 
     Args:
-        folder: folder of the repositories.
+        home: folder of the repository.
         repository: repository of the file.
         entry: the file.
         output: folder for the results of `crosscheck run`; existing results are deleted.
+        limit: largest CPU time, s.
+        has_own_run: whether the judgement of the file's own run is wanted.
     """
     # The command, with options of the repository and of the file
-    home = folder / repository.repository
     path = home / entry.file
     options = repository.options | entry.options
     if not is_urdf_file(entry.file):
@@ -161,14 +182,14 @@ def run_model(folder: Path, repository: Repository, entry: ListedModel, output: 
             text=True,
             timeout=MAX_WALL_TIME,
             check=False,
-            preexec_fn=_limit_processor_time,
+            preexec_fn=partial(_limit_processor_time, limit),
         )
     except subprocess.TimeoutExpired:
         line = f"more than {MAX_WALL_TIME:g} s"
         return ModelResult(verdict=TOO_LONG, line=line, processor_time=_processor_time() - before)
     used = _processor_time() - before
     if done.returncode == -signal.SIGXCPU:
-        line = f"more than {MAX_CPU_TIME} s of processor time"
+        line = f"more than {limit} s of processor time"
         return ModelResult(verdict=TOO_LONG, line=line, processor_time=used)
     # If the file was rejected, the result is the last line of the error output, else it is the summary
     summary = output / "summary.json"
@@ -190,12 +211,13 @@ def run_model(folder: Path, repository: Repository, entry: ListedModel, output: 
         covered=f"{sum(tested)} of {len(tested)}" if tested else "",
         lacks="; ".join(filter(None, [motionless, report.counts()])),
         processor_time=used,
+        own_run=own_run_result(path, summary) if has_own_run else None,
     )
 
 
-def _limit_processor_time() -> None:
-    """Limit the CPU time of a new process, and of each process that it starts, to `MAX_CPU_TIME`."""
-    resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_TIME, MAX_CPU_TIME + 1))
+def _limit_processor_time(limit: int) -> None:
+    """Limit the CPU time, s, of a new process, and of each process that it starts."""
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
 
 
 def _processor_time() -> float:
@@ -290,6 +312,28 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
     yield from markdown_table(Table("", heads, rows))
 
 
+def own_runs(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> Iterator[str]:
+    """Yield the lines of Markdown on the files' own runs, in the order of the list.
+
+    Args:
+        repositories: the list of models.
+        found: results by path OWNER/NAME/FILE.
+    """
+    rows: list[tuple[str, str, OwnRunResult | str]] = []
+    for repository in repositories:
+        heading = f"{repository.repository} {repository.commit[:7]}".rstrip()
+        for entry in repository.files:
+            model = found.get(f"{repository.repository}/{entry.file}")
+            if model is not None:
+                reason = _shortened(f"{model.verdict}: {entry.why or model.reason or model.line}")
+                rows.append((heading, entry.file, model.own_run or reason))
+    yield from own_run_table(rows)
+
+
+TABLES = {"verdicts": table, "own-runs": own_runs}
+"""Functions that make the lines of a table, by the name for `--table`."""
+
+
 def _shortened(reason: str) -> str:
     """Cut a reason at `MAX_REASON_LENGTH` characters."""
     return reason if len(reason) <= MAX_REASON_LENGTH else f"{reason[: MAX_REASON_LENGTH - 4].rstrip()} ..."
@@ -314,8 +358,12 @@ def write(path: Path, lines: Sequence[str]) -> None:
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
 @click.option("--only", default="", help="Run only files whose path contains this text.")
 @click.option("--write", "target", type=click.Path(path_type=Path), help="Markdown file to write into.")
+@click.option("--table", "kind", type=click.Choice(list(TABLES)), default="verdicts", help="Table to write.")
+@click.option("--limit", type=int, default=MAX_CPU_TIME, help="Largest CPU time of one model, s.")
 @click.option("--output", type=click.Path(path_type=Path), default="output/models", help="Folder.")
-def main(models: Path, folder: Path, only: str, target: Path | None, output: Path) -> None:
+def main(
+    models: Path, folder: Path, only: str, target: Path | None, kind: str, limit: int, output: Path
+) -> None:
     """Run the files of the list MODELS, whose repositories are in FOLDER as OWNER/NAME."""
     try:
         # Results of earlier runs, which `--only` keeps
@@ -332,13 +380,16 @@ def main(models: Path, folder: Path, only: str, target: Path | None, output: Pat
                 name = f"{repository.repository}/{entry.file}"
                 if only not in name:
                     continue
-                found[name] = run_model(folder, repository, entry, output / "run")
+                home = (
+                    models.parent / repository.folder if repository.folder else folder / repository.repository
+                )
+                found[name] = run_model(home, repository, entry, output / "run", limit, kind == "own-runs")
                 click.echo(f"{name}: {found[name].processor_time:.0f} s: {found[name].line}")
                 kept = {key: each.model_dump() for key, each in found.items()}
                 write_files({store: (json.dumps(kept, indent=1) + "\n").encode()})
         # Write the table
         if target is not None:
-            write(target, list(table(repositories, found)))
+            write(target, list(TABLES[kind](repositories, found)))
             click.echo(f"wrote {target}")
     except CrosscheckError as error:
         raise click.ClickException(str(error)) from error

@@ -135,6 +135,16 @@ class FileSimulation(ABC, Generic[SettingsT]):
             reduced: whether to switch off all elements that the imported scene does not have.
         """
 
+    def start(self, reduced: bool) -> Mapping[str, Any]:
+        """Return start and controls, as numbers for JSON, so that the engine alone can repeat the run.
+
+        The result is empty for an engine without this record.
+
+        Args:
+            reduced: whether elements that the imported scene does not have are switched off.
+        """
+        return {}
+
     @abstractmethod
     def causes(self) -> Iterator[Cause[SettingsT]]:
         """Yield the properties of the file's settings that can cause an error."""

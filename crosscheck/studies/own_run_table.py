@@ -1,0 +1,214 @@
+"""Table of the runs of public model files with their own settings; `crosscheck.studies.models` writes it.
+
+In: the summary that `crosscheck run` writes, with the judgement of the file's own run. Out: rows of a Markdown
+table: error, causes, and remedies (changed settings and their errors). `plain_mujoco.py` repeats the judged run
+and each remedy with MuJoCo alone, and the row has these errors, too.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from crosscheck.own_run.allowed import length
+from crosscheck.own_run.errors import Band, RunError
+from crosscheck.report.own_run import MIN_CAUSE, SAME_RUN_TIME, percent, size
+from crosscheck.report.render import markdown_table
+from crosscheck.report.table import Rows, Table, text_columns
+
+SCRIPT = Path(__file__).with_name("plain_mujoco.py")
+"""Script that repeats runs with MuJoCo alone."""
+
+MAX_REPEAT_TIME = 600.0
+"""Largest wall time of the script, s."""
+
+REPEAT_TOL, REPEAT_TOL_OF_MOTION = 0.05, 1e-4
+"""Largest difference of an error that the script finds from the reported error: as a fraction of the error,
+plus a fraction of the motion."""
+
+DIVERGED = "DIVERGED"
+"""Word for a run that MuJoCo stops."""
+
+BAND_WORDS = {Band.ACCURATE: "ACCURATE", Band.USABLE: "OFF", Band.WRONG: "WRONG"}
+"""Words of the terminal for the bands of errors."""
+
+WORDS = (*BAND_WORDS.values(), DIVERGED)
+"""Words for runs, in the order of the counts in the table."""
+
+MAX_CAUSES = 2
+"""Number of causes in a row."""
+
+
+class OwnRunResult(BaseModel):
+    """Judgement of a file's own run, in the words of the table.
+
+    Attributes:
+        word: one of `WORDS`.
+        settings: settings of the file.
+        error: largest errors of positions and orientations, and their part of the motion.
+        without: what acts in the file and was switched off, and when the comparison ends if not with the run.
+        cause: the largest causes and their errors.
+        remedies: changes of the file with their errors and run times.
+        repeated: errors of the run of the file and of the remedies that MuJoCo alone finds; "" if the script
+            ended early.
+        repeats: whether these errors are those of the judgement.
+    """
+
+    word: str
+    settings: str
+    error: str
+    without: str
+    cause: str
+    remedies: list[str]
+    repeated: str
+    repeats: bool
+
+
+def own_run_result(path: Path, summary: Path) -> OwnRunResult | None:
+    """Word the judgement of a file's own run, and repeat the run with MuJoCo alone.
+
+    Args:
+        path: the model file.
+        summary: file summary.json of `crosscheck run`.
+
+    Returns:
+        The row; None if the run was not judged.
+    """
+    own_run: dict[str, Any] | None = json.loads(summary.read_text(encoding="utf-8"))["own_run"]
+    if own_run is None:
+        return None
+    stopped = own_run["stopped"] or own_run["stopped_as_it_stands"]
+    errors = [RunError(**own_run["error"]), *(RunError(**each["error"]) for each in own_run["remedies"])]
+    error = errors[0]
+    by_position = errors[-1].is_of_position if own_run["stopped"] else error.is_of_position
+    repeated = _repeat(path, summary) if own_run["start"].get("qpos") is not None else []
+    parts = [each for each in (True, False) if error.part(each) >= 0.1 * error.relative]
+    sizes = " and ".join(size(error, each) for each in parts)
+    opening = f"; loops open by {length(own_run['opening'])}" if own_run["opening"] else ""
+    return OwnRunResult(
+        word=DIVERGED if stopped else BAND_WORDS[Band(own_run["band"])],
+        settings=own_run["settings"],
+        error=stopped or f"{sizes}, {percent(error.relative)}{opening}",
+        without=_without(own_run),
+        cause=_cause(own_run, by_position),
+        remedies=[_remedy(each, by_position) for each in own_run["remedies"]],
+        repeated="; ".join("diverges" if each is None else _size(each, by_position) for each in repeated),
+        repeats=len(repeated) == len(errors)
+        and all(
+            found is None if reported is error and own_run["stopped"] else _is_same(found, reported)
+            for found, reported in zip(repeated, errors, strict=True)
+        ),
+    )
+
+
+def _repeat(path: Path, summary: Path) -> list[dict[str, float] | None]:
+    """Return the errors of the file's run and of its remedies with MuJoCo alone.
+
+    The error of a run that diverges is None. If the script fails, the list is shorter.
+    """
+    command = [sys.executable, str(SCRIPT), str(path.resolve()), str(summary.resolve())]
+    try:
+        done = subprocess.run(
+            command, cwd=summary.parent, capture_output=True, text=True, timeout=MAX_REPEAT_TIME, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return []
+    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith(("{", "null"))]
+
+
+def _is_same(found: Mapping[str, float] | None, reported: RunError) -> bool:
+    """Return whether the script finds the reported errors, see `REPEAT_TOL`."""
+    if found is None:
+        return False
+    allowed = REPEAT_TOL + REPEAT_TOL_OF_MOTION / max(reported.relative, 1e-300)
+    by_position = reported.is_of_position
+    wanted = reported.position if by_position else reported.rotation
+    return abs(found["position" if by_position else "rotation"] - wanted) <= allowed * wanted
+
+
+def _size(found: Mapping[str, float], by_position: bool) -> str:
+    """Word an error that the script finds."""
+    return length(found["position"]) if by_position else f"{math.degrees(found['rotation']):.2g} deg"
+
+
+def _without(own_run: Mapping[str, Any]) -> str:
+    """Word what the judged run leaves out."""
+    words = []
+    if events := own_run["events"]:
+        others = f" and {len(events) - 1} more" if events[1:] else ""
+        words.append(f"{events[0]['element']}{others}, from {events[0]['time']:.3g} s on")
+    if own_run["until"] is not None:
+        words.append(f"chaotic from {own_run['until']:.3g} s on")
+    return "; ".join(words)
+
+
+def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
+    """Word the largest causes, and the mode that is too fast for the step."""
+    causes = [(each["name"], RunError(**each["error"]), each["brings_back"]) for each in own_run["causes"]]
+    if own_run["stopped"]:
+        words = [name for name, _, brings_back in causes if brings_back]
+    else:
+        largest = causes[0][1].part(by_position) if causes else 0.0
+        listed = [each for each in causes if each[1].part(by_position) > MIN_CAUSE * largest]
+        words = [f"{name} {size(error, by_position)}" for name, error, _ in listed]
+    mode = own_run["stability"]
+    words = words[:MAX_CAUSES]
+    if mode and mode["elements"]:
+        words.append(f"fastest mode by {mode['elements'][0]['name']}, {1e3 / mode['rate']:.2g} ms")
+    return "; ".join(words)
+
+
+def _remedy(remedy: Mapping[str, Any], by_position: bool) -> str:
+    """Word the changes of a remedy, its error and its run time."""
+    changes = " ".join(f'{name}="{value}"' for name, value in remedy["changes"].items())
+    is_free = remedy["run_time"] <= SAME_RUN_TIME or remedy["evaluations"] <= 1.0
+    cost = "same run time" if is_free else f"{remedy['run_time']:.1f} times the run time"
+    return f"{changes}: {size(RunError(**remedy['error']), by_position)}, {cost}"
+
+
+def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterator[str]:
+    """Yield the lines of Markdown: counts of bands, the table of judged models, and the other models.
+
+    Args:
+        rows: heading of the repository, model, and its judgement or the reason why there is none.
+    """
+    judged = [each for _, _, each in rows if isinstance(each, OwnRunResult)]
+    counts = Counter(each.word for each in judged)
+    listed = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word])
+    repeats = sum(each.repeats for each in judged)
+    yield f"{len(judged)} models are judged: {listed}. MuJoCo alone repeats the errors of {repeats} of these."
+    yield ""
+    cells: Rows = []
+    for heading, model, each in rows:
+        if not isinstance(each, OwnRunResult):
+            continue
+        if heading not in cells:
+            cells.append(heading)
+        remedies = "; or ".join(each.remedies) or ("none needed" if each.word == "ACCURATE" else "none found")
+        same = each.repeated if each.repeats else f"{each.repeated or 'ended early'} (differs)"
+        error = f"{each.word}: {each.error}"
+        cells.append([model, each.settings, error, each.without, each.cause, remedies, same])
+    heads = text_columns(
+        "model",
+        "settings of the file",
+        "error of its run",
+        "judged without",
+        "cause",
+        "remedy",
+        "MuJoCo alone",
+    )
+    yield from markdown_table(Table("", heads, cells))
+    others = [(f"{heading}: {model}", each) for heading, model, each in rows if isinstance(each, str)]
+    if others:
+        yield ""
+        yield "Not judged:"
+        yield ""
+        yield from markdown_table(Table("", text_columns("model", "reason"), [list(pair) for pair in others]))

@@ -1,0 +1,126 @@
+"""Repeat a file's own run with MuJoCo alone, and measure its error and the error of each remedy.
+
+    python plain_mujoco.py robot.xml output/robot/summary.json
+
+`crosscheck run robot.xml` writes summary.json. The script takes start, controls and settings from its entry
+`own_run`, and nothing else of crosscheck. The reference is a run in MuJoCo too, with the file's time step
+divided by 50, RK4 and nearly rigid constraints. The script prints one line of JSON for the run of the file
+and one for each remedy: the largest errors of a center of mass, m, and of an orientation, rad; null for a
+run that diverges.
+"""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+FINE_STEP_DIVISOR = 50
+"""Factor by which the time step of the reference is shorter than that of the file."""
+
+
+DIVERGENCE = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+"""Warnings after which MuJoCo resets a run."""
+
+
+def simulate(
+    model: Any, start: Mapping[str, Any], times: Sequence[float]
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]] | None:
+    """Simulate a compiled model: return centers of mass (n, b, 3), m, and orientations (n, b, 4).
+
+    Bodies are those with mass; bodies without a joint between them count as one. The result is None for a run
+    that diverges.
+
+    Args:
+        model: compiled model.
+        start: start and controls.
+        times: (n,) output times, s.
+    """
+    data = mujoco.MjData(model)
+    for name in ("qpos", "qvel", "act", "eq_active"):
+        getattr(data, name)[:] = start[name]
+    constant, sine, cosine, frequency = map(np.array, start["ctrl"].values())
+    weights = (model.body_weldid == np.arange(model.nbody)[:, None]) * model.body_mass
+    bodies = [k for k in range(1, model.nbody) if weights[k].sum() > 0.0]
+    weights = weights[bodies] / weights[bodies].sum(axis=1, keepdims=True)
+    centers, orientations = [], []
+    for k, now in enumerate(times):
+        for _ in range(round((now - times[k - 1]) / model.opt.timestep) if k else 0):
+            phase = frequency * data.time
+            data.ctrl[:] = constant + sine * np.sin(phase) + cosine * np.cos(phase)
+            mujoco.mj_step(model, data)
+        if any(data.warning[kind].number for kind in DIVERGENCE):
+            return None
+        mujoco.mj_kinematics(model, data)
+        centers.append(weights @ data.xipos)
+        orientations.append(data.xquat[bodies])
+    return np.array(centers), np.array(orientations)
+
+
+def compiled(path: str, start: Mapping[str, Any], settings: Mapping[str, str]) -> Any:
+    """Compile a file, switch off what the judged run leaves out, and apply settings.
+
+    Args:
+        path: path of the MJCF file.
+        start: start of the judged run; its entry "model" has the changed arrays of the compiled model.
+        settings: attributes of MJCF by name, such as {"timestep": "0.001", "solref": "0.002 1"}.
+    """
+    model = mujoco.MjModel.from_xml_path(path)
+    for name, value in start["model"].items():
+        owner = model.opt if name.startswith("opt.") else model
+        array = np.asarray(value)
+        if array.ndim:
+            getattr(owner, name.removeprefix("opt."))[:] = array
+        else:
+            setattr(owner, name.removeprefix("opt."), value)
+    for name, text in settings.items():
+        match name:
+            case "integrator":
+                model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{text.upper()}")
+            case "solver":
+                model.opt.solver = getattr(mujoco.mjtSolver, f"mjSOL_{text.upper()}")
+            case "solref":
+                model.eq_solref[:] = [float(number) for number in text.split()]
+            case "solimp":
+                model.eq_solimp[:, :3] = [float(number) for number in text.split()]
+            case "iterations":
+                model.opt.iterations = int(text)
+            case _:  # timestep or tolerance
+                setattr(model.opt, name, float(text))
+    return model
+
+
+def main(path: str, summary: str) -> None:
+    """Print the errors of the judged run and of its remedies."""
+    with open(summary, encoding="utf-8") as file:
+        own_run = json.load(file)["own_run"]
+    start, until = own_run["start"], own_run["until"]
+    # `until` is the time from which on the motion is chaotic
+    times = [now for now in start["output_times"] if until is None or now < until]
+    step = compiled(path, start, {}).opt.timestep / FINE_STEP_DIVISOR
+    stiff = {"solref": f"{2.0 * step} 1", "solimp": "0.9999 0.9999 0.001", "solver": "Newton"}
+    fine = {"timestep": f"{step}", "integrator": "RK4", "iterations": "100", "tolerance": "1e-12", **stiff}
+    reference = simulate(compiled(path, start, fine), start, times)
+    for settings in ({}, *(remedy["changes"] for remedy in own_run["remedies"])):
+        run = simulate(compiled(path, start, settings), start, times)
+        print(json.dumps(None if run is None or reference is None else errors(run, reference)))
+
+
+def errors(run: Any, reference: Any) -> dict[str, float]:
+    """Return the largest distance of centers of mass, m, and angle between orientations, rad, of two runs."""
+    (centers, orientations), (others, other_orientations) = run, reference
+    position = np.max(np.linalg.norm(centers - others, axis=2))
+    # unit quaternions with a chord c between them differ by the angle 4 asin(c / 2); q and -q are one turn
+    chords = [np.linalg.norm(orientations - sign * other_orientations, axis=2) for sign in (1.0, -1.0)]
+    angle = np.max(4.0 * np.arcsin(0.5 * np.minimum(*chords)))
+    return {"position": float(position), "rotation": float(angle)}
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
