@@ -192,7 +192,7 @@ def _differing_numbers(model: Any, changed: Any) -> dict[str, Any]:
         for name in dir(one):
             value = getattr(other, name)
             is_number = isinstance(value, int | float | np.ndarray) and not name.startswith("_")
-            if is_number and not np.array_equal(getattr(one, name), value):
+            if is_number and not np.array_equal(getattr(one, name), value, equal_nan=True):
                 found[prefix + name] = np.asarray(value).tolist()
     return found
 

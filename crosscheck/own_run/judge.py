@@ -90,8 +90,8 @@ class Judgement:
         reference: the reference solution at the same times.
         stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
             judged run without them completes; "" otherwise.
-        start: start, controls, changed numbers and output times of the judged run. The engine alone can repeat
-            the run with these, see `FileSimulation.start`.
+        start: start, controls, changed numbers and output times of the judged run. With these,
+            the engine alone can repeat the run, see `FileSimulation.start`.
     """
 
     engine: str

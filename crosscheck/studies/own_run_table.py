@@ -1,8 +1,8 @@
 """Table of the runs of public model files with their own settings; `crosscheck.studies.models` writes it.
 
-In: the summary that `crosscheck run` writes, with the judgement of the file's own run. Out: rows of a Markdown
-table: error, causes, and remedies (changed settings and their errors). `plain_mujoco.py` repeats the judged run
-and each remedy with MuJoCo alone, and the row has these errors, too.
+In: the summary that `crosscheck run` writes, with the judgement of the file's own run. Out: rows of a
+Markdown table: error, causes, and remedies (changed settings and their errors). `plain_mujoco.py` repeats the
+judged run and each remedy with MuJoCo alone, and the row has these errors, too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pydantic import BaseModel
 
 from crosscheck.own_run.allowed import length
 from crosscheck.own_run.errors import Band, RunError
-from crosscheck.report.own_run import MIN_CAUSE, SAME_RUN_TIME, percent, size
+from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, SAME_RUN_TIME, percent, size
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
 
@@ -35,7 +35,7 @@ REPEAT_TOL, REPEAT_TOL_OF_MOTION = 0.05, 1e-4
 plus a fraction of the motion."""
 
 DIVERGED = "DIVERGED"
-"""Word for a run that MuJoCo stops."""
+"""Format for a run that MuJoCo stops."""
 
 BAND_WORDS = {Band.ACCURATE: "ACCURATE", Band.USABLE: "OFF", Band.WRONG: "WRONG"}
 """Words of the terminal for the bands of errors."""
@@ -73,7 +73,7 @@ class OwnRunResult(BaseModel):
 
 
 def own_run_result(path: Path, summary: Path) -> OwnRunResult | None:
-    """Word the judgement of a file's own run, and repeat the run with MuJoCo alone.
+    """Format the judgement of a file's own run, and repeat the run with MuJoCo alone.
 
     Args:
         path: the model file.
@@ -135,12 +135,12 @@ def _is_same(found: Mapping[str, float] | None, reported: RunError) -> bool:
 
 
 def _size(found: Mapping[str, float], by_position: bool) -> str:
-    """Word an error that the script finds."""
+    """Format an error that the script finds."""
     return length(found["position"]) if by_position else f"{math.degrees(found['rotation']):.2g} deg"
 
 
 def _without(own_run: Mapping[str, Any]) -> str:
-    """Word what the judged run leaves out."""
+    """Format what the judged run leaves out."""
     words = []
     if events := own_run["events"]:
         others = f" and {len(events) - 1} more" if events[1:] else ""
@@ -151,7 +151,7 @@ def _without(own_run: Mapping[str, Any]) -> str:
 
 
 def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
-    """Word the largest causes, and the mode that is too fast for the step."""
+    """Format the largest causes, and the mode that is too fast for the step."""
     causes = [(each["name"], RunError(**each["error"]), each["brings_back"]) for each in own_run["causes"]]
     if own_run["stopped"]:
         words = [name for name, _, brings_back in causes if brings_back]
@@ -161,13 +161,13 @@ def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
         words = [f"{name} {size(error, by_position)}" for name, error, _ in listed]
     mode = own_run["stability"]
     words = words[:MAX_CAUSES]
-    if mode and mode["elements"]:
-        words.append(f"fastest mode by {mode['elements'][0]['name']}, {1e3 / mode['rate']:.2g} ms")
+    if mode and mode["elements"] and mode["timestep"] * mode["rate"] >= FAST_MODE:
+        words.append(f"{mode['elements'][0]['name']} makes a mode of {1e3 / mode['rate']:.2g} ms")
     return "; ".join(words)
 
 
 def _remedy(remedy: Mapping[str, Any], by_position: bool) -> str:
-    """Word the changes of a remedy, its error and its run time."""
+    """Format the changes of a remedy, the error with it and its run time."""
     changes = " ".join(f'{name}="{value}"' for name, value in remedy["changes"].items())
     is_free = remedy["run_time"] <= SAME_RUN_TIME or remedy["evaluations"] <= 1.0
     cost = "same run time" if is_free else f"{remedy['run_time']:.1f} times the run time"
@@ -184,7 +184,7 @@ def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterat
     counts = Counter(each.word for each in judged)
     listed = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word])
     repeats = sum(each.repeats for each in judged)
-    yield f"{len(judged)} models are judged: {listed}. MuJoCo alone repeats the errors of {repeats} of these."
+    yield f"Judged models: {len(judged)} ({listed}). MuJoCo alone repeats the errors of {repeats} of these."
     yield ""
     cells: Rows = []
     for heading, model, each in rows:
