@@ -278,10 +278,10 @@ class MujocoFile(FileSimulation[MujocoSettings]):
                 )
         return "\n".join(lines)
 
-    def start(self, reduced: bool) -> dict[str, Any]:
+    def run_inputs(self, reduced: bool) -> dict[str, Any]:
         """Return qpos, qvel, act, eq_active and controls; and arrays of the model that the run changes.
 
-        See `FileSimulation.start`. Arrays are named as in Python, such as "opt.disableflags".
+        See `FileSimulation.run_inputs`. Arrays are named as in Python, such as "opt.disableflags".
         """
         model, active = self._prepared(reduced)
         return {

@@ -90,8 +90,8 @@ class Judgement:
         reference: the reference solution at the same times.
         stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
             judged run without them completes; "" otherwise.
-        start: start, controls, changed numbers and output times of the judged run. With these,
-            the engine alone can repeat the run, see `FileSimulation.start`.
+        run_inputs: start, controls, changed numbers and output times of the judged run. With these,
+            the engine alone can repeat the run, see `FileSimulation.run_inputs`.
     """
 
     engine: str
@@ -108,7 +108,7 @@ class Judgement:
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
     stopped_as_it_stands: str = ""
-    start: Mapping[str, Any] = field(default_factory=dict)
+    run_inputs: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def band(self) -> Band:
@@ -184,7 +184,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         stability,
         changes,
         "" if run.stopped else as_it_stands,
-        {**simulation.start(reduced=bool(events)), "output_times": compared.reference.time.tolist()},
+        {**simulation.run_inputs(reduced=bool(events)), "output_times": compared.reference.time.tolist()},
     )
 
 

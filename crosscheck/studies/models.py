@@ -48,6 +48,10 @@ MAX_CPU_TIME = 600
 MAX_WALL_TIME = 3600.0
 """Largest wall time of one model, s."""
 
+OWN_RUN_ENGINES = "newton_euler,mujoco"
+"""Engines of runs for the table of own runs, which needs the reference solution only: Pinocchio is slow with
+loops."""
+
 TABLE_BEGIN, TABLE_END = "<!-- models: begin -->", "<!-- models: end -->"
 """Lines of the Markdown file before and after the generated text."""
 
@@ -174,6 +178,8 @@ def run_model(
     # Run it with limits of time
     shutil.rmtree(output, ignore_errors=True)
     command = [sys.executable, "-P", "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
+    if has_own_run:
+        command += ["--engines", OWN_RUN_ENGINES]
     before = _processor_time()
     try:
         done = subprocess.run(

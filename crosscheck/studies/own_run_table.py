@@ -89,7 +89,7 @@ def own_run_result(path: Path, summary: Path) -> OwnRunResult | None:
     errors = [RunError(**own_run["error"]), *(RunError(**each["error"]) for each in own_run["remedies"])]
     error = errors[0]
     by_position = errors[-1].is_of_position if own_run["stopped"] else error.is_of_position
-    repeated = _repeat(path, summary) if own_run["start"].get("qpos") is not None else []
+    repeated = _repeat(path, summary) if own_run["run_inputs"].get("qpos") is not None else []
     parts = [each for each in (True, False) if error.part(each) >= 0.1 * error.relative]
     sizes = " and ".join(size(error, each) for each in parts)
     opening = f"; loops open by {length(own_run['opening'])}" if own_run["opening"] else ""

@@ -30,7 +30,7 @@ DIVERGENCE = (
 
 
 def simulate(
-    model: Any, start: Mapping[str, Any], times: Sequence[float]
+    model: Any, inputs: Mapping[str, Any], times: Sequence[float]
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]] | None:
     """Simulate a compiled model: return centers of mass (n, b, 3), m, and orientations (n, b, 4).
 
@@ -39,13 +39,13 @@ def simulate(
 
     Args:
         model: compiled model.
-        start: start and controls.
+        inputs: start and controls.
         times: (n,) output times, s.
     """
     data = mujoco.MjData(model)
     for name in ("qpos", "qvel", "act", "eq_active"):
-        getattr(data, name)[:] = start[name]
-    constant, sine, cosine, frequency = map(np.array, start["ctrl"].values())
+        getattr(data, name)[:] = inputs[name]
+    constant, sine, cosine, frequency = map(np.array, inputs["ctrl"].values())
     weights = (model.body_weldid == np.arange(model.nbody)[:, None]) * model.body_mass
     bodies = [k for k in range(1, model.nbody) if weights[k].sum() > 0.0]
     weights = weights[bodies] / weights[bodies].sum(axis=1, keepdims=True)
@@ -63,16 +63,16 @@ def simulate(
     return np.array(centers), np.array(orientations)
 
 
-def compiled(path: str, start: Mapping[str, Any], settings: Mapping[str, str]) -> Any:
+def compiled(path: str, inputs: Mapping[str, Any], settings: Mapping[str, str]) -> Any:
     """Compile a file, switch off what the judged run leaves out, and apply settings.
 
     Args:
         path: path of the MJCF file.
-        start: start of the judged run; its entry "model" has the changed arrays of the compiled model.
+        inputs: start and controls of the judged run; the entry "model" has the changed arrays of the compiled model.
         settings: attributes of MJCF by name, such as {"timestep": "0.001", "solref": "0.002 1"}.
     """
     model = mujoco.MjModel.from_xml_path(path)
-    for name, value in start["model"].items():
+    for name, value in inputs["model"].items():
         owner = model.opt if name.startswith("opt.") else model
         array = np.asarray(value)
         if array.ndim:
@@ -100,15 +100,15 @@ def main(path: str, summary: str) -> None:
     """Print the errors of the judged run and of its remedies."""
     with open(summary, encoding="utf-8") as file:
         own_run = json.load(file)["own_run"]
-    start, until = own_run["start"], own_run["until"]
+    inputs, until = own_run["run_inputs"], own_run["until"]
     # `until` is the time from which on the motion is chaotic
-    times = [now for now in start["output_times"] if until is None or now < until]
-    step = compiled(path, start, {}).opt.timestep / FINE_STEP_DIVISOR
+    times = [now for now in inputs["output_times"] if until is None or now < until]
+    step = compiled(path, inputs, {}).opt.timestep / FINE_STEP_DIVISOR
     stiff = {"solref": f"{2.0 * step} 1", "solimp": "0.9999 0.9999 0.001", "solver": "Newton"}
     fine = {"timestep": f"{step}", "integrator": "RK4", "iterations": "100", "tolerance": "1e-12", **stiff}
-    reference = simulate(compiled(path, start, fine), start, times)
+    reference = simulate(compiled(path, inputs, fine), inputs, times)
     for settings in ({}, *(remedy["changes"] for remedy in own_run["remedies"])):
-        run = simulate(compiled(path, start, settings), start, times)
+        run = simulate(compiled(path, inputs, settings), inputs, times)
         print(json.dumps(None if run is None or reference is None else errors(run, reference)))
 
 

@@ -135,7 +135,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
             reduced: whether to switch off all elements that the imported scene does not have.
         """
 
-    def start(self, reduced: bool) -> Mapping[str, Any]:
+    def run_inputs(self, reduced: bool) -> Mapping[str, Any]:
         """Return start and controls, as numbers for JSON, so that the engine alone can repeat the run.
 
         The result is empty for an engine without this record.
