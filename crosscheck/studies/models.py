@@ -52,6 +52,9 @@ OWN_RUN_ENGINES = "newton_euler,mujoco"
 """Engines of runs for the table of own runs, which needs the reference solution only: Pinocchio is slow with
 loops."""
 
+REPEATING_SCRIPT = Path("own_runs", "plain_mujoco.py")
+"""Script that repeats files' own runs with MuJoCo alone; the path is relative to the folder of the list."""
+
 TABLE_BEGIN, TABLE_END = "<!-- models: begin -->", "<!-- models: end -->"
 """Lines of the Markdown file before and after the generated text."""
 
@@ -155,7 +158,7 @@ def run_model(
     entry: ListedModel,
     output: Path,
     limit: int = MAX_CPU_TIME,
-    has_own_run: bool = False,
+    script: Path | None = None,
 ) -> ModelResult:
     """Run `crosscheck run` on one model file.
 
@@ -165,7 +168,7 @@ def run_model(
         entry: the file.
         output: folder for the results of `crosscheck run`; existing results are deleted.
         limit: largest CPU time, s.
-        has_own_run: whether the judgement of the file's own run is wanted.
+        script: script that repeats the file's own run; None if the judgement of that run is not wanted.
     """
     # The command, with options of the repository and of the file
     path = home / entry.file
@@ -178,7 +181,7 @@ def run_model(
     # Run it with limits of time
     shutil.rmtree(output, ignore_errors=True)
     command = [sys.executable, "-P", "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
-    if has_own_run:
+    if script is not None:
         command += ["--engines", OWN_RUN_ENGINES]
     before = _processor_time()
     try:
@@ -217,7 +220,7 @@ def run_model(
         covered=f"{sum(tested)} of {len(tested)}" if tested else "",
         lacks="; ".join(filter(None, [motionless, report.counts()])),
         processor_time=used,
-        own_run=own_run_result(path, summary) if has_own_run else None,
+        own_run=None if script is None else own_run_result(path, summary, script),
     )
 
 
@@ -381,6 +384,7 @@ def main(
             found = {name: ModelResult.model_validate(each) for name, each in content.items()}
         # Run the files; results are stored after each of them
         make_folder(output)
+        script = models.parent / REPEATING_SCRIPT if kind == "own-runs" else None
         for repository in repositories:
             for entry in repository.files:
                 name = f"{repository.repository}/{entry.file}"
@@ -389,7 +393,7 @@ def main(
                 home = (
                     models.parent / repository.folder if repository.folder else folder / repository.repository
                 )
-                found[name] = run_model(home, repository, entry, output / "run", limit, kind == "own-runs")
+                found[name] = run_model(home, repository, entry, output / "run", limit, script)
                 click.echo(f"{name}: {found[name].processor_time:.0f} s: {found[name].line}")
                 kept = {key: each.model_dump() for key, each in found.items()}
                 write_files({store: (json.dumps(kept, indent=1) + "\n").encode()})

@@ -1,8 +1,8 @@
 """Table of the runs of public model files with their own settings; `crosscheck.studies.models` writes it.
 
 In: the summary that `crosscheck run` writes, with the judgement of the file's own run. Out: rows of a
-Markdown table: error, causes, and remedies (changed settings and their errors). `plain_mujoco.py` repeats the
-judged run and each remedy with MuJoCo alone, and the row has these errors, too.
+Markdown table: error, causes, and remedies (changed settings and their errors). A script repeats the judged
+run and each remedy with MuJoCo alone, and the row has these errors, too.
 """
 
 from __future__ import annotations
@@ -23,9 +23,6 @@ from crosscheck.own_run.errors import Band, RunError
 from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, SAME_RUN_TIME, percent, size
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
-
-SCRIPT = Path(__file__).with_name("plain_mujoco.py")
-"""Script that repeats runs with MuJoCo alone."""
 
 MAX_REPEAT_TIME = 600.0
 """Largest wall time of the script, s."""
@@ -72,12 +69,13 @@ class OwnRunResult(BaseModel):
     repeats: bool
 
 
-def own_run_result(path: Path, summary: Path) -> OwnRunResult | None:
+def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | None:
     """Format the judgement of a file's own run, and repeat the run with MuJoCo alone.
 
     Args:
         path: the model file.
         summary: file summary.json of `crosscheck run`.
+        script: script that repeats the run and its remedies with MuJoCo alone, `plain_mujoco.py`.
 
     Returns:
         The row; None if the run was not judged.
@@ -89,7 +87,7 @@ def own_run_result(path: Path, summary: Path) -> OwnRunResult | None:
     errors = [RunError(**own_run["error"]), *(RunError(**each["error"]) for each in own_run["remedies"])]
     error = errors[0]
     by_position = errors[-1].is_of_position if own_run["stopped"] else error.is_of_position
-    repeated = _repeat(path, summary) if own_run["run_inputs"].get("qpos") is not None else []
+    repeated = _repeat(path, summary, script) if own_run["run_inputs"].get("qpos") is not None else []
     parts = [each for each in (True, False) if error.part(each) >= 0.1 * error.relative]
     sizes = " and ".join(size(error, each) for each in parts)
     opening = f"; loops open by {length(own_run['opening'])}" if own_run["opening"] else ""
@@ -109,12 +107,12 @@ def own_run_result(path: Path, summary: Path) -> OwnRunResult | None:
     )
 
 
-def _repeat(path: Path, summary: Path) -> list[dict[str, float] | None]:
+def _repeat(path: Path, summary: Path, script: Path) -> list[dict[str, float] | None]:
     """Return the errors of the file's run and of its remedies with MuJoCo alone.
 
     The error of a run that diverges is None. If the script fails, the list is shorter.
     """
-    command = [sys.executable, str(SCRIPT), str(path.resolve()), str(summary.resolve())]
+    command = [sys.executable, *(str(each.resolve()) for each in (script, path, summary))]
     try:
         done = subprocess.run(
             command, cwd=summary.parent, capture_output=True, text=True, timeout=MAX_REPEAT_TIME, check=False

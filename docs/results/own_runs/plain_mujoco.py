@@ -68,7 +68,7 @@ def compiled(path: str, inputs: Mapping[str, Any], settings: Mapping[str, str]) 
 
     Args:
         path: path of the MJCF file.
-        inputs: start and controls of the judged run; the entry "model" has the changed arrays of the compiled model.
+        inputs: start and controls of the judged run, and "model", the arrays that the run changes.
         settings: attributes of MJCF by name, such as {"timestep": "0.001", "solref": "0.002 1"}.
     """
     model = mujoco.MjModel.from_xml_path(path)
