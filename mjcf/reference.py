@@ -21,7 +21,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.reading.activity import Bounds
 from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.reading.quantities import FORCE_KINDS, Constraints, ForceLimit, Forces, Kinematics
-from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, names_of_wholes
+from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, whole_body_names
 from newton_euler.scalars import Array, cross
 
 PASSIVE_ROUND_OFF = 1e-14
@@ -141,7 +141,7 @@ class MjcfReference(ReferenceModel):
         names = ["ground"]
         for k in self._roots:
             names.append(unique_name(model.body(k).name, f"body_{k}", names))
-        self.names = names_of_wholes(names[1:], scene.mechanism.body_names)
+        self.names = whole_body_names(names[1:], scene.mechanism.body_names)
 
     def _set_units(self, scene: Scene) -> None:
         """Set the names, units and largest random displacements of the velocities, see `ReferenceModel`."""

@@ -32,7 +32,7 @@ from mjcf.rigid import RigidMuJoCo
 from mjcf.write import control
 from newton_euler.equations.model_control import EngineControl
 from newton_euler.equations.system import Evaluation
-from newton_euler.model.control import PD, DeclaredLaw, DrivenLaws
+from newton_euler.model.control import PD, DeclaredLaw, TimeDependentPD
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -65,7 +65,7 @@ class SoftMuJoCo(EvaluatedScene):
         first = self.model.neq - len(self.couplings.couplings)
         self._motions = np.arange(first, first + len(scene.motions))
         self.prescribed = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
-        self.driven = DrivenLaws(scene.control)
+        self.driven = TimeDependentPD(scene.control)
         declared = [(k, law) for k, law in enumerate(scene.control) if isinstance(law, DeclaredLaw)]
         self.evaluated = {k: law for k, law in declared if law.uses_model or not isinstance(law, PD)}
         # The first list has a_ref and the stiffness D of the rows of prescribed motions in the latest stage
@@ -111,7 +111,9 @@ class SoftMuJoCo(EvaluatedScene):
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not (len(self.prescribed) or len(self.driven.places) or self.evaluated or wind_loads(self.scene)):
+        if not (
+            len(self.prescribed) or len(self.driven.law_indices) or self.evaluated or wind_loads(self.scene)
+        ):
             yield
             return
         previous_callback = mujoco.get_mjcb_control()
@@ -123,8 +125,8 @@ class SoftMuJoCo(EvaluatedScene):
 
     def _control_callback(self, model: Any, data: Any) -> None:
         """Set time-dependent controls, wind and motions; MuJoCo calls this method in each evaluation."""
-        if len(self.driven.places):  # other PD laws do not change between jumps
-            data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
+        if len(self.driven.law_indices):  # other PD laws do not change between jumps
+            data.ctrl[self.driven.law_indices] = self.driven.forces_at(self.scene.control, data.time)
         if self.evaluated:
             readings = self.readings(data)
             model_forces = self.model_forces(data, readings)

@@ -417,7 +417,7 @@ def _add_actuators(root: ET.Element, scene: Scene) -> None:
             raise ModelError(scene.name, reason)
         element = ET.SubElement(actuator, "position", name=name, joint=name)
         gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
-        control_is_force = law.is_driven or law.uses_model
+        control_is_force = law.depends_on_time or law.uses_model
         if law.feedforward or control_is_force:
             # force = gain ctrl + constant - stiffness x - damping dx/dt; ctrl is the target or a force
             element.tag = "general"
@@ -460,7 +460,7 @@ def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float
         assert_never(law)
     if law.uses_model:
         return float(law.force(0.0, 0.0, time) + model[law.key])
-    if law.is_driven:
+    if law.depends_on_time:
         return float(law.force(0.0, 0.0, time))
     return float(law.references(time)[law.key].value)
 

@@ -171,7 +171,7 @@ def _error(function: Callable[..., Any], name: str, value: object, fault: Fault)
 class _Names(dict[str, Any]):
     """Names of a module for the evaluation of type hints; unknown names become `Any`.
 
-    Unknown names are those that the module imports for type checkers only.
+    Names that the module imports only for type checkers are unknown when a program runs.
     """
 
     def __missing__(self, name: str) -> Any:
@@ -214,11 +214,11 @@ def _rule(hint: Any) -> Rule:
         return SIMPLE[hint]
     if hint in (int, float):
         return _number(hint, Range())
-    if origin is Annotated:
+    if origin is Annotated:  # arguments: the type, then `UNCHECKED` or a `Range`
         return SIMPLE[Any] if arguments[1] is UNCHECKED else _number(*arguments)
     if origin in (Union, UnionType):
         return _any_of([_rule(each) for each in arguments])
-    if origin is Literal:
+    if origin is Literal:  # the function itself refuses unknown words, with proposals
         return _simple(" or ".join(map(repr, arguments)), "", lambda value: isinstance(value, str))
     if origin is tuple and arguments[-1] is not Ellipsis:
         return _tuple([_rule(kind) for kind in arguments])
@@ -234,7 +234,7 @@ def _rule(hint: Any) -> Rule:
         return _simple("a path", "paths", lambda value: isinstance(value, os.PathLike))
     if origin is np.ndarray:
         return _simple("an array of numbers", "arrays of numbers", _is_array)
-    if isinstance(hint, type):
+    if isinstance(hint, type):  # a class of this project, such as Scene
         name = hint.__name__
         article = "an" if name[0] in "AEIOU" else "a"
         created_by = f" ({CREATED_BY[name]})" if name in CREATED_BY else ""
@@ -303,9 +303,8 @@ def _any_of(rules: Sequence[Rule]) -> Rule:
     If no rule is satisfied, the fault is an invalid part of a container if one rule found such a part, else
     the value.
     """
-    needed, several = (
-        " or ".join(dict.fromkeys(words)) for words in zip(*(rule[:2] for rule in rules), strict=True)
-    )
+    needed = " or ".join(dict.fromkeys(rule.needed for rule in rules))  # each description once
+    several = " or ".join(dict.fromkeys(rule.several for rule in rules))
 
     def fault(value: Any) -> Fault | None:
         part: Fault | None = None
@@ -313,7 +312,7 @@ def _any_of(rules: Sequence[Rule]) -> Rule:
             invalid = rule.fault(value)
             if invalid is None:
                 return None
-            if invalid.value is not value:
+            if invalid.value is not value:  # the value is a container with an invalid part
                 part = invalid
         return part or Fault(value, needed)
 

@@ -205,7 +205,7 @@ def check_texts(where: str, thing: object, *fields: str) -> None:
 
 
 def check_flag(where: str, thing: object, field: str) -> None:
-    """Raise `MechanismError`, naming `where`, unless an attribute of an object is a boolean."""
+    """Raise `MechanismError` unless an attribute of an object is a boolean; arguments as of `check_texts`."""
     if not isinstance(value := getattr(thing, field), bool):
         raise MechanismError(where, f"{field} is {quoted(value)}", "True or False")
 
@@ -271,8 +271,8 @@ def set_numbers(thing: object, element: str, names: Iterable[str], least: float 
 
 
 def items_of(given: object) -> tuple[Any, ...] | None:
-    """Return the items of a container as a tuple; None for text, for values that are no container, and
-    without memory."""
+    """Return the items of a container as a tuple; None for text, for a value that is no container, and for a
+    container that does not fit into memory."""
     if not isinstance(given, Iterable) or isinstance(given, str | bytes):
         return None
     if isinstance(given, np.ndarray) and given.ndim == 0:
@@ -390,6 +390,9 @@ class ArgumentError(OptionError):
         value: the argument, or the invalid part of it.
         needed: description of valid values.
 
+    The parameter `verb` is the text between the name of the argument and the value in the message: " is", or
+    a place and a verb, such as "[2] is".
+
     Examples:
         >>> try:
         ...     linearize(load("pendulum"), time=np.inf)
@@ -411,8 +414,8 @@ class AssemblyError(NewtonEulerError):
 
     Attributes:
         joint: name of the joint with the largest constraint violation.
-        violation: its violation after the assembly, m or rad.
-        tolerance: largest allowed violation.
+        violation: constraint violation of this joint after the correction, m or rad.
+        tolerance: largest allowed violation, m or rad.
     """
 
     def __init__(self, joint: str, violation: float, tolerance: float) -> None:
@@ -440,7 +443,7 @@ class RoundOffWarning(UserWarning):
 
     Attributes:
         excess: largest error estimate of a step that is due to round-off, in units of the tolerance.
-        rtol: proposed relative tolerance, which round-off allows.
+        rtol: proposed relative tolerance, which round-off allows: a power of 10.
 
     Examples:
         >>> import warnings
@@ -449,7 +452,7 @@ class RoundOffWarning(UserWarning):
 
     def __init__(self, scene: str, formulation: str, rtol: float, atol: float, excess: float) -> None:
         self.excess = excess
-        self.rtol = 10.0 ** ceil(log10(0.1 * excess * rtol))
+        self.rtol = 10.0 ** ceil(log10(0.1 * excess * rtol))  # error estimates are then at most 10 tolerances
         other = "relative" if formulation == "cartesian" else "cartesian"
         super().__init__(
             f"scene {scene!r}: rtol {rtol:.3g} is below the round-off of the equations: error estimates of "
@@ -459,8 +462,8 @@ class RoundOffWarning(UserWarning):
 
 
 class IdentificationWarning(UserWarning):
-    """Problems of an identification: motion that the scene cannot follow, parameters not identifiable, fits
-    cut short.
+    """Problems of the identification of parameters from measured motion: motion that the scene cannot follow,
+    parameters that are not identifiable, and fits that end before they converge.
 
     Examples:
         >>> import warnings
@@ -469,7 +472,7 @@ class IdentificationWarning(UserWarning):
 
 
 class SingularityError(NewtonEulerError):
-    """Equations of motion without a unique solution.
+    """Equations of motion that have no unique solution at a state.
 
     Attributes:
         joint: name of the joint whose equations are dependent.

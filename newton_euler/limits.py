@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from newton_euler.errors import OptionError, UnknownNameError, plain_number
 from newton_euler.free_memory import free_memory
 
-VARIABLE = "NEWTON_EULER_LIMITS"
+ENVIRONMENT_VARIABLE = "NEWTON_EULER_LIMITS"
 """Name of the environment variable that holds changed limits, as `NAME=VALUE NAME=VALUE`."""
 
 
@@ -82,7 +82,7 @@ public models compile in 1400 MB."""
 
 def limit(name: str) -> float:
     """Return the present value of a limit by its name."""
-    changes = _changes(os.environ.get(VARIABLE, ""))
+    changes = _changes(os.environ.get(ENVIRONMENT_VARIABLE, ""))
     if name in changes:
         return changes[name]
     default = LIMITS[name].default
@@ -142,18 +142,18 @@ def changed(changes: Mapping[str, str | float]) -> Iterator[None]:
         UnknownNameError: for an unknown limit.
         OptionError: for a value that is not a positive number.
     """
-    before = os.environ.get(VARIABLE)
+    before = os.environ.get(ENVIRONMENT_VARIABLE)
     for name, value in changes.items():
         _checked(name, value)
     text = " ".join(f"{name}={value}" for name, value in (_changes(before or "") | dict(changes)).items())
-    os.environ[VARIABLE] = text
+    os.environ[ENVIRONMENT_VARIABLE] = text
     try:
         yield
     finally:
         if before is None:
-            del os.environ[VARIABLE]
+            del os.environ[ENVIRONMENT_VARIABLE]
         else:
-            os.environ[VARIABLE] = before
+            os.environ[ENVIRONMENT_VARIABLE] = before
 
 
 def _changes(text: str) -> dict[str, float]:

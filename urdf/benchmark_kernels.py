@@ -171,7 +171,7 @@ def _unsupported_elements(scene: Scene) -> list[str]:
     They support gravity, loops that balls or welds close, and affine laws of joint coordinates.
     """
     names = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
-    names += [law.element for law in scene.control if not isinstance(law, PD) or law.is_driven]
+    names += [law.element for law in scene.control if not isinstance(law, PD) or law.depends_on_time]
     names += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
     return names + [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
 

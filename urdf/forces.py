@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from newton_euler.model.balls import ends, spin_rate
 from newton_euler.model.constraints import Frame
-from newton_euler.model.control import PD, ComputedTorque, DeclaredLaw, DrivenLaws
+from newton_euler.model.control import PD, ComputedTorque, DeclaredLaw, TimeDependentPD
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
@@ -48,7 +48,7 @@ class JointLaws:
         self._index_of_key = {key: keys.index(key) for key in keys}
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
-        self._driven = DrivenLaws(laws)
+        self._driven = TimeDependentPD(laws)
         self._other_laws = [k for k, law in enumerate(laws) if not isinstance(law, PD | JointSpring)]
         for k, law in enumerate(laws):
             if not isinstance(law, PD | JointSpring):
@@ -56,7 +56,7 @@ class JointLaws:
             self._stiffness[k], self._damping[k] = law.stiffness, law.damping
             if isinstance(law, JointSpring):
                 self._rest[k] = law.rest
-            elif not law.is_driven:
+            elif not law.depends_on_time:
                 self._rest[k], self._constant[k] = law.references(0.0)[law.key].value, law.feedforward_at(0.0)
 
     def force(
@@ -78,8 +78,8 @@ class JointLaws:
         """
         x_of_laws, rate_of_laws = x[: len(laws)], rate[: len(laws)]
         force = self._constant - (self._stiffness * (x_of_laws - self._rest) + self._damping * rate_of_laws)
-        if len(self._driven.places):
-            force[self._driven.places] += self._driven.at(laws, time)
+        if len(self._driven.law_indices):
+            force[self._driven.law_indices] += self._driven.forces_at(laws, time)
         for k in self._other_laws:
             law = laws[k]
             if isinstance(law, DeclaredLaw):

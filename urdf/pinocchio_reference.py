@@ -19,7 +19,7 @@ from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportReport, left_out, unique_name
 from newton_euler.reading.quantities import FORCE_KINDS, Constraints, Forces, Kinematics
-from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, names_of_wholes
+from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, whole_body_names
 from newton_euler.scalars import Array, cross, tilde
 from urdf.constraints import power_sums
 from urdf.loops import REVOLUTE
@@ -125,7 +125,7 @@ class PinocchioReference(ReferenceModel):
         for k in self._joints:
             bodies = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
             names.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", names))
-        self.names = names_of_wholes(names[1:], scene.mechanism.body_names)
+        self.names = whole_body_names(names[1:], scene.mechanism.body_names)
         # velocities
         massless = {k for k in range(1, model.njoints) if k not in self._joints}
         self.ranges = np.full(model.nv, 3.0)  # nearly half a revolution, or three sizes

@@ -32,7 +32,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.reading import plausibility
-from newton_euler.reading.activity import Bounds, Rest, Watch
+from newton_euler.reading.activity import Bounds, FrictionWatch, Watch
 from newton_euler.reading.excitation import with_start_velocities
 from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileNames
 from newton_euler.reading.import_report import (
@@ -448,7 +448,7 @@ def _report_joints(
         element, key = f"joint {joint.name!r}", tree.coordinate_keys.get(joint.name)
         if joint.friction:
             why = f"its dry friction {joint.friction:g}"
-            resting = [Rest((key,))] if key else []
+            resting = [FrictionWatch((key,))] if key else []
             report.left_out(element, why, topic=FRICTION, watches=resting, numbers=[joint.friction])
         if joint.limits:
             low, high, speed = joint.limits

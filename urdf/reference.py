@@ -108,7 +108,7 @@ class UrdfReference(PinocchioReference):
                 self._damping[index] += extensions.dampings.get(name, 0.0)
             if ARMATURE not in topics:
                 model.armature[index] = extensions.armatures.get(name, 0.0)
-        inert = {entry.element for entry in self._report.entries if entry.inert}
+        inert = {entry.element for entry in self._report.entries if entry.moves_nothing}
         for spring in extensions.point_springs:
             if f"spring {spring.name!r}" not in inert:
                 first, second = (int(model.getFrameId(frame)) for frame in spring.frames)

@@ -243,7 +243,7 @@ def warn_about_import(source: str, mapping: ImportReport | None, scene: Scene) -
     from crosscheck.report.run import moved_start_lines
 
     entries = mapping.entries
-    lines = [str(entry) for entry in entries if entry.fate != "exactly" and not entry.inert]
+    lines = [str(entry) for entry in entries if entry.fate != "exactly" and not entry.moves_nothing]
     shown = 4
     if len(lines) > shown + 1:
         more = len(lines) - shown

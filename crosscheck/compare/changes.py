@@ -136,7 +136,9 @@ def _constraint_elements(scene: Scene) -> Iterator[Element]:
         if isinstance(joint, Fixed) or not constrains:
             continue  # another point or axis changes nothing between rigidly connected or unconnected bodies
         name = f"{'joint' if number in in_tree else 'loop'} {joint.name!r}"  # "loop": the joint closes one
-        element = _joint_element(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
+        element = _joint_element(
+            mechanism, name, number, _displaced(joint, CHANGE * mechanism.largest_extent)
+        )
         yield replace(element, displaced=None) if joint.name in loaded else element
     for number, coupling in enumerate(mechanism.couplings):
         yield _coupling_element(scene, number, _with_changed_factors(coupling))

@@ -219,7 +219,7 @@ class _ChangedRuns:
         # Reactions of the run at the displaced joint
         if element.displaced is not None and self._loads is not None:
             lower, upper = self._loads.motion_change(element.displaced)  # bounds, m
-            detectable = self._length, self._angle * self._scene.mechanism.longest  # m
+            detectable = self._length, self._angle * self._scene.mechanism.largest_extent  # m
             if lower > SURELY_SEEN * max(detectable):
                 return lower / max(detectable)
             if max(violation, upper / min(detectable)) < SURELY_UNSEEN:

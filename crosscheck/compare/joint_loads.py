@@ -44,7 +44,7 @@ class JointLoads:
             NewtonEulerError: for a state at which accelerations cannot be computed.
         """
         self._system, self._states = Relative(scene), states
-        self._longest = scene.mechanism.longest  # length of the longest body, m
+        self._longest = scene.mechanism.largest_extent  # length of the longest body, m
         self._frames = [state.frames() for _, state in states]
         self._coordinates = [self._system.coordinates(state) for _, state in states]
         self._evaluations = [

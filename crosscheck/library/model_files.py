@@ -16,7 +16,7 @@ from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import choices, listed, plain_number, quoted
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import MAX_MODEL_NUMBER
-from newton_euler.reading.import_report import ACTING, FATES, ImportedElement, ImportReport
+from newton_euler.reading.import_report import ALWAYS_ACTING, FATES, ImportedElement, ImportReport
 
 if TYPE_CHECKING:
     from mjcf.reader import MujocoModel
@@ -192,7 +192,7 @@ def fates_line(report: ImportReport) -> str:
     exact = len({entry.element for entry in report.of("exactly")})
     found = [f"{exact} element{'' if exact == 1 else 's'} read exactly"]
     for fate in FATES[1:]:
-        names = {entry.element for entry in report.of(fate) if not entry.inert}
+        names = {entry.element for entry in report.of(fate) if not entry.moves_nothing}
         if names:
             found.append(f"{len(names)} {fate} ({_count_by_kind(names)})")
     off = {entry.element for entry in report.entries if entry.is_off}
@@ -205,7 +205,7 @@ def fates_line(report: ImportReport) -> str:
 
 def _count_by_kind(names: set[str]) -> str:
     """Count elements by kind, such as "2 tendons, 1 equality"; elements without a name are not counted."""
-    kinds, plurals = Counter(name.partition(" '")[0] for name in sorted(names)), dict(ACTING)
+    kinds, plurals = Counter(name.partition(" '")[0] for name in sorted(names)), dict(ALWAYS_ACTING)
     found = []
     for kind, count in kinds.items():
         if kind in names:

@@ -121,7 +121,7 @@ def _count_terms(function: TimeFunction) -> int:
     if isinstance(function, Polynomial):
         return len(function.coefficients)
     if isinstance(function, Sine | Spline | Steps):
-        return max(1, function.numbers)
+        return max(1, function.piece_size)
     assert_never(function)
 
 

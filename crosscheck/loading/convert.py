@@ -80,7 +80,7 @@ def _leave_out_of_mjcf(scene: Scene, report: ImportReport) -> None:
             report.left_out(law.element, "MJCF has PD laws alone; a motor with the force of the start")
         elif law.uses_model:
             report.left_out(law.element, "MJCF has no gravity compensation; its control is that of the start")
-        elif law.is_driven:  # it depends on time
+        elif law.depends_on_time:
             report.left_out(law.element, "MJCF has no function of time; its control is that of the start")
     for force in scene.forces:
         if isinstance(force, WindLoad):

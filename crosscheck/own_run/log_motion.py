@@ -187,7 +187,7 @@ def _relative_pose(
     """
     centers = [mechanism.body(name).center_of_mass for name in (joint.first, joint.second)]
     here = joint.motion_points[0] if joint.motions else joint.reaction_point
-    way = np.tile(here - joint.apart - centers[0], (count, 1))
+    way = np.tile(here - joint.point_gap - centers[0], (count, 1))
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     for motion, point, x in zip(joint.motions, joint.motion_points, coordinates, strict=True):
         way, here = way + _rotated(turn, point - here), point

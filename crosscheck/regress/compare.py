@@ -237,8 +237,7 @@ def unsimulated(mapping: ImportReport | None, watched: ImportReport | None) -> l
     """
     if mapping is None or watched is None:
         return None
-    # an inert element (such as a camera) moves nothing
-    lines = [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
+    lines = [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.moves_nothing]
     return lines + [f"acts, and is not simulated: {what_acted(entry)}" for entry in watched.acting]
 
 

@@ -40,7 +40,7 @@ from crosscheck.studies.own_run_table import OwnRunResult, own_run_result, own_r
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
 from newton_euler.folders import make_folder
-from newton_euler.reading.import_report import ACTING, FATES, ImportedElement, ImportReport
+from newton_euler.reading.import_report import ALWAYS_ACTING, FATES, ImportedElement, ImportReport
 
 MAX_CPU_TIME = 600
 """Default of the largest CPU time of one model, s. Other programs on the machine do not affect CPU time."""
@@ -261,14 +261,14 @@ def _first_kind(content: dict[str, Any]) -> str:
         return ""
     entry = ImportedElement(**content["not_simulated"][0])
     word = entry.element.split()[0]
-    return entry.topic or dict(ACTING).get(word, word)
+    return entry.topic or dict(ALWAYS_ACTING).get(word, word)
 
 
 def _fates(report: ImportReport) -> dict[str, int]:
     """Count the elements of the file by the result of their import; the worst result of an element counts."""
     worst: dict[str, int] = {}
     for entry in report.entries:
-        if not (entry.inert and entry.fate == "left out"):
+        if not (entry.moves_nothing and entry.fate == "left out"):
             worst[entry.element] = max(worst.get(entry.element, 0), FATES.index(entry.fate))
     counts = Counter(worst.values())
     return {fate: counts[k] for k, fate in enumerate(FATES)}

@@ -18,7 +18,7 @@ from mjcf.loops import body_velocity
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import ModelAtStart
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.geometry import Box, Capsule, Cylinder, Inertia, Mesh, Shape, Sphere, total
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Inertia, Mesh, Shape, Sphere, total_inertia
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
 from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
@@ -98,7 +98,7 @@ class Bodies:
             raise SourceError(path, f"body {name!r} {problem}; needed: a positive mass")
         # center of mass and inertia, world axes
         axes = data.ximat.reshape(-1, 3, 3)
-        whole = total(
+        whole = total_inertia(
             [
                 Inertia(
                     model.body_mass[k], data.xipos[k], axes[k] @ np.diag(model.body_inertia[k]) @ axes[k].T

@@ -17,7 +17,7 @@ from mjcf.reading.start import ModelAtStart
 from newton_euler.model.couplings import Gear, JointCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Free
-from newton_euler.model.joint_parts import Part, combined, common_name
+from newton_euler.model.joint_parts import Part, combine_motions, common_name
 from newton_euler.reading.import_report import ImportReport, unique_name
 
 BALL, FREE = mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE
@@ -97,7 +97,7 @@ class Joints:
             for k in numbers
         }
         # `coordinates`: number of the coordinate by name of the part; a ball has no coordinate
-        joint, coordinates = combined(name, parent, child, list(parts.values()), actuated)
+        joint, coordinates = combine_motions(name, parent, child, list(parts.values()), actuated)
         for k, part in parts.items():
             if part.name in coordinates:
                 self.coordinate_keys[k] = (name, coordinates[part.name])

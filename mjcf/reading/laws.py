@@ -53,7 +53,7 @@ def choose_excitation(
         bounds: limits of joint coordinates.
     """
     control, sines, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
-    # amplitudes and frequencies that move joints by a useful amount; `within` keeps joints in their limits
+    # amplitudes and frequencies that move joints by a useful amount
     wanted = swings(scene, [drive.gains for drive in drives.values()], bounds)
     for (actuator, drive), swing in zip(drives.items(), wanted, strict=True):
         to_limit = min(drive.control - drive.low, drive.high - drive.control)
@@ -65,7 +65,7 @@ def choose_excitation(
             moved[actuator] = float(control[control_index[actuator]]), inside
             control[control_index[actuator]] = inside
         else:  # a control that keeps its mean value also keeps joints within their limits
-            room = min(room, 2.0 * swing.within)
+            room = min(room, 2.0 * swing.amplitude_within_limits)
         sines[actuator] = Sine(0.5 * room, swing.angular_frequency)
     return Excitation(control, sines, moved)
 

@@ -26,7 +26,7 @@ from newton_euler.reading.activity import (
     UNSETTLED,
     Activity,
     Bounds,
-    Rest,
+    FrictionWatch,
     SampledMotion,
     Watch,
 )
@@ -92,7 +92,7 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
                 joints.coordinate_keys.get(joint)
                 for joint in fixed_tendon_weights(start, tendon) or {-1: 0.0}
             ]
-            watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
+            watches_of = [FrictionWatch(tuple(key for key in keys if key))] if all(keys) else []
             report.left_out(
                 element,
                 why,
@@ -201,7 +201,7 @@ def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: Impo
     if friction := float(model.dof_frictionloss[dof]):
         switched_off = start.disabled("FRICTIONLOSS")
         why, key = f"its dry friction {friction:g}", joints.coordinate_keys.get(number)
-        resting = [Rest((key,))] if key else []
+        resting = [FrictionWatch((key,))] if key else []
         report.left_out(
             element, why, topic=FRICTION, switched_off=switched_off, watches=resting, numbers=[friction]
         )

@@ -18,7 +18,7 @@ from mjcf.loops import closure_ends
 from mjcf.reading.source import SourceError
 from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.errors import choices
-from newton_euler.model.mechanism import spread
+from newton_euler.model.mechanism import characteristic_length
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 
@@ -141,10 +141,10 @@ class ModelAtStart(FileStart):
     def units(self) -> Units:
         """Return units of velocities (nv,) and of residuals (k,), which make loop closure dimensionless."""
         model, data = self.model, self.data
-        # velocities: 1 rad/s for rotations, the spread of the mechanism for translations
+        # velocities: 1 rad/s for rotations, the size of the mechanism for translations
         movable = data.xipos[np.flatnonzero(model.body_weldid)]
         is_rotation = np.any(data.cdof[:, :3] != 0.0, axis=1)
-        velocity_units = np.where(is_rotation, 1.0, spread([*movable, *data.xanchor]))
+        velocity_units = np.where(is_rotation, 1.0, characteristic_length([*movable, *data.xanchor]))
         # residuals of couplings: norm of the row
         _, jacobian = self.residuals(np.array(data.qpos))
         row_units = np.linalg.norm(jacobian * velocity_units, axis=1)

@@ -124,7 +124,7 @@ def _child(
 
     # from the parent's center of mass to the first motion's point
     here = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
-    apart = tree.joint(joint.joint).apart  # the points are those of the joint's second body
+    apart = tree.joint(joint.joint).point_gap  # the points are those of the joint's second body
     move(a @ (here - (apart if joint.forward else 0.0) - mechanism.bodies[joint.parent].center_of_mass))
     # motion by motion
     directions: list[tuple[Array, bool]] = []

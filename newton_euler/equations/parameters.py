@@ -146,7 +146,9 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
                     (what, k, attribute)
                 )
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
-    with_pieces = (owner for owner, functions in scene.functions.items() if any(f.numbers for f in functions))
+    with_pieces = (
+        owner for owner, functions in scene.functions.items() if any(f.piece_size for f in functions)
+    )
     return found | {numbered(*owner) + PIECE: [owner] for owner in with_pieces}
 
 
@@ -177,7 +179,7 @@ def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
     """
     found = {}
     for owner, functions in scene.functions.items():
-        if any(f.numbers and (smooth or f.jumps) for f in functions):
+        if any(f.piece_size and (smooth or f.jumps) for f in functions):
             found[numbered(*owner) + PIECE] = piece_numbers(functions, time)
     return found
 

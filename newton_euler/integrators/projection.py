@@ -489,7 +489,7 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
         phi: (n, k) residuals of all joints, then of couplings, m or rad.
     """
     coupled, mechanism = couplings(scene), scene.mechanism
-    drifts = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.longest)
+    drifts = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.largest_extent)
     largest_drift = np.max(drifts, axis=1, initial=0.0)
     start = float(largest_drift[0])
     violations = np.flatnonzero(largest_drift > (MAX_DRIFT if start <= MAX_DRIFT else 2.0 * start))

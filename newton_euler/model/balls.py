@@ -3,11 +3,11 @@
 Springs, dampers and rotors on ball joints use these functions.
 
 A joint with a ball has no hinges, so the orientations of the two bodies determine the rotation of the ball.
-Let theta be the rotation vector (axis times angle) of the second body relative to the first, counted from the
-rest position, and omega = omega_2 - omega_1 the relative angular velocity. The rate of |theta|^2 / 2 is
-theta . omega, because a rotation leaves its own rotation vector unchanged. Therefore k |theta|^2 / 2 is the
-potential of the torque -k theta on the second body. Springs and rotors are isotropic: the same about all
-axes.
+Let theta be the rotation vector (axis times angle) of the second body relative to the first. It is zero at
+the rest orientation of a spring. Let omega = omega_2 - omega_1 be the relative angular velocity. The rate of
+|theta|^2 / 2 is theta . omega, because a rotation leaves its own rotation vector unchanged. Therefore
+k |theta|^2 / 2 is the potential of the torque -k theta on the second body. Springs and rotors are isotropic:
+the same about all axes.
 
 The functions accept arrays of generic scalars: floats, or objects with the same operations, such as the
 expressions of the code generator (`newton_euler.scalars`). Source of the formulas for rotation vectors: J.
@@ -42,9 +42,10 @@ def ends(mechanism: Mechanism, joint: str) -> tuple[int, int]:
 
 
 def rotation_from_rest(first: Pose, second: Pose, rest: Array, frames: tuple[Frame, Frame]) -> Array:
-    """Compute theta (3,), rad, world frame: the rotation of the second body relative to the first, from rest.
+    """Compute theta (3,), rad, world frame: the rotation vector of the second body relative to the first.
 
-    The magnitude of theta is at most pi. At half a revolution, theta jumps to the opposite direction.
+    theta is zero at the rest orientation. Its magnitude is at most pi. At half a revolution, theta jumps to
+    the opposite direction.
 
     Args:
         first, second: poses of the two body frames at the mechanism's initial pose.
@@ -52,9 +53,10 @@ def rotation_from_rest(first: Pose, second: Pose, rest: Array, frames: tuple[Fra
             from the initial pose, with world components at the initial pose.
         frames: present frames of the two bodies.
     """
-    into_world = frames[0].rotation @ first.rotation.T
-    turned = into_world.T @ (frames[1].rotation @ second.rotation.T)
-    return np.asarray(into_world @ rotation_vector(turned @ rotation_by(rest).T))
+    # Rotations since the initial pose: of the first body, and of the second body as seen from the first
+    of_first = frames[0].rotation @ first.rotation.T
+    relative = of_first.T @ (frames[1].rotation @ second.rotation.T)
+    return np.asarray(of_first @ rotation_vector(relative @ rotation_by(rest).T))
 
 
 def spin(first: Frame, second: Frame) -> Array:
@@ -64,10 +66,10 @@ def spin(first: Frame, second: Frame) -> Array:
 
 
 def spin_gamma(first: Frame, second: Frame) -> Array:
-    """Compute gamma (3,), rad/s^2, world frame, in d omega/dt = `SPIN` . accelerations - gamma.
+    """Compute gamma = omega_1 x omega_2, (3,), rad/s^2, world frame.
 
-    The rate of omega is the one that an observer fixed in one of the two bodies sees; both bodies see the
-    same. gamma is the part of the rate that depends on velocities alone.
+    gamma is the part of d omega/dt = alpha_2 - alpha_1 - gamma without angular accelerations alpha. The rate
+    of omega is the one that an observer fixed in one of the two bodies sees; both see the same rate.
     """
     return cross(first.angular_velocity, second.angular_velocity)
 

@@ -31,7 +31,7 @@ from newton_euler.scalars import Array, cross, sqrt
 
 MIN_SPANNED_VOLUME = 1e-3
 """Smallest volume (area for two axes) that the unit axes of the slides, or of the hinges, must span. Axes
-that span less are nearly linearly dependent."""
+that span less are nearly linearly dependent. Two axes span the sine of their angle: 1e-3 is 0.06 degrees."""
 
 
 @description
@@ -68,8 +68,9 @@ class Compound(Joint):
     offsets: DefaultArrayField = field(default=None, kw_only=True)  # type: ignore[assignment]
     ball: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "compound"
+    # "axis" declares each axis, whose parameters are named "axis", "1.axis", "2.axis", ... (see `variables`)
     number_fields: ClassVar = Joint.number_fields | {
-        "axis": NumberField(shape=None, allowed="joint", moves_loops=True),
+        "axis": NumberField(shape=None, allowed="constructor", moves_loops=True),
         "offsets": NumberField("m", shape=None, moves_loops=True),
     }
     vector_names: ClassVar[tuple[str, ...]] = ("slides", "hinges", "offsets")
@@ -115,12 +116,14 @@ class Compound(Joint):
 
     @property
     def variables(self) -> tuple[str, ...]:
+        """Names of the numbers that may vary: joint points, "axis", "1.axis", ... of the slides and hinges in
+        order, and "offsets"."""
         count = len(self.slides) + len(self.hinges)
         axes = (f"{k}.axis" if k else "axis" for k in range(count))
         return (*POINTS, *axes, *(("offsets",) if len(self.offsets) else ()))
 
     def field_of(self, name: str) -> NumberField:
-        return super().field_of(name.rpartition(".")[2])  # "1.axis" is the axis of coordinate 1
+        return super().field_of(name.rpartition(".")[2])  # "axis" for "1.axis", the axis of coordinate 1
 
     def number(self, name: str) -> Array:
         if name.endswith("axis"):
@@ -142,7 +145,8 @@ class Compound(Joint):
         offsets = np.asarray(values.get("offsets", self.offsets))
         changed = super().varied({name: value for name, value in values.items() if name in POINTS})
 
-        # Shift of the second body's point: due to new slide axes with their displacements, and to new offsets
+        # Shift of the second body's point. The slides keep their displacements at the initial pose along new
+        # axes, and new offsets move the axis of the last hinge
         shift = np.zeros(3)
         if slides:
             new_slides = np.array(slides)
@@ -162,7 +166,7 @@ class Compound(Joint):
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
         for name, axis in values.items():
             if name.endswith("axis"):
-                unit_vector(self.name, name, axis)
+                unit_vector(self.name, name, axis)  # raises an error for an invalid axis
         changed = self.varied(values)
         # The angle of the second of three hinges jumps where the three axes change their handedness
         if _is_right_handed(changed.hinges) != _is_right_handed(self.described.hinges):
@@ -184,6 +188,7 @@ class Compound(Joint):
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
+        # The axis of the last hinge passes through the second body's point; offsets lead to those before it
         last = self.reaction_point
         on_hinges = [last - self.offsets[k:].sum(axis=0) for k in range(len(self.hinges))]
         on_slides = [on_hinges[0] if on_hinges else last] * len(self.slides)
@@ -194,7 +199,7 @@ class Compound(Joint):
         return (*self._position_constraints(first, second), *self._orientation_constraints(first, second))
 
     def _position_constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """Return 3 - n equations for n slides: no displacement of the second body's point normal to the
+        """Return 3 - n equations for n slides: the second body's point has no displacement normal to the
         slides."""
         normals: tuple[Array, ...] = ()
         match len(self.slides):
@@ -224,7 +229,8 @@ class Compound(Joint):
         return self._aligned(first, second)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        # displacement of the slides where their coordinates are zero
+        # Displacement of the slides where their coordinates are zero. A dual axis of the slides is
+        # perpendicular to the other slides, so that it measures the displacement along one slide
         initial = self.span - self.offsets.sum(axis=0)
         slides = []
         for dual in dual_axes(self.slides):
@@ -240,7 +246,8 @@ class Compound(Joint):
         """Return the displacement of the second body's point along an axis of the first body, minus an
         offset, m.
 
-        For hinges whose axes do not meet, the displacement is that of the first hinge axis, see `Separation`.
+        If the hinge axes do not meet, the displacement is that of a point on the first hinge axis instead,
+        see `Separation`.
         """
         a = first.vector_to_body(axis)
         if self.has_offsets:
@@ -250,7 +257,8 @@ class Compound(Joint):
 
     def _separation(self, first: Pose, second: Pose) -> Separation:
         """Return the separation D of the row of hinges, see `newton_euler.model.hinge_angles`."""
-        # Components u, v, w of each offset along the axes a and b of its hinges and along a x b
+        # Components u, v, w of each offset along the axes a and b of its hinges and along a x b. NumPy does
+        # not solve equations in symbols
         offsets = []
         for offset, a, b in zip(self.offsets, self.hinges[:-1], self.hinges[1:], strict=True):
             link = np.stack([a, b, cross(a, b)])
@@ -266,7 +274,7 @@ class Compound(Joint):
             return ()
         if len(axes) == 1:
             pair = perpendicular_pair(axes[0], self.described.hinges[0])
-            return (self._turn(axes[0], pair[0], first, second),)
+            return (self._hinge_coordinate(axes[0], pair[0], first, second),)
         row = self._row(first, second)
         return tuple(HingeAngle(k, row) for k in range(len(axes)))
 
@@ -283,9 +291,13 @@ class Compound(Joint):
             return HingeRow(*ends)
         a, b, c = axes
         cosines = _scalar(a @ b), _scalar(b @ c)
-        sine, cosine = _scalar(b @ cross(a, c)), _scalar(a @ c) - cosines[0] * cosines[1]
-        side = 1.0 if _is_right_handed(self.described.hinges) else -1.0
-        return HingeRow(*ends, cosines, sine, cosine, side)
+        return HingeRow(
+            *ends,
+            cosines=cosines,
+            sine=_scalar(b @ cross(a, c)),
+            cosine=_scalar(a @ c) - cosines[0] * cosines[1],
+            side=1.0 if _is_right_handed(self.described.hinges) else -1.0,
+        )
 
 
 def _is_right_handed(hinges: Array) -> bool:

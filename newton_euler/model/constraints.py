@@ -2,9 +2,9 @@
 
 Each class is one or more scalar equations Phi = 0, such as "two points coincide" or "two vectors stay
 perpendicular". It computes the residual Phi, the Jacobian, and the right side gamma of the acceleration
-equations. Some of
-the classes also serve as joint coordinates, which measure Phi instead of holding it at zero. The arguments of
-all methods are the `Frame` records (pose and velocity) of the first body i and the second body j.
+equations. Some classes also serve as joint coordinates: the coordinate is the value of Phi, which is then not
+held at zero. The arguments of all methods are the `Frame` records (pose and velocity) of the first body i and
+the second body j.
 
 Let r and A be the position of the center of mass and the rotation matrix of a body. Virtual rotations delta
 theta have world-frame components. The Jacobian blocks of a constraint Phi(r_i, A_i, r_j, A_j) are defined by
@@ -73,7 +73,7 @@ class Constraint(Protocol):
 
     @property
     def is_length(self) -> bool:
-        """True for residuals in meters, False for residuals in radians (sines of small angles)."""
+        """True for residuals in meters, False for residuals in radians (angles, or sines of small angles)."""
 
     @property
     def count(self) -> int:
@@ -164,7 +164,7 @@ class Perpendicular:
     Attributes:
         a_first: (3,) vector in the frame of body i.
         a_second: (3,) vector in the frame of body j.
-        cosine: cosine of the angle at which two unit vectors stay; 0 for perpendicular vectors.
+        cosine: cosine of the constant angle between two unit vectors; 0 for perpendicular vectors.
     """
 
     a_first: Array
@@ -226,8 +226,9 @@ class Displacement:
     def gamma(self, first: Frame, second: Frame) -> Array:
         a, span = self._vectors(first, second)
         wi, rate = first.angular_velocity, span.rate(first, second)
-        of_turning_a = _centripetal(wi, a) @ span.d + 2.0 * (cross(wi, a) @ rate)
-        return -np.array([of_turning_a + a @ span.drift(first, second)])
+        # minus the second derivative of a . d if both bodies have zero acceleration
+        of_rotating_a = _centripetal(wi, a) @ span.d + 2.0 * (cross(wi, a) @ rate)
+        return -np.array([of_rotating_a + a @ span.drift(first, second)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +311,7 @@ class Reversed:
     """A constraint or coordinate with its two bodies exchanged and its sign changed.
 
     Attributes:
-        of: the constraint that takes the second body of this one as its first body.
+        of: the original constraint or coordinate; its first body is the second body of this one.
     """
 
     of: Constraint

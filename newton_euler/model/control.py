@@ -1,8 +1,9 @@
 """Control laws in continuous time that are declared by numbers: PD, state feedback and computed torque.
 
 Every engine evaluates these laws at each state and time. A control law acts on one coordinate of an actuated
-joint. Controllers that are Python functions, and laws in discrete time, are in
-`newton_euler.model.digital_control`.
+joint, a hinge angle or a slide; a key (name of a joint, index) identifies a coordinate. Some laws use a model
+of the mechanism: gravity compensation and computed torque. Controllers that are Python functions, and laws in
+discrete time, are in `newton_euler.model.digital_control`.
 """
 
 from __future__ import annotations
@@ -28,17 +29,15 @@ from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism, check_coordinate
 from newton_euler.model.motions import TimeFunction, terms
 from newton_euler.model.smooth_functions import Sine
-from newton_euler.model.variable import functions_of
 from newton_euler.scalars import Array, Scalar
 
-TIME_DEPENDENT = ("target", "feedforward")
-"""Names of the attributes of control laws that may be functions of time."""
-
-TARGET = NumberField("m", "rad", may_be_function=True)
-FEEDFORWARD = NumberField("N", "N m", may_be_function=True, strength="actuator")
+# Declarations of attributes: the unit at a slide, the unit about a hinge, and the effect (if any) that is
+# proportional to the attribute
+TARGET = NumberField("m", unit_about="rad", may_be_function=True)
+FEEDFORWARD = NumberField("N", unit_about="N m", may_be_function=True, strength="actuator")
 
 NO_FORCES: Mapping[Key, Scalar] = {}
-"""Forces from a model of the mechanism, by joint coordinate, if no law uses a model."""
+"""Forces by joint coordinate that a model of the mechanism demands, if no law uses a model."""
 
 Readings = Mapping[Key, Sequence[Any]]
 """Measured values by joint coordinate: a sequence whose first two values are the coordinate, m or rad, and
@@ -90,21 +89,11 @@ class DeclaredLaw(ControlLaw):
     feedforward: float | TimeFunction
 
     number_fields: ClassVar = {
-        "stiffness": NumberField("N/m", "N m/rad", strength="actuator"),
-        "damping": NumberField("N s/m", "N m s/rad", strength="actuator"),
+        "stiffness": NumberField("N/m", unit_about="N m/rad", strength="actuator"),
+        "damping": NumberField("N s/m", unit_about="N m s/rad", strength="actuator"),
         "target": TARGET,
         "feedforward": FEEDFORWARD,
     }
-
-    @property
-    def is_driven(self) -> bool:
-        """True if the law depends on time."""
-        return any(isinstance(getattr(self, name), TimeFunction) for name in TIME_DEPENDENT)
-
-    @property
-    def jumps(self) -> bool:
-        """True if the value of a function of time of the law jumps at some time."""
-        return any(f.jumps for name in self.functions for f in functions_of(getattr(self, name)))
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:
@@ -116,7 +105,7 @@ class DeclaredLaw(ControlLaw):
         return tuple(self.feedback)
 
     def references(self, time: Scalar) -> dict[Key, Reference]:
-        """Return the set-points, at a time in s, by the joint coordinate that the law reads."""
+        """Return the set-points at a time in s, by joint coordinate that the law reads."""
         return {self.key: reference(self.target, time)}
 
     def feedforward_at(self, time: Scalar) -> Scalar:
@@ -126,7 +115,7 @@ class DeclaredLaw(ControlLaw):
 
     @property
     def uses_model(self) -> bool:
-        """True if a part of the force is computed from a model of the mechanism."""
+        """True if a model of the mechanism computes the force or a part of it."""
         return False
 
     def towards(
@@ -139,11 +128,12 @@ class DeclaredLaw(ControlLaw):
         """Compute the force (N or N m) that drives the readings towards the set-points.
 
         Args:
-            references: set-points by joint coordinate; a digital law passes targets that are limited to its
-                stroke.
+            references: set-points by joint coordinate, see `references`. A law in discrete time
+                (`digital_control.Digital`) limits them to the stroke of the joint.
             readings: measured coordinates and rates by joint coordinate.
             time: s.
-            model: forces from a model of the mechanism, N or N m, by joint coordinate.
+            model: force by joint coordinate, N or N m, that a model of the mechanism demands; it is added if
+                the law uses a model.
         """
         force = self.feedforward_at(time)
         for key, (k_p, k_d) in self.feedback.items():
@@ -152,6 +142,7 @@ class DeclaredLaw(ControlLaw):
         return force + model.get(self.key, 0.0) if self.uses_model else force
 
     def at_joint(self, at: Surroundings) -> Scalar:
+        """Compute the force (N or N m) at a state; `at.model` computes the forces from the model."""
         model = at.model() if self.uses_model else NO_FORCES
         return self.towards(self.references(at.time), at.measured, at.time, model)
 
@@ -196,6 +187,16 @@ class PD(DeclaredLaw):
         self.set_numbers(self.element)
         check_key(self.element, self.joint, self.coordinate)
         check_flag(self.element, self, "gravity_compensation")
+
+    @property
+    def depends_on_time(self) -> bool:
+        """True if the target or the feedforward is a function of time."""
+        return isinstance(self.target, TimeFunction) or isinstance(self.feedforward, TimeFunction)
+
+    @property
+    def has_jumps(self) -> bool:
+        """True if the value of the target or of the feedforward jumps at some time."""
+        return any(f.jumps for f in (self.target, self.feedforward) if isinstance(f, TimeFunction))
 
     @property
     def uses_model(self) -> bool:
@@ -358,7 +359,7 @@ class ComputedTorque(DeclaredLaw):
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:
-        return {}
+        return {}  # the gains act on the acceleration, see `command`, instead of the force
 
     @property
     def reads(self) -> tuple[Key, ...]:
@@ -393,36 +394,36 @@ def sensed(laws: Sequence[ControlLaw]) -> tuple[Key, ...]:
     return tuple(dict.fromkeys([*driven, *read]))
 
 
-class DrivenLaws:
-    """Fast evaluation of the time-dependent part of all PD laws with a target or feedforward that depends on
-    time.
+class TimeDependentPD:
+    """Fast evaluation of the PD laws of a scene whose target or feedforward depends on time.
 
     Engines whose control laws are evaluated in Python (MuJoCo and Pinocchio) use it: the sines of all laws
-    are evaluated in one NumPy call. The time-dependent part of a PD law is its force at x = 0 and dx/dt = 0,
-    w = u_0 + K_p r + K_d dr/dt.
+    are evaluated in one NumPy call. Only the part w of the force is evaluated that depends on time. It is the
+    force at x = 0 and dx/dt = 0: w = u_0 + K_p r + K_d dr/dt.
 
     Attributes:
-        places: (n,) indices of the n time-dependent PD laws among all laws.
+        law_indices: (n,) indices of the n time-dependent PD laws among all laws.
     """
 
     def __init__(self, laws: Sequence[object]) -> None:
-        """Sort the terms of all functions of time: sines, other functions, and laws that jump.
+        """Sort the terms of all functions of time: constants, sines, and other functions; and collect the
+        laws with functions whose value jumps.
 
         Args:
             laws: all control laws of a scene.
         """
-        driven = [(k, law) for k, law in enumerate(laws) if isinstance(law, PD) and law.is_driven]
-        self.places = np.array([k for k, _ in driven], dtype=int)
-        self._constant = np.zeros(len(driven))  # constant part of w of each law
+        chosen = [(k, law) for k, law in enumerate(laws) if isinstance(law, PD) and law.depends_on_time]
+        self.law_indices = np.array([k for k, _ in chosen], dtype=int)
+        self._constant = np.zeros(len(chosen))  # constant part of w of each law
         # (row of the law in w, gain of the value, gain of the rate, function)
         sines: list[tuple[int, float, float, Sine]] = []
         self._others: list[tuple[int, float, float, TimeFunction]] = []
         self._jumping: list[tuple[int, int]] = []  # (row of the law in w, index of the law)
-        for n, (k, law) in enumerate(driven):
-            if law.jumps:
+        for n, (k, law) in enumerate(chosen):
+            if law.has_jumps:
                 self._jumping.append((n, k))
                 continue
-            for given, gain, rate_gain in (
+            for given, gain, rate_gain in (  # gains with which the value and its rate are in w
                 (law.feedforward, 1.0, 0.0),
                 (law.target, law.stiffness, law.damping),
             ):
@@ -436,7 +437,7 @@ class DrivenLaws:
                         self._others.append((n, gain, rate_gain, term))
 
         # Factors of each sine in w, and of each cosine, which comes from the rate of the sine
-        self._sine_factors, self._cosine_factors = np.zeros((2, len(driven), len(sines)))
+        self._sine_factors, self._cosine_factors = np.zeros((2, len(chosen), len(sines)))
         for column, (n, gain, rate_gain, sine) in enumerate(sines):
             self._constant[n] += gain * sine.offset
             self._sine_factors[n, column] = gain * sine.amplitude
@@ -444,11 +445,12 @@ class DrivenLaws:
         self._frequency = np.array([sine.angular_frequency for *_, sine in sines])
         self._phase = np.array([sine.phase for *_, sine in sines])
 
-    def at(self, laws: Sequence[object], time: float) -> Array:
-        """Compute the time-dependent part w (n,), N or N m, of the laws `places` at a time in s.
+    def forces_at(self, laws: Sequence[object], time: float) -> Array:
+        """Compute the time-dependent part w (n,), N or N m, of the laws `law_indices` at a time in s.
 
         Args:
-            laws: all control laws of the scene; functions that jump are replaced by their present pieces.
+            laws: all control laws of the scene. Functions that jump are replaced by their smooth pieces
+                between the two jumps around the time, see `Function.on_piece`.
             time: s.
         """
         angle = self._frequency * time + self._phase

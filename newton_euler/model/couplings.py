@@ -24,7 +24,8 @@ class JointCoupling(Variable):
     """Base class of couplings: the sum of one polynomial per joint coordinate is zero.
 
     The polynomials have no constant terms, because the coupling holds at the initial pose, where all
-    coordinates are 0. A key (name of a joint, index from 0) identifies a coordinate.
+    coordinates are 0. Joint coordinates are hinge angles, rad, and displacements of slides, m. A key (name of
+    a joint, index from 0) identifies a coordinate.
 
     Attributes:
         name: unique among the joints and couplings of a mechanism.
@@ -37,7 +38,7 @@ class JointCoupling(Variable):
     def factors(self) -> dict[tuple[str, int], float]:
         """Return the factor of the first power of each coordinate, by coordinate.
 
-        The violation of the coupling has the unit (m or rad) of the first coordinate.
+        The order matters: the sum of the coupling has the unit (m or rad) of the first coordinate.
         """
         raise NotImplementedError
 
@@ -82,6 +83,7 @@ class Gear(JointCoupling):
     driver_coordinate: int = 0
     follower_coordinate: int = 0
     kind: ClassVar[str] = "gear"
+    # Numbers that may vary from run to run; `moves_loops`: a change moves the poses in which loops are closed
     number_fields: ClassVar = {"ratio": NumberField(shape=None, allowed="nonzero", moves_loops=True)}
     constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
 
@@ -146,6 +148,7 @@ class PolynomialCoupling(JointCoupling):
     constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        # The only number that may vary is the array of coefficients
         return {name: tuple(value) for name, value in values.items()}
 
     def factors(self) -> dict[tuple[str, int], float]:
@@ -168,7 +171,8 @@ class PolynomialCoupling(JointCoupling):
         """
         polynomial = np.polynomial.Polynomial((0.0, *self.coefficients))
         shifted = polynomial(np.polynomial.Polynomial((zero, 1.0)))
-        # Drop the constant term, and restore zeros that NumPy trims from the highest powers
+        # Drop the constant term, because both coordinates are 0 at the other point; restore zeros that NumPy
+        # trims from the highest powers
         count = len(self.coefficients)
         coefficients = np.concatenate([shifted.coef, np.zeros(count)])[1 : count + 1]
         return replace(self, coefficients=tuple(coefficients.tolist()))
@@ -214,6 +218,7 @@ class LinearCoupling(JointCoupling):
     number_fields: ClassVar = {"terms": NumberField(shape=None, allowed="nonzero", moves_loops=True)}
 
     def number(self, name: str) -> Array:
+        """Return the factors of the terms, which are the numbers that may vary."""
         return np.array([factor for _, _, factor in self.terms])
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:

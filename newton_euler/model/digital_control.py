@@ -61,8 +61,7 @@ MIN_PERIOD = 1e-6
 are slower."""
 
 MAX_DELAY_SAMPLES = 1_000_000
-"""Longest delay from reading to acting, in samples; the forces on their way then take some megabytes of
-memory."""
+"""Longest delay from reading to acting, in samples; the delayed forces then take some megabytes of memory."""
 
 
 class HeldLaw(ControlLaw):
@@ -70,17 +69,23 @@ class HeldLaw(ControlLaw):
 
     Attributes:
         period: sampling period, s, at least `MIN_PERIOD`; the first sample is at time 0.
-        held: force that is held at present, N or N m.
+        held: force that is held at present, N or N m: a parameter that a run changes at each sampling
+            instant.
     """
 
     period: float
     held: float
 
-    number_fields: ClassVar = {"held": NumberField("N", "N m"), "period": NumberField("s", shape=None)}
+    # Attributes that differ between runs or sampling instants: unit, unit at a hinge, shape
+    number_fields: ClassVar = {
+        "held": NumberField("N", unit_about="N m"),
+        "period": NumberField("s", shape=None),
+    }
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        return ()  # two-model comparisons do not vary the numbers of a controller
+        """No names: comparisons of two models do not vary the numbers of a controller."""
+        return ()
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -197,10 +202,10 @@ class Digital(HeldLaw):
     coordinate: int = field(init=False)
 
     number_fields: ClassVar = HeldLaw.number_fields | {
-        "resolution": NumberField("m", "rad", least=0.0),
-        "force_limit": NumberField("N", "N m", shape=None),
-        "slew_limit": NumberField("N/s", "N m/s", shape=None),
-        "stroke": NumberField(shape=None, allowed="joint"),
+        "resolution": NumberField("m", unit_about="rad", least=0.0),
+        "force_limit": NumberField("N", unit_about="N m", shape=None),
+        "slew_limit": NumberField("N/s", unit_about="N m/s", shape=None),
+        "stroke": NumberField(shape=None, allowed="constructor"),
     }
     constant: ClassVar = HeldLaw.constant | {"delay": "a whole number of samples"}
 
@@ -271,6 +276,7 @@ class DigitalController:
 
     def __init__(self, law: Digital, laws: Sequence[ControlLaw], model: Model | None) -> None:
         """Start in the state at time 0; arguments are those of `HeldLaw.controller_of`."""
+        # `_keys`: joint coordinates of the readings. `_digital_laws`: digital laws by driven coordinate
         self._law, self._keys, self._model = law, sensed(laws), model
         self._digital_laws = {each.key: each for each in laws if isinstance(each, Digital)}
         self._resolution = np.array(
@@ -285,9 +291,11 @@ class DigitalController:
         `Controller`."""
         digital, law = self._law, self._law.law
         # Read the encoders
-        readings = dict(zip(self._keys, zip(*self._read(x, x_rate), strict=True), strict=True))
+        pairs = zip(*self._read(x, x_rate), strict=True)  # (coordinate, rate)
+        readings = dict(zip(self._keys, pairs, strict=True))
 
-        # Evaluate the model of the mechanism, for the commands of all laws of computed torque
+        # Compute the forces that the model of the mechanism demands, for the commanded accelerations of all
+        # computed-torque laws
         model_forces = NO_FORCES
         if law.uses_model:
             assert self._model is not None

@@ -3,7 +3,8 @@
 Rotor inertias on joints are called armatures, as in MuJoCo. There is one base class for each place where an
 element can act: a joint coordinate (`OnCoordinate`), the ball of a joint (`OnBall`) or points of bodies
 (`OnBodies`). `AppliedForce` is the base class of forces and control laws; its methods compute wrenches,
-energy and power from the state, which they take as `Surroundings`.
+energy and power from the state, which they take as `Surroundings`. A scene is described at one pose, the
+initial pose; `Move` and `PoseChange` serve to describe the same scene at another pose.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ class Surroundings(NamedTuple):
         mechanism: the bodies and joints.
         poses: poses of all body frames at the initial pose, ground first.
         frames: present frames (pose and velocity) of all bodies, ground first.
-        measured: by joint coordinate, a sequence whose first two values are the coordinate, m or rad, and its
-            rate.
+        measured: by joint coordinate, a sequence whose first two values are the coordinate, m or rad from the
+            initial pose, and its rate.
         time: s.
         model: function without arguments that computes, by joint coordinate, the forces (N or N m) of control
-            laws that use a model of the mechanism; by default it returns no forces.
+            laws that use a model of the mechanism. The default, `dict`, returns no forces.
     """
 
     mechanism: Mechanism
@@ -53,7 +54,7 @@ class Move(NamedTuple):
     """Rigid displacement of a body from the initial pose to another pose.
 
     Attributes:
-        turn: (3, 3) rotation matrix, world frame.
+        turn: (3, 3) rotation matrix of the displacement, world frame.
         start, end: (3,) center of mass before and after, m, world frame.
     """
 
@@ -130,21 +131,18 @@ class Element(Variable):
 
     @property
     def where(self) -> str:
-        """The place or the name of the element in error messages."""
+        """The joint on which the element acts, or the name of the element, for error messages."""
         raise NotImplementedError
 
     @property
     def identity(self) -> str:
-        """Text that must be unique among the elements of a field of the scene."""
+        """Text that must be unique among the elements of one attribute of a scene, such as `Scene.forces`."""
         return self.element
 
     @property
     def prefix(self) -> str:
-        """Prefix of the names of the element's parameters, such as `hinge.spring` in
-        `hinge.spring.stiffness`.
-
-        See `newton_euler.equations.parameters`.
-        """
+        """Prefix of the names of the element's numbers in parameter studies: `hinge.spring` in
+        `hinge.spring.stiffness`."""
         raise NotImplementedError
 
     def check(self, mechanism: Mechanism) -> None:
@@ -175,7 +173,7 @@ class OnCoordinate(OnJoint):
     """
 
     coordinate: int
-    constant: ClassVar = {"coordinate": COORDINATE_INDEX}
+    constant: ClassVar = {"coordinate": COORDINATE_INDEX}  # reason why this attribute cannot vary in studies
 
     @property
     def key(self) -> Key:
@@ -206,7 +204,7 @@ class OnCoordinate(OnJoint):
         check_coordinate(self.element, mechanism.joint(self.joint), self.coordinate)
 
     def measure(self, at: Surroundings) -> tuple[Scalar, Scalar]:
-        """Return the coordinate, m or rad from the initial pose, and its rate."""
+        """Return the coordinate at a state, m or rad from the initial pose, and its rate."""
         x, rate = at.measured[self.key][:2]
         return x, rate
 
@@ -239,7 +237,7 @@ class OnBall(OnJoint):
             raise MechanismError(self.element, f"is on a {joint.kind} joint", needed)
 
     def spin(self, at: Surroundings) -> Array:
-        """Compute the angular velocity (3,) of the second body against the first, rad/s, world frame."""
+        """Compute the angular velocity (3,) of the second body relative to the first, rad/s, world frame."""
         i, j = balls.ends(at.mechanism, self.joint)
         return balls.spin(at.frames[i], at.frames[j])
 
@@ -285,7 +283,7 @@ class AppliedForce(Element):
     may_jump: ClassVar[bool] = False
 
     def described_after(self, change: PoseChange) -> Self:
-        """Return the same force for a scene that is described at another initial pose."""
+        """Return the same force for the scene as it is described at another initial pose."""
         raise NotImplementedError
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
@@ -301,9 +299,9 @@ class AppliedForce(Element):
                 "points apart, or a spring of rest_length 0 without damping",
             )
 
-    def reversing(self, at: Surroundings) -> Array:
-        """Compute a vector (k,) whose direction reverses where the force jumps; zeros if the force cannot
-        jump."""
+    def reversing_vector(self, at: Surroundings) -> Array:
+        """Compute a vector (k,) that jumps to the opposite direction, or passes through zero, where the force
+        jumps; zeros if the force cannot jump."""
         raise NotImplementedError
 
     def wrenches(self, at: Surroundings) -> Iterable[tuple[int, Array]]:
@@ -331,6 +329,19 @@ class AppliedForce(Element):
         raise NotImplementedError
 
 
+class PointLoad(NamedTuple):
+    """A force at a point of a body and a torque on the body, world frame."""
+
+    body: int
+    """Index of the body."""
+    force: Array
+    """(3,) N, at the point."""
+    torque: Array
+    """(3,) N m."""
+    arm: Array
+    """(3,) m, from the center of mass to the point."""
+
+
 class OnPoint(OnBodies, AppliedForce):
     """Base class of a force and a torque at a point of one body.
 
@@ -350,34 +361,29 @@ class OnPoint(OnBodies, AppliedForce):
         if mechanism.body_index(self.body) == 0:
             raise MechanismError(self.element, f"acts on the ground {quoted(self.body)}", "a body that moves")
 
-    def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
-        """Compute the force and torque on the body, world frame.
-
-        Returns:
-            The index of the body, the force (3,), N, at the point, the torque (3,), N m, and the vector (3,),
-            m, from the center of mass to the point.
-        """
+    def load(self, at: Surroundings) -> PointLoad:
+        """Compute the force and torque on the body at a state."""
         raise NotImplementedError
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
-        k, force, torque, arm = self.parts(at)
+        k, force, torque, arm = self.load(at)
         yield k, np.concatenate([force, torque + cross(arm, force)])
 
     def powers(self, at: Surroundings) -> Iterator[Scalar]:
-        k, force, torque, arm = self.parts(at)
+        k, force, torque, arm = self.load(at)
         omega = at.frames[k].angular_velocity
         yield force @ (at.frames[k].velocity + cross(omega, arm))
         yield torque @ omega
 
     def magnitude(self, at: Surroundings) -> float:
-        _, force, torque, _ = self.parts(at)
+        _, force, torque, _ = self.load(at)
         return float(np.max(np.abs([force, torque / at.mechanism.size])))
 
 
 class CoordinateForce(OnCoordinate, AppliedForce):
     """Base class of generalized forces on a joint coordinate, such as control laws and joint springs.
 
-    The equations of motion take the force of the coordinate, so that `wrenches` is empty.
+    The equations of motion use the force on the coordinate itself, so that `wrenches` is empty.
     """
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
@@ -398,8 +404,8 @@ class CoordinateForce(OnCoordinate, AppliedForce):
         yield self.at_joint(at) * self.measure(at)[1]
 
     def magnitude(self, at: Surroundings) -> float:
-        slides = at.mechanism.is_slide(*self.key)
-        return float(abs(self.at_joint(at)) / (1.0 if slides else at.mechanism.size))
+        is_slide = at.mechanism.is_slide(*self.key)
+        return float(abs(self.at_joint(at)) / (1.0 if is_slide else at.mechanism.size))
 
 
 def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
@@ -407,7 +413,7 @@ def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> 
 
     Args:
         element: name of the element, for the message.
-        problem: text before the unknown name, such as "acts on an unknown body".
+        problem: text before the name in the message, such as "acts on an unknown body".
         name: the name.
         known: all known names.
     """

@@ -15,7 +15,7 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, finite_array, is_finite_number, quoted
 
-AllowedValues = Literal["interval", "nonzero", "direction", "axis", "joint", "inertia"]
+AllowedValues = Literal["interval", "nonzero", "direction", "axis", "constructor", "inertia"]
 """Rule for the values that a number may take in a run:
 
 - `interval`: in each component any value of an interval that contains the described value;
@@ -23,7 +23,7 @@ AllowedValues = Literal["interval", "nonzero", "direction", "axis", "joint", "in
 - `direction`: a vector of any nonzero length;
 - `axis`: a direction near enough to the described axis that the two unit vectors chosen perpendicular to the
   axis (`newton_euler.model.joint.perpendicular_pair`) vary continuously;
-- `joint`: values whose validity depends on other numbers of the element, checked by its constructor;
+- `constructor`: values whose validity depends on other numbers of the element, checked by its constructor;
 - `inertia`: inertia tensors (3, 3) that a rigid body can have.
 """
 
@@ -41,10 +41,10 @@ class NumberField:
         least: smallest allowed value of a number.
         positive: True if the number must be greater than 0.
         may_be_function: True if the attribute may be a function of time, or a mapping whose values may be
-            functions.
+            functions of time.
         displaces: True for a point fixed in a body, (3,) m in the world at the initial pose. The parameter of
             a run is then the displacement of the point.
-        allowed: rule for the values in a run.
+        allowed: rule for the values in a run, see `AllowedValues`.
         strength: name of the physical effect that is proportional to the attribute: "spring", "damper",
             "rotor", "wind", "wrench" or "actuator"; empty if no effect is proportional to it.
         moves_loops: True if a change moves the poses in which loops are closed, or the zeros of joint

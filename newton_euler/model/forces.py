@@ -1,8 +1,10 @@
 """Force elements: springs, dampers and constant wrenches; and armatures, which are rotor inertias on joints.
 
 Points are given in the world at the initial pose, like those of joints, and move with their bodies. Each kind
-of force computes its wrenches on bodies, its energy and its power from the state (`Surroundings`). The
-numbers may be floats or generic scalars such as expressions of the code generator (`newton_euler.scalars`).
+of force computes its wrenches on bodies, its energy and its power from the state (`Surroundings`: the time,
+the present frames of all bodies, their poses at the initial pose, and the joint coordinates). The method
+`described_after` converts a force to another initial pose. The numbers may be floats or generic scalars such
+as expressions of the code generator (`newton_euler.scalars`).
 `newton_euler.equations.applied_forces` sums the forces of a scene. Source of springs between points:
 Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9.
 """
@@ -31,6 +33,7 @@ from newton_euler.model.elements import (
     OnBodies,
     OnCoordinate,
     OnPoint,
+    PointLoad,
     PoseChange,
     Surroundings,
 )
@@ -39,9 +42,11 @@ from newton_euler.model.mechanism import Mechanism, check_name
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
-STIFFNESS = NumberField("N/m", "N m/rad", least=0.0, strength="spring")
-DAMPING = NumberField("N s/m", "N m s/rad", least=0.0, strength="damper")
-ROTOR_INERTIA = NumberField("kg", "kg m^2", positive=True, strength="rotor")
+# Declarations of attributes: the unit at a slide, the unit about a hinge or ball, the allowed values, and the
+# physical effect that is proportional to the attribute
+STIFFNESS = NumberField("N/m", unit_about="N m/rad", least=0.0, strength="spring")
+DAMPING = NumberField("N s/m", unit_about="N m s/rad", least=0.0, strength="damper")
+ROTOR_INERTIA = NumberField("kg", unit_about="kg m^2", positive=True, strength="rotor")
 
 
 class Spring(AppliedForce):
@@ -55,14 +60,14 @@ class Spring(AppliedForce):
     stiffness: float
     damping: float
 
-    noun = "spring"
+    noun = "spring"  # the name of the kind of element in error messages
     number_fields: ClassVar = {"stiffness": STIFFNESS, "damping": DAMPING}
 
     @property
     def active_parts(self) -> list[str]:
         """The parts that are present: "spring" if the stiffness is not 0, "damper" if the damping is not
         0."""
-        return [part for part, (name,) in self.strengths.items() if getattr(self, name)]
+        return [part for part, value in (("spring", self.stiffness), ("damper", self.damping)) if value]
 
 
 @dataclass(frozen=True)
@@ -93,15 +98,16 @@ class JointSpring(CoordinateForce, Spring):
     rest: float = 0.0
     coordinate: int = 0
 
-    kind = "joint_spring"
-    number_fields: ClassVar = Spring.number_fields | {"rest": NumberField("m", "rad")}
-    kind_of_parameters = ".spring"
+    kind = "joint_spring"  # the name in scene files
+    number_fields: ClassVar = Spring.number_fields | {"rest": NumberField("m", unit_about="rad")}
+    kind_of_parameters = ".spring"  # names of parameters in studies: `hinge.spring.stiffness`
 
     def __post_init__(self) -> None:
         self.set_numbers(self.element)
         check_key(self.element, self.joint, self.coordinate)
 
     def described_after(self, change: PoseChange) -> Self:
+        # `change.zeros`: the joint coordinates at the new initial pose, counted from the old one
         return replace(self, rest=self.rest - change.zeros[self.key])
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
@@ -148,20 +154,20 @@ class BallSpring(OnBall, Spring):
 
     kind = "ball_spring"
     number_fields: ClassVar = Spring.number_fields | {"rest": NumberField("rad", shape=(3,))}
-    may_jump = True
+    may_jump = True  # at half a revolution
 
     def __post_init__(self) -> None:
         check_texts(self.element, self, "joint")
         self.set_numbers(self.element)
 
     def described_after(self, change: PoseChange) -> Self:
-        i, j = balls.ends(change.mechanism, self.joint)
+        i, j = balls.ends(change.mechanism, self.joint)  # indices of the two bodies
         rest = change.moves[i].turn @ balls.rotation_by(self.rest) @ change.moves[j].turn.T
         return replace(self, rest=balls.rotation_vector(rest))
 
     def theta(self, at: Surroundings) -> Array:
-        """Compute the rotation vector theta (3,), rad, of the second body from the rest orientation, world
-        frame."""
+        """Compute the rotation vector theta (3,), rad, of the second body relative to the first, counted from
+        the rest orientation, world frame."""
         i, j = balls.ends(at.mechanism, self.joint)
         return balls.rotation_from_rest(at.poses[i], at.poses[j], self.rest, (at.frames[i], at.frames[j]))
 
@@ -170,8 +176,8 @@ class BallSpring(OnBall, Spring):
         theta, omega = self.theta(at), self.spin(at)
         return -(self.stiffness * theta + self.damping * omega)
 
-    def reversing(self, at: Surroundings) -> Array:
-        """Compute the quaternion (4,) of theta, which reverses its sign where theta jumps; zeros without a
+    def reversing_vector(self, at: Surroundings) -> Array:
+        """Compute the quaternion (4,) of theta, whose vector part reverses where theta jumps; zeros without a
         spring."""
         return np.zeros(4) if self.stiffness == 0.0 else balls.quaternion_by(self.theta(at))
 
@@ -191,6 +197,7 @@ class BallSpring(OnBall, Spring):
         yield -self.damping * (omega @ omega)
 
     def magnitude(self, at: Surroundings) -> float:
+        """Compute the largest component of the torque, divided by the mechanism's size, N."""
         return float(np.max(np.abs(self.at_joint(at)))) / at.mechanism.size
 
 
@@ -255,7 +262,7 @@ class PointSpring(OnBodies, Spring):
         "damping": DAMPING,
     }
     body_fields = ("first", "second")
-    may_jump = True
+    may_jump = True  # where the points pass through each other
 
     def __post_init__(self) -> None:
         check_name("point spring", self.name)
@@ -291,9 +298,9 @@ class PointSpring(OnBodies, Spring):
         span = Span.of(frames[i], frames[j], on_first, on_second)
         return Line(i, j, *span, span.rate(frames[i], frames[j]))
 
-    def pull(self, line: Line) -> Array:
-        """Compute the force (3,), N, on the first body's point, world frame; the second body's point has the
-        opposite."""
+    def force_on_first(self, line: Line) -> Array:
+        """Compute the force (3,), N, on the first body's point, world frame; the opposite force acts on the
+        second body's point."""
         if not self.has_direction:
             return np.asarray(self.stiffness * line.d)
         length = sqrt(line.d @ line.d)
@@ -304,7 +311,7 @@ class PointSpring(OnBodies, Spring):
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
         return (self.line(at).d,) if self.has_direction else ()
 
-    def reversing(self, at: Surroundings) -> Array:
+    def reversing_vector(self, at: Surroundings) -> Array:
         """Compute the vector (3,), m, between the points, which reverses where the points pass through each
         other.
 
@@ -314,9 +321,9 @@ class PointSpring(OnBodies, Spring):
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
         line = self.line(at)
-        pull = self.pull(line)
-        yield line.first, np.concatenate([pull, cross(line.s_i, pull)])
-        yield line.second, -np.concatenate([pull, cross(line.s_j, pull)])
+        force = self.force_on_first(line)
+        yield line.first, np.concatenate([force, cross(line.s_i, force)])
+        yield line.second, -np.concatenate([force, cross(line.s_j, force)])
 
     def energy(self, at: Surroundings) -> Scalar:
         d = self.line(at).d
@@ -333,7 +340,8 @@ class PointSpring(OnBodies, Spring):
             yield -(self.damping * (along * along) / (line.d @ line.d))
 
     def magnitude(self, at: Surroundings) -> float:
-        return float(np.max(np.abs(self.pull(self.line(at)))))
+        """Compute the largest component of the force on a point, N."""
+        return float(np.max(np.abs(self.force_on_first(self.line(at)))))
 
 
 @description
@@ -385,14 +393,14 @@ class Wrench(OnPoint):
             return moved
         return replace(moved, force=move.vector(self.force), torque=move.vector(self.torque))
 
-    def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
+    def load(self, at: Surroundings) -> PointLoad:
         k = at.mechanism.body_index(self.body)
         pose, frame = at.poses[k], at.frames[k]
         arm = frame.rotation @ pose.point_to_body(self.point)
         if self.frame == "world":
-            return k, self.force, self.torque, arm
+            return PointLoad(k, self.force, self.torque, arm)
         force, torque = pose.vector_to_body(self.force), pose.vector_to_body(self.torque)
-        return k, frame.rotation @ force, frame.rotation @ torque, arm
+        return PointLoad(k, frame.rotation @ force, frame.rotation @ torque, arm)
 
 
 Force = JointSpring | BallSpring | PointSpring | Wrench | WindLoad
@@ -427,7 +435,7 @@ class Armature(OnCoordinate):
 
     noun = "armature"
     number_fields: ClassVar = {"inertia": ROTOR_INERTIA}
-    kind_of_parameters = ".rotor"
+    kind_of_parameters = ".rotor"  # names of parameters in studies: `hinge.rotor.inertia`
 
     def __post_init__(self) -> None:
         self.set_numbers(self.element)

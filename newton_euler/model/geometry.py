@@ -25,7 +25,7 @@ UNIT_TOLERANCE = 1e-9
 
 
 class Inertia(NamedTuple):
-    """Mass properties of a rigid body, world frame at the initial pose.
+    """Mass properties of a rigid body or of a part of one, world frame at the initial pose.
 
     Attributes:
         mass: kg.
@@ -41,14 +41,15 @@ class Inertia(NamedTuple):
         """Return these mass properties if they are valid.
 
         Args:
-            shape: name of the shape, for the error message.
+            shape: name of the kind of shape, such as "box", for the error message.
 
         Raises:
             MechanismError: unless mass and moments of inertia are positive and all numbers are finite.
         """
-        needed = "lengths and a density of a positive, finite"
+        needed = "lengths and a density of a positive, finite"  # followed by "mass" or "one" (moment)
         if not 0.0 < self.mass < math.inf:
             raise MechanismError(shape, f"mass is {self.mass:.6g} kg", f"{needed} mass")
+        # A number that is not finite anywhere in the tensor makes all its moments invalid
         moments = [value if np.isfinite(self.inertia).all() else math.inf for value in np.diag(self.inertia)]
         for value in moments:
             if not 0.0 < value < math.inf:
@@ -64,7 +65,7 @@ class Inertia(NamedTuple):
             return Inertia(factor * self.mass, self.center_of_mass, factor * self.inertia).checked("solids")
 
 
-def total(parts: Sequence[Inertia]) -> Inertia:
+def total_inertia(parts: Sequence[Inertia]) -> Inertia:
     """Combine the mass properties of parts of one rigid body, with the parallel axis theorem for the
     inertia."""
     masses, centers = np.array([part.mass for part in parts]), [part.center_of_mass for part in parts]
@@ -175,7 +176,12 @@ class Sphere(Homogeneous):
 
 @description
 class _Bar(Homogeneous):
-    """Base class of round bars: a radius, m, and two ends `start` and `end`, (3,) m each."""
+    """Base class of round bars.
+
+    Attributes:
+        start, end: (3,) points on the axis of the bar, m: the ends of its cylindrical part.
+        radius: m.
+    """
 
     start: ArrayField
     end: ArrayField
@@ -196,9 +202,10 @@ class _Bar(Homogeneous):
         Args:
             mass: kg.
             axial: moment of inertia about the axis of the bar, kg m^2.
-            transverse: moment of inertia about axes perpendicular to it through the center of mass, kg m^2.
+            transverse: moment of inertia about an axis through the center of mass perpendicular to the axis
+                of the bar, kg m^2.
         """
-        along = (self.end - self.start) / (self.length or 1.0)
+        along = (self.end - self.start) / (self.length or 1.0)  # zeros for a capsule that is a sphere
         inertia = transverse * np.eye(3) + (axial - transverse) * np.outer(along, along)
         return Inertia(mass, 0.5 * (self.start + self.end), inertia)
 
@@ -251,7 +258,7 @@ class Capsule(_Bar):
 
     def _mass_properties(self, density: float) -> Inertia:
         square, length = self.radius * self.radius, self.length
-        # masses of the bar between the centers, and of the two hemispheres together
+        # masses of the cylinder between the centers, and of the two hemispheres together
         bar, ball = math.pi * density * square * length, 4.0 / 3.0 * math.pi * density * square * self.radius
         axial = (0.5 * bar + 0.4 * ball) * square
         transverse = bar * (3.0 * square + length * length) / 12.0
@@ -260,7 +267,7 @@ class Capsule(_Bar):
 
 
 Shape = Box | Capsule | Cylinder | Sphere
-"""Shapes that a few numbers describe, as opposed to meshes; MJCF and URDF have the same."""
+"""Shapes that a few numbers describe, as opposed to meshes; MJCF and URDF have shapes of the same kinds."""
 
 
 @description
@@ -338,7 +345,8 @@ class Mesh(Homogeneous):
                 outer side.
         """
         self._check_closed()
-        origin = self.vertices.mean(axis=0)  # close to the solid, to limit cancellation of digits
+        # The origin of the tetrahedra is near the solid, to limit the cancellation of digits
+        origin = self.vertices.mean(axis=0)
         corners = (self.vertices - origin)[self.triangles]
         volumes, sums = np.linalg.det(corners) / 6.0, corners.sum(axis=1)
         volume = float(volumes.sum())
@@ -346,6 +354,7 @@ class Mesh(Homogeneous):
             needed = "a positive volume, its triangles counterclockwise seen from outside"
             raise MechanismError("mesh", f"encloses {volume:.6g} m^3", needed)
         center = volumes @ sums / (4.0 * volume)
+        # Sum the second moments about the origin (n: triangles, k: corners), then refer them to the center
         second = np.einsum("n,nki,nkj", volumes, corners, corners) + np.einsum("n,ni,nj", volumes, sums, sums)
         second = second / 20.0 - volume * np.outer(center, center)
         inertia = density * (np.trace(second) * np.eye(3) - second)
@@ -360,7 +369,8 @@ class Mesh(Homogeneous):
         _, unique_vertex = np.unique(self.vertices, axis=0, return_inverse=True)
         corners = unique_vertex.reshape(-1)[self.triangles]
 
-        # Sum the directions (1 or -1) in which triangles pass each edge; edges of length 0 do not count
+        # Sum the directions (1 or -1) in which triangles pass each edge; edges between two vertices at the
+        # same place do not count
         edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
         direction = np.where(edges[:, 0] < edges[:, 1], 1, -1)
         _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)

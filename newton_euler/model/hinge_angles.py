@@ -2,9 +2,9 @@
 
 `newton_euler.model.compound_joint.Compound` builds its coordinates and constraints from these classes.
 
-Angles. The first axis is fixed in body i and the last axis in body j. If there are three axes, the middle
-axis, fixed in the massless links, keeps its angles to the others and its side of their plane. The middle axis
-is therefore known from the orientations of the bodies, unless all three axes are in one plane (gimbal lock).
+Angles. The first axis is fixed in body i and the last axis in body j. The middle one of three axes is fixed
+in the massless links. It keeps its angles to the other two axes, and stays on one side of their plane. The
+orientations of the bodies therefore determine it, unless all three axes are in one plane (gimbal lock).
 Let a_k be the unit axes, x_k the angles, x_k' their rates, omega and alpha the angular velocity and
 acceleration of a body. Then
 
@@ -14,14 +14,15 @@ acceleration of a body. Then
 
 The vectors d_k are called dual axes (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 4.4).
 
-Points. The axes need not meet. The link between hinges k and k + 1 carries both axes and the constant offset
-o_k from the one axis to the other, o_k = u a_k + v a_k+1 + w a_k x a_k+1. The middle axis of three rotates
-with the angular velocity omega_i + x_1' a_1. Let r be the center of mass of a body, and s_i and s_j vectors
-from there to points on the first and the last axis. The separation
+Points. The axes need not meet. The offset o_k leads from the axis of hinge k to the axis of hinge k + 1. It
+is fixed in the link between the hinges: o_k = u a_k + v a_k+1 + w a_k x a_k+1 with constants u, v and w. The
+middle axis of three rotates with the angular velocity omega_i + x_1' a_1. Let r be the center of mass of a
+body, and s_i and s_j vectors from there to points on the first and the last axis. The separation
 
     D = r_j + s_j - r_i - s_i - sum_k o_k
 
 is 0 if only hinges join the bodies. If slides come before the hinges, D is the displacement of the slides.
+Numbers may be floats or symbols of the code generator (`newton_euler.scalars`).
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ class HingeRow:
         first_axis: (3,) unit axis of the first hinge in the frame of body i.
         second_axis: (3,) unit axis of the second hinge at the initial pose, in the frame of body i.
         last_axis: (3,) unit axis of the last hinge in the frame of body j.
-        before_last: (3,) unit axis of the hinge before the last one at the initial pose, in the frame of body
-            j.
+        next_to_last_axis: (3,) unit axis of the hinge before the last one at the initial pose, in the frame
+            of body j.
         cosines: a_1 . a_2 and a_2 . a_3 of three axes, which are constant; None for two hinges.
         sine: a_2 . (a_1 x a_3) of three axes at the initial pose.
         cosine: a_1 . a_3 - (a_1 . a_2)(a_2 . a_3) of three axes at the initial pose.
@@ -109,7 +110,7 @@ class HingeRow:
     first_axis: Array
     second_axis: Array
     last_axis: Array
-    before_last: Array
+    next_to_last_axis: Array
     cosines: tuple[float, float] | None = None
     sine: float = 0.0
     cosine: float = 0.0
@@ -120,8 +121,8 @@ class HingeRow:
         a, c = first.rotation @ self.first_axis, second.rotation @ self.last_axis
         if self.cosines is None:
             return [a, c]
-        # The middle axis is b = on_a a + on_c c + across a x c.
-        # The coefficients follow from a . b = p, b . c = r, a . c = s and |b| = 1
+        # The middle axis is b = on_a a + on_c c + across a x c. The coefficients follow from a . b = p,
+        # b . c = r, a . c = s and |b| = 1
         p, r = (0.0 if _is_right_angle(cosine) else cosine for cosine in self.cosines)
         s = a @ c
         sine2 = 1.0 - s * s
@@ -131,8 +132,8 @@ class HingeRow:
         return [a, on_a * a + on_c * c + across * cross(a, c), c]
 
     def motion(self, first: Frame, second: Frame) -> RowMotion:
-        """Compute the axes with their derivatives, their dual axes, and the rate of omega_j - omega_i from
-        axes."""
+        """Compute the axes with their derivatives, their dual axes, and the part of alpha_j - alpha_i that is
+        due to the rotation of the axes."""
         values = self.axes(first, second)
         duals = _duals(values)
         wi, wj = first.angular_velocity, second.angular_velocity
@@ -182,12 +183,13 @@ class HingeAngle:
     def phi(self, first: Frame, second: Frame) -> Array:
         row = self.row
         axes = row.axes(first, second)
-        # First hinge: the second axis has turned by the angle, seen in body i. Last hinge: likewise in body j
+        # First hinge: the angle by which the second axis has rotated since the initial pose, as seen in body
+        # i. Last hinge: the angle by which body j has rotated, as seen from the axis before the last one
         if self.index == 0:
             return np.array([_angle(axes[0], first.rotation @ row.second_axis, axes[1])])
         if self.index == len(axes) - 1:
-            return np.array([_angle(axes[-1], axes[-2], second.rotation @ row.before_last)])
-        # Middle hinge: the angle about b from a to c, less that angle at the initial pose
+            return np.array([_angle(axes[-1], axes[-2], second.rotation @ row.next_to_last_axis)])
+        # Middle hinge: the angle about b from a to c, minus that angle at the initial pose
         a, b, c = axes
         assert row.cosines is not None
         sine, cosine = b @ cross(a, c), a @ c - row.cosines[0] * row.cosines[1]
@@ -205,7 +207,7 @@ class HingeAngle:
 
 
 class SeparationVector(NamedTuple):
-    """The separation D of two bodies joined by a row of hinges, at a state, world frame; see the module."""
+    """The separation D of two bodies joined by a row of hinges (see the module) at a state, world frame."""
 
     value: Array
     """(3,) D, m."""
@@ -239,7 +241,7 @@ class Separation:
         theta_i, theta_j = tilde(span.s_i), -tilde(span.s_j)
         value, drift = span.d, span.drift(first, second)
         for (u, v, w), a, b in zip(self.offsets, axes[:-1], axes[1:], strict=True):
-            # derivatives of -o_k = -(u a + v b + w a x b): on_a by a, and -on_b by b
+            # Matrices of the derivatives of -o_k = -(u a + v b + w a x b): on_a by a, and -on_b by b
             on_a, on_b = w * tilde(b.value) - u * np.eye(3), w * tilde(a.value) + v * np.eye(3)
             value = value + on_a @ a.value - v * b.value
             theta_i = theta_i + on_a @ a.on_first - on_b @ b.on_first

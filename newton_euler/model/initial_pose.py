@@ -33,7 +33,7 @@ from newton_euler.scalars import Array, Floats, cross
 
 POSE_DEPENDENT = ("rest", "force", "torque")
 """Attributes of forces whose values are counted from the initial pose, or are vector components at the
-initial pose."""
+initial pose. The parameters of a controller's model end with these names, such as `hinge.spring.rest`."""
 
 ROTATION_TOLERANCE = 1e-12
 """Largest element of (rotation matrix - identity) for which a body counts as not rotated: round-off."""
@@ -73,7 +73,7 @@ def described_at(scene: Scene, state: State) -> Scene:
             controller's model that depend on the initial pose, and forces along slides of planar or free
             joints whose first body has rotated.
     """
-    # Compute how bodies and joint coordinates differ between the two poses
+    # Compute the displacements of the bodies, and the joint coordinates at the new pose
     mechanism, frames = scene.mechanism, state.frames()
     moves = [
         Move(frame.rotation @ body.pose.rotation.T, body.center_of_mass, frame.position)
@@ -169,6 +169,7 @@ def _moved_joint(equations: JointEquations, moves: list[Move], frames: list[Fram
     if isinstance(joint, Compound):
         fields["slides"] = first.vector(joint.slides)
         fields["hinges"] = axes = first.vector(joint.hinges)
+        # Two or three hinges have a row of axes, which follow from the frames of both bodies
         for coordinate in equations.coordinates:
             if isinstance(coordinate, HingeAngle):
                 fields["hinges"] = axes = np.array(

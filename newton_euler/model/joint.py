@@ -6,7 +6,10 @@ constraint equations, and the joint coordinates. `Joint.motions` lists the eleme
 balls) that the joint allows. Spanning trees, MJCF files and URDF files are built from this list.
 
 Joint coordinates measure the motion of the second body relative to the first body and are zero at the initial
-pose. Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
+pose. The numbers of a joint may vary from run to run: `Joint.varied` and `Joint.rebuilt` make such a
+variation of the joint that the user described.
+
+Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
 Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A.
 """
 
@@ -38,9 +41,9 @@ POINTS = ("point", "point_on_first", "point_on_second")
 """Names of the parameters that displace joint points: `point` displaces the points of both bodies by the same
 vector, the other two displace the point of one body."""
 
-LEAST_LENGTH = 1e-6
-"""Smallest distance, m, between two points of a joint whose direction matters; closer points count as one
-point."""
+MIN_POINT_DISTANCE = 1e-6
+"""Smallest distance, m, of the two ends of a rod or of two parallel hinges; the direction from one to the
+other would depend on round-off if they were closer."""
 
 Key = tuple[str, int]
 """A joint coordinate: the name of its joint, and the index of the coordinate in the joint, from 0."""
@@ -64,8 +67,8 @@ BALL_MOTION = Motion("ball", np.zeros(3))
 
 
 class Pose(NamedTuple):
-    """Pose of a body frame at the initial pose, to convert points and vectors from the world to the body
-    frame."""
+    """Pose of a body frame at the mechanism's initial pose, to convert points and vectors from the world to
+    the body frame."""
 
     position: Array
     """(3,) origin of the body frame (center of mass), m, world."""
@@ -152,8 +155,8 @@ def perpendicular_pair(axis: Array, described: Array | None = None) -> tuple[Arr
     """
     chosen_by = axis if described is None else described
     helper = np.zeros(3)
-    # Choose the axis of the smallest component. Rounding makes the choice independent of the last digits,
-    # which differ from processor to processor
+    # The helper is the coordinate axis of the smallest component. Rounding makes the choice independent of
+    # the last digits, which differ from processor to processor
     helper[int(np.argmin(np.abs(chosen_by).round(6)))] = 1.0
     w = cross(axis, helper)
     w /= np.linalg.norm(w)
@@ -166,10 +169,11 @@ def unit_vector(joint: str, name: str, value: object) -> Array:
     Args:
         joint: name of the joint, for error messages.
         name: name of the axis, for error messages.
-        value: the axis, three numbers of any nonzero length.
+        value: the axis, three numbers; the length does not matter.
 
     Raises:
-        MechanismError: for an axis of length 0, and anything but three finite numbers.
+        MechanismError: for an axis whose components are all below 1e-12, and anything but three finite
+            numbers.
     """
     vector = finite_array(f"joint {quoted(joint)}", name, value, (3,))
     largest = float(np.max(np.abs(vector)))
@@ -195,10 +199,10 @@ class Joint(Variable):
         kind: name of the kind of joint in scene files.
         axis_names: names of the attributes that are unit axes (3,).
         vector_names: names of other attributes that are vectors (3,), or arrays of vectors (n, 3).
-        only_closes: True for a joint without elementary motions, which can only close a loop of a spanning
-            tree.
-        apart: (3,) m, displacement of the second body's point minus that of the first body's point; nonzero
-            only in variations of the joint, see `varied`.
+        only_closes: True for a joint without elementary motions (a rod), which can only close a loop of a
+            spanning tree.
+        point_gap: (3,) m, displacement of the second body's point minus that of the first body's point;
+            nonzero only in variations of the joint, see `varied`.
     """
 
     name: str
@@ -209,6 +213,8 @@ class Joint(Variable):
     actuated: bool = field(default=False, kw_only=True)
 
     kind: ClassVar[str]
+    # Parameters of a run that are numbers of the joint. `moves_loops`: a change moves the poses in which
+    # loops are closed. `opens_joints`: a change violates the joint's constraints at the initial pose
     number_fields: ClassVar = {
         "point": replace(POINT, moves_loops=True),
         "point_on_first": replace(POINT, moves_loops=True, opens_joints=True),
@@ -217,7 +223,7 @@ class Joint(Variable):
     axis_names: ClassVar[tuple[str, ...]] = ()
     vector_names: ClassVar[tuple[str, ...]] = ()
     only_closes: ClassVar[bool] = False
-    apart = np.zeros(3)
+    point_gap = np.zeros(3)
 
     def __post_init__(self) -> None:
         check_texts(f"joint {quoted(self.name)}", self, "name", "first", "second")
@@ -230,18 +236,19 @@ class Joint(Variable):
 
     @property
     def variables(self) -> tuple[str, ...]:
+        """Names of the numbers that may vary from run to run."""
         return tuple(self.number_fields)
 
     @property
     def described(self) -> Self:
-        """The joint as the user described it, if this one is a variation made by `varied`; else this joint
-        itself."""
+        """The joint as the user described it, of which this joint may be a variation made by `varied`."""
         described: Self = vars(self).get("_described", self)
         return described
 
     @property
     def span(self) -> Array:
-        """(3,) m, from the first body's point to the second body's point where the coordinates are zero."""
+        """(3,) m, from the first body's point to the second body's point at the relative pose where the
+        coordinates are zero, world at the initial pose."""
         return vars(self).get("_span", self.reaction_point - self.point)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
@@ -263,7 +270,7 @@ class Joint(Variable):
         if not values.keys().isdisjoint(POINTS):
             fields["point"] = self.point + both + first
             fields["point_on_second"] = self.reaction_point + both + second
-            fields["apart"] = second - first
+            fields["point_gap"] = second - first
         for name, value in fields.items():
             object.__setattr__(changed, name, value)
         object.__setattr__(changed, "_described", self.described)
@@ -327,7 +334,7 @@ class Joint(Variable):
             first, second: poses of the two body frames at the initial pose.
         """
         slides = (motion.axis for motion in self.motions if motion.kind == "slide")
-        return tuple(self._slide(axis, first, second) for axis in slides)
+        return tuple(self._slide_coordinate(axis, first, second) for axis in slides)
 
     def attach(self, first: int, first_pose: Pose, second: int, second_pose: Pose) -> JointEquations:
         """Return the equations of the joint between two bodies of a mechanism.
@@ -355,7 +362,7 @@ class Joint(Variable):
 
         The cross product s_i x s_j must vanish. Its component along s_i is always zero; the other two
         components are -w . s_j and u . s_j, where (u, w) is the pair of vectors of the first body
-        perpendicular to the axis.
+        perpendicular to the axis, see `perpendicular_pair`.
         """
         s_j = second.vector_to_body(axis)
         return tuple(Perpendicular(first.vector_to_body(a), s_j) for a in pair)
@@ -375,9 +382,9 @@ class Joint(Variable):
         pairs = (x, y), (y, z), (z, x)
         return tuple(Perpendicular(first.vector_to_body(a), second.vector_to_body(b)) for a, b in pairs)
 
-    def _slide(self, axis: Array, first: Pose, second: Pose) -> Constraint:
+    def _slide_coordinate(self, axis: Array, first: Pose, second: Pose) -> Constraint:
         """Return the coordinate of a slide: the displacement of the second body's point along an axis of the
-        first."""
+        first body, m."""
         return self._displacement(axis, axis @ self.span, first, second)
 
     def _displacement(self, axis: Array, offset: Any, first: Pose, second: Pose) -> Constraint:
@@ -386,7 +393,7 @@ class Joint(Variable):
         ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
         return Displacement(first.vector_to_body(axis), *ends, offset=offset)
 
-    def _turn(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:
+    def _hinge_coordinate(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:
         """Return the coordinate of a hinge: the angle about an axis of the first body.
 
         Args:
@@ -408,7 +415,7 @@ class AxisJoint(Joint):
 
     Attributes:
         axis: (3,) axis, world at the initial pose, of any nonzero length; stored as a unit vector.
-        along: kinds of the motions along and about the axis, in order.
+        motion_kinds: kinds of the elementary motions along and about the axis, in order.
     """
 
     axis: ArrayField = field(kw_only=True)
@@ -416,7 +423,7 @@ class AxisJoint(Joint):
     number_fields: ClassVar = Joint.number_fields | {
         "axis": NumberField(shape=None, allowed="axis", moves_loops=True)
     }
-    along: ClassVar[tuple[MotionKind, ...]] = ()
+    motion_kinds: ClassVar[tuple[MotionKind, ...]] = ()
 
     @property
     def pair(self) -> tuple[Array, Array]:
@@ -426,13 +433,13 @@ class AxisJoint(Joint):
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        return tuple(Motion(kind, self.axis) for kind in self.along)
+        return tuple(Motion(kind, self.axis) for kind in self.motion_kinds)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         slides = super().coordinates(first, second)
         if "hinge" not in self.coordinate_kinds:
             return slides
-        return (*slides, self._turn(self.axis, self.pair[0], first, second))
+        return (*slides, self._hinge_coordinate(self.axis, self.pair[0], first, second))
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         """Copy the joint with other, unchecked numbers, see `Joint.varied`.
@@ -442,13 +449,14 @@ class AxisJoint(Joint):
         """
         changed, span = super().varied(values), self.span
         if "axis" in values and np.any(span):
-            turned = self._turned(changed, span)
-            object.__setattr__(changed, "point_on_second", changed.point_on_second + (turned - span))
-            object.__setattr__(changed, "_span", turned)
+            rotated = self._rotated_with_axis(changed, span)
+            object.__setattr__(changed, "point_on_second", changed.point_on_second + (rotated - span))
+            object.__setattr__(changed, "_span", rotated)
         return changed
 
-    def _turned(self, changed: AxisJoint, vector: Array) -> Array:
-        """Rotate a vector (3,) by the rotation from this joint's axis and pair to those of another joint."""
+    def _rotated_with_axis(self, changed: AxisJoint, vector: Array) -> Array:
+        """Rotate a vector (3,) by the rotation that takes this joint's axis and `pair` to those of another
+        joint."""
         triad = np.column_stack([*self.pair, self.axis])
         changed_triad = np.column_stack([*changed.pair, changed.axis])
         return np.asarray(changed_triad @ (triad.T @ vector))

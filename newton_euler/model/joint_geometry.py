@@ -74,12 +74,13 @@ def geometry_in_tree(
             continue  # the free joint that the tree adds for a body that only rods hold
         joint = welded.tree.joint(kept.joint)
         motions = [read(name) for name in motion_names(joint, kept.forward)]
-        geometries[joint.name] = _from_first(kept, motions)
+        geometries[joint.name] = _from_first_to_second(kept, motions)
     return geometries
 
 
-def _from_first(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> JointGeometry:
-    """Build the geometry of a joint from the motions of its child body relative to its parent body.
+def _from_first_to_second(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> JointGeometry:
+    """Build the geometry of a joint, ordered from its first to its second body, from the motions of its child
+    body relative to its parent body.
 
     Args:
         kept: the joint in the spanning tree. `kept.forward` is False if the child is the joint's first body.
@@ -89,7 +90,9 @@ def _from_first(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> Joi
     ordered = motions if kept.forward else motions[::-1]
     axes = [sense * axis for kind, axis, _ in ordered if kind != "ball"]
     hinges = [point for kind, _, point in ordered if kind == "hinge"]
-    points = np.array([NOWHERE, ordered[-1][2] if ordered else NOWHERE, *hinges])
+    # The engine has no point on the first body; the point of the last motion is fixed in the second body
+    _, _, on_second = ordered[-1] if ordered else ("", NOWHERE, NOWHERE)
+    points = np.array([NOWHERE, on_second, *hinges])
     return JointGeometry(tuple(kind for kind, _, _ in ordered), np.reshape(axes, (-1, 3)), points)
 
 

@@ -3,8 +3,9 @@
 The base classes are in `newton_euler.model.joint`, compound joints in `compound_joint` and `parallel_hinges`.
 Equation numbers in docstrings are those of Appendix A of S. Srang, S. Ath and M. Yamakita, Advances in
 Science, Technology and Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587. "Five equations" means
-that the joint removes five of the six relative degrees of freedom. The mapping `JOINT_KINDS` has all classes
-by the names that scene files use.
+that the joint removes five of the six relative degrees of freedom. The coordinates of a joint are its hinge
+angles, rad, and displacements of slides, m, in the order of `Joint.motions`. The mapping `JOINT_KINDS` has
+all classes by the names that scene files use.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from newton_euler.model.description import ArrayField, description
 from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import (
     BALL_MOTION,
-    LEAST_LENGTH,
+    MIN_POINT_DISTANCE,
     AxisJoint,
     Joint,
     Motion,
@@ -40,7 +41,9 @@ pose."""
 
 @description
 class Spherical(Joint):
-    """Ball joint, eq. (25): three equations, the joint points of both bodies coincide. It has no coordinates.
+    """Ball joint, eq. (25): three equations, the joint points of both bodies coincide.
+
+    It has no coordinates, because three angles cannot describe every rotation without a singularity.
 
     Examples:
         >>> Spherical("joint", "ground", "body", [0.0, 0.0, 0.0]).coordinate_kinds
@@ -81,7 +84,7 @@ class Universal(Joint):
     kind: ClassVar[str] = "universal"
     axis_names: ClassVar[tuple[str, ...]] = ("axis_on_first", "axis_on_second")
     number_fields: ClassVar = Joint.number_fields | dict.fromkeys(
-        ("axis_on_first", "axis_on_second"), NumberField(shape=None, allowed="joint", moves_loops=True)
+        ("axis_on_first", "axis_on_second"), NumberField(shape=None, allowed="constructor", moves_loops=True)
     )
 
     def __post_init__(self) -> None:
@@ -105,9 +108,12 @@ class Universal(Joint):
         return (*self._coincident(first, second), perpendicular_axes)
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        # The angle about each axis is that of the other axis, which rotates about it with the other body
+        # The angle about each axis is that of the other axis, which rotates about it with the other body.
+        # `Reversed` exchanges the bodies, because the second axis is fixed in the second body
         a, b = self.axis_on_first, self.axis_on_second
-        return self._turn(a, b, first, second), Reversed(self._turn(b, a, second, first))
+        return self._hinge_coordinate(a, b, first, second), Reversed(
+            self._hinge_coordinate(b, a, second, first)
+        )
 
 
 @description
@@ -120,7 +126,7 @@ class Revolute(AxisJoint):
     """
 
     kind: ClassVar[str] = "revolute"
-    along = ("hinge",)
+    motion_kinds = ("hinge",)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         return self._coincident(first, second) + self._parallel(self.axis, self.pair, first, second)
@@ -139,7 +145,7 @@ class Cylindrical(AxisJoint):
     """
 
     kind: ClassVar[str] = "cylindrical"
-    along = ("slide", "hinge")
+    motion_kinds = ("slide", "hinge")
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         pair = self.pair
@@ -159,7 +165,7 @@ class Translational(AxisJoint):
     """
 
     kind: ClassVar[str] = "translational"
-    along = ("slide",)
+    motion_kinds = ("slide",)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         h_i, h_j = pair = self.pair
@@ -265,7 +271,7 @@ class PointOnLine(AxisJoint):
     """
 
     kind: ClassVar[str] = "point_on_line"
-    along = ("slide",)
+    motion_kinds = ("slide",)
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -300,9 +306,9 @@ class Rod(Joint):
 
     def _check(self, length: float) -> None:
         """Raise `MechanismError` for a length, m, that is too small or not finite."""
-        if not LEAST_LENGTH <= length < math.inf:
+        if not MIN_POINT_DISTANCE <= length < math.inf:
             problem = f"its two points are {length:.3g} m apart"
-            needed = f"point_on_second at least {LEAST_LENGTH:g} m from point, a ball joint otherwise"
+            needed = f"point_on_second at least {MIN_POINT_DISTANCE:g} m from point, a ball joint otherwise"
             raise MechanismError(f"joint {quoted(self.name)}", problem, needed)
 
     @cached_property
@@ -312,16 +318,18 @@ class Rod(Joint):
         return math.dist(self.reaction_point, self.point)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
+        # The copy stores the length, which it would else compute from its own points
         return super().varied({"length": self.length, **values})
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
         others = {name: value for name, value in values.items() if name != "length"}
-        changed, rod = super().rebuilt(others), self.reaction_point - self.point
+        changed, ends = super().rebuilt(others), self.reaction_point - self.point
         if "length" not in values:
             return changed
+        # Another length moves the second body's point along the rod
         self._check(float(values["length"]))
-        rod = rod * (float(values["length"]) / self.length)
-        return replace(changed, point_on_second=changed.point + rod)
+        ends = ends * (float(values["length"]) / self.length)
+        return replace(changed, point_on_second=changed.point + ends)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         s_i, s_j = first.point_to_body(self.point), second.point_to_body(self.reaction_point)

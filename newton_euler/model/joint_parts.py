@@ -1,9 +1,9 @@
 """Combine several elementary motions between two bodies into one joint of this project.
 
 MJCF and URDF files place several hinges, slides or balls in a row between two bodies that have mass,
-sometimes with massless links between them. `combined` finds the joint class with the same motions: for
-example `Universal` for two perpendicular hinges whose axes meet, and `Compound` where no special class fits.
-The readers of both formats use it.
+sometimes with massless links between them. `combine_motions` finds the joint class with the same motions: for
+example `Universal` for two perpendicular hinges whose axes meet, and `Compound` if no special class fits. The
+readers of both formats use it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.scalars import Array
 
 MEETING_TOLERANCE = 1e-10
-"""Distance, m, from a common point below which hinge axes count as meeting there; above round-off."""
+"""Distance, m, from a common point below which hinge axes count as meeting there: well above the round-off of
+points in meters."""
 
 ALIGNMENT_TOLERANCE = 1e-12
 """Sine (cosine) of the angle between axes below which they count as parallel (perpendicular): round-off."""
@@ -44,7 +45,7 @@ class Part(NamedTuple):
 
 
 def common_name(names: Sequence[str]) -> str:
-    """Return the common stem of names that end in "_1", "_2", ...; an empty string for other names.
+    """Return the common stem of names that end in "_1", "_2", ..., one each; an empty string for other names.
 
     The writers of this project number the parts of one joint in this way: "hip_1", "hip_2" for the joint
     "hip".
@@ -55,7 +56,7 @@ def common_name(names: Sequence[str]) -> str:
     return bases.pop() if same else ""
 
 
-def combined(
+def combine_motions(
     name: str, parent: str, child: str, parts: Sequence[Part], actuated: bool
 ) -> tuple[Joint, dict[str, int]]:
     """Build one joint that allows several elementary motions in a row.
@@ -76,18 +77,18 @@ def combined(
     """
     # Joint classes have slides before hinges: if the slides come last, go from the child to the parent
     ends, row = (parent, child), list(parts)
-    turns = [part.kind != "slide" for part in row]
-    if turns != sorted(turns):
+    rotates = [part.kind != "slide" for part in row]
+    if rotates != sorted(rotates):  # sorted: False (slides) before True
         ends, row = (child, parent), [part._replace(axis=-part.axis) for part in reversed(row)]
-        turns.reverse()
-    if turns != sorted(turns):
+        rotates.reverse()
+    if rotates != sorted(rotates):
         raise MechanismError(
             f"body {child!r}", "has slides between its hinges", "slides first, or slides last"
         )
 
     # Refuse three or more parallel hinges, whose massless links have no determined motion
-    turning = [part for part in row if part.kind != "slide"]
-    hinges = [part for part in turning if part.kind == "hinge"]
+    rotational = [part for part in row if part.kind != "slide"]
+    hinges = [part for part in rotational if part.kind == "hinge"]
     for first in hinges:
         parallel = [part.name for part in hinges if _are_parallel(first.axis, part.axis)]
         if len(parallel) > 2:
@@ -96,10 +97,12 @@ def combined(
             raise MechanismError(f"body {child!r}", problem, needed)
 
     # The joint point: where all hinge axes meet, or a point on the first hinge axis if they do not meet
-    with_axis = [part for part in row if part.kind != "ball"]
-    anchors = [part.anchor for part in turning]
-    meeting = _meeting_point(turning) if turning else row[-1].anchor
+    anchors = [part.anchor for part in rotational]
+    meeting = _meeting_point(rotational) if rotational else row[-1].anchor
     point = anchors[0] if meeting is None else meeting
+
+    # Each hinge and slide has an axis and a joint coordinate; a ball has neither
+    with_axis = [part for part in row if part.kind != "ball"]
     axes = [part.axis for part in with_axis]
     coordinates = {part.name: k for k, part in enumerate(with_axis)}
 
@@ -156,7 +159,7 @@ def _meeting_point(parts: Sequence[Part]) -> Array | None:
     if all(np.linalg.norm(part.anchor - first) <= MEETING_TOLERANCE for part in parts):
         return first
     projections = [np.eye(3) - (part.kind != "ball") * np.outer(part.axis, part.axis) for part in parts]
-    projected = [p @ part.anchor for p, part in zip(projections, parts, strict=True)]
+    projected = [p @ part.anchor for p, part in zip(projections, parts, strict=True)]  # P_k a_k
     point = np.linalg.lstsq(np.vstack(projections), np.concatenate(projected), rcond=None)[0]
     missed = max(np.linalg.norm(p @ point - a) for p, a in zip(projections, projected, strict=True))
     return None if missed > MEETING_TOLERANCE else np.asarray(point)

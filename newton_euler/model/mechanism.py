@@ -1,8 +1,9 @@
 """Body and Mechanism: the description of a multibody system from which every engine's model is built.
 
-Everything is given in SI units in the world frame at one pose of the mechanism, the initial pose. The frame
-of a body has its origin at the center of mass and the orientation `Body.quaternion`. The constructor of
-`Mechanism` checks names, inertias and connections, and that all joints are closed at the initial pose.
+Points and axes are given in the world frame at one pose of the mechanism, the initial pose; inertia tensors
+in the frame of their body. The frame of a body has its origin at the center of mass and the orientation
+`Body.quaternion`. The constructor of `Mechanism` checks names, inertias and connections, and that the
+constraint equations of all joints are satisfied at the initial pose.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.fields import NumberField
-from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape, Solid, total
+from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape, Solid, total_inertia
 from newton_euler.model.joint import Joint, JointEquations, Key, Pose
 from newton_euler.model.variable import Change, Variable
 from newton_euler.scalars import Array, Scalar, sqrt
@@ -50,11 +51,12 @@ REALISABLE_TOLERANCE = 1e-12
 APPEARANCE = "what bodies look like, and moves nothing"
 """Reason, for error messages, why shapes and meshes cannot vary from run to run."""
 
-_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
+_NAME_PATTERN = re.compile(r"[A-Za-z0-9_.\-]+")
 
 
-def spread(points: Sequence[Array]) -> float:
-    """Compute the largest distance, m, of points (3,) from their mean; 1 if all points coincide."""
+def characteristic_length(points: Sequence[Array]) -> float:
+    """Compute the size of a set of points (3,), m: their largest distance from their mean; 1 if all
+    coincide."""
     largest = float(np.max(np.linalg.norm(np.array(points) - np.mean(points, axis=0), axis=1)))
     return largest if largest > 0.0 else 1.0
 
@@ -62,7 +64,7 @@ def spread(points: Sequence[Array]) -> float:
 def check_name(what: str, name: object) -> None:
     """Raise `MechanismError` for a name that files and reports cannot use; `what` is the kind of the named
     element."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
+    if not isinstance(name, str) or not _NAME_PATTERN.fullmatch(name):
         raise MechanismError(
             f"{what} {quoted(name)}", "has an unusable name", "letters, digits, _, . and - only"
         )
@@ -113,6 +115,8 @@ class Body(Variable):
     allow_unrealisable_inertia: bool = False
     meshes: tuple[Mesh, ...] = ()
 
+    # Attributes that may vary from run to run, with unit, shape and checks. `moves_loops`: a change moves the
+    # poses in which loops are closed. `constant`: reasons why other attributes cannot vary
     number_fields: ClassVar = {
         "mass": NumberField("kg"),
         "center_of_mass": NumberField("m", shape=(3,), moves_loops=True),
@@ -175,13 +179,17 @@ class Body(Variable):
         if not solids:
             raise MechanismError(where, "has no solids", "one or more")
         try:
-            properties = total([solid.inertia(1.0 if density is None else density) for solid in solids])
+            properties = total_inertia(
+                [solid.inertia(1.0 if density is None else density) for solid in solids]
+            )
             properties = properties if mass is None else properties.scaled(mass / properties.mass)
         except MechanismError as error:
             raise MechanismError(f"{where}: {error.element}", error.problem, error.needed) from error
         return cls(
             name,
-            *properties,
+            properties.mass,
+            properties.center_of_mass,
+            properties.inertia,
             shapes=tuple(solid for solid in solids if not isinstance(solid, Mesh)),
             meshes=tuple(solid for solid in solids if isinstance(solid, Mesh)),
         )
@@ -210,22 +218,30 @@ class Body(Variable):
             )
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        """Return the new values of the attributes that vary, with a unit quaternion.
+
+        Args:
+            values: new values by attribute name; the quaternion may have any nonzero length.
+            change: function that copies an attribute with new numbers, see `Variable.fields_with`.
+        """
         fields = super().fields_with(values, change)
         if "quaternion" in fields:
             p = np.asarray(fields["quaternion"])
-            if p.dtype != object and not np.any(p):
+            if p.dtype != object and not np.any(p):  # dtype object: symbols of the code generator
                 raise MechanismError(f"body {quoted(self.name)}", "quaternion is zero", "one that is not")
             fields["quaternion"] = p / sqrt(p @ p)
         return fields
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        """Construct the body again with other values of some attributes; raises `MechanismError` as
+        `check`."""
         rebuilt = super().rebuilt(values)
         rebuilt.check()
         return rebuilt
 
     @property
     def pose(self) -> Pose:
-        """The body's frame at the initial pose."""
+        """The body frame at the initial pose: its origin, m, and its rotation matrix to the world frame."""
         return Pose(self.center_of_mass, rotation(self.quaternion))
 
 
@@ -300,7 +316,8 @@ class Mechanism:
         return f"<Mechanism: bodies: {len(self.bodies)}; joints: {joints}; couplings: {len(self.couplings)}>"
 
     def _check_joints(self) -> None:
-        """Raise `MechanismError` for joints to unknown bodies, unconnected bodies, and open joints."""
+        """Raise `MechanismError` for joints to unknown bodies, unconnected bodies, and joints whose
+        constraints the initial pose violates."""
         for joint in self.joints:
             where = f"joint {quoted(joint.name)}"
             for body in (joint.first, joint.second):
@@ -313,8 +330,9 @@ class Mechanism:
             if joint.first == joint.second:
                 raise MechanismError(where, f"connects {quoted(joint.first)} to itself", "two bodies")
         self._check_connected()
+        still = np.zeros(3)
         frames = [
-            Frame(body.center_of_mass, rotation(body.quaternion), np.zeros(3), np.zeros(3))
+            Frame(body.center_of_mass, rotation(body.quaternion), velocity=still, angular_velocity=still)
             for body in self.bodies
         ]
         self.check_closed(frames, "at the initial pose")
@@ -335,7 +353,7 @@ class Mechanism:
             where = f"{coupling.kind} {quoted(coupling.name)}"
             if names[coupling.name] > 1:
                 raise MechanismError(where, f"{names[coupling.name]} of that name", "unique names")
-            for joint, coordinate in coupling.factors():
+            for joint, coordinate in coupling.factors():  # keys: the coupled joint coordinates
                 on_joint = f"{where} on joint {quoted(joint)}"
                 check_coordinate(on_joint, self.joint(joint), coordinate)
 
@@ -359,10 +377,11 @@ class Mechanism:
         """Raise `MechanismError` for the first joint whose constraint violation exceeds `CLOSURE_TOLERANCE`.
 
         Args:
-            frames: frames of all bodies.
+            frames: frames (pose and velocity) of all bodies, ground first.
             when: description of the pose for the message, such as "at the initial pose".
         """
         for equations in self.equations:
+            # residuals of the joint's constraint equations, m or rad, which vanish if the joint is closed
             phi = equations.phi(frames[equations.first], frames[equations.second])
             gap = float(np.max(np.abs(phi), initial=0.0))
             if not gap <= CLOSURE_TOLERANCE:  # true also for NaN, which follows from numbers that overflow
@@ -386,16 +405,19 @@ class Mechanism:
     @cached_property
     def size(self) -> float:
         """Characteristic length, m: largest distance of joint points and centers of mass from their mean."""
-        return spread([*(body.center_of_mass for body in self.bodies[1:]), *(j.point for j in self.joints)])
+        return characteristic_length(
+            [*(body.center_of_mass for body in self.bodies[1:]), *(j.point for j in self.joints)]
+        )
 
     @cached_property
-    def longest(self) -> float:
+    def largest_extent(self) -> float:
         """Largest extent of a body from its center of mass, m.
 
         The extent is the distance to a joint with constraint equations, or the root mean square distance of
         the body's mass from the center of mass. Unlike `size`, it does not depend on where floating bodies
         are.
         """
+        # The integral of r^2 over the mass is half the trace of the inertia tensor
         lengths = [float(np.sqrt(0.5 * np.trace(body.inertia) / body.mass)) for body in self.bodies[1:]]
         for equations in self.equations:
             ends = (
@@ -502,10 +524,11 @@ class Mechanism:
         return tuple(map(tuple, indices))
 
     def attach(self, poses: list[Pose]) -> tuple[JointEquations, ...]:
-        """Return the equations of all joints for other body frames.
+        """Return the equations of all joints for body frames with given poses at the initial pose.
 
         Args:
-            poses: pose of each body's frame at the initial pose; it need not be that of `Body.pose`.
+            poses: pose of each body frame, ground first; `Body.pose`, or others such as frames parallel to
+                the world.
         """
         attached = []
         for joint in self.joints:
@@ -520,7 +543,8 @@ class Mechanism:
 
     @cached_property
     def reaction_arms(self) -> tuple[Array, ...]:
-        """Joint point (3,) of each joint on its second body, m from the center of mass, in the body frame."""
+        """Reaction point (3,) of each joint: the joint point fixed in its second body, m from the center of
+        mass, in the body frame."""
         return tuple(
             self.bodies[each.second].pose.point_to_body(each.joint.reaction_point) for each in self.equations
         )
@@ -534,7 +558,7 @@ class Mechanism:
         joints = [self.joints[k] for k in self.joints_at[index]]
         points = [joint.point if joint.first == body.name else joint.reaction_point for joint in joints]
         return tuple(
-            Capsule(body.center_of_mass, point, 0.02 * self.size)
-            for point in points
+            Capsule(body.center_of_mass, point, radius=0.02 * self.size)
+            for point in points  # a joint at the center of mass needs no bar
             if float(np.linalg.norm(point - body.center_of_mass)) > 1e-6 * self.size
         )

@@ -1,7 +1,8 @@
 """Prescribed motions of joint coordinates, and sums of functions of time.
 
 `TimeFunction` is the type of all functions of time that motions, control laws and wind accept: polynomials,
-sines, splines, steps and sums of them. `PrescribedMotion` makes a joint coordinate follow such a function.
+sines, splines, steps and sums of them. `PrescribedMotion` makes a joint coordinate follow such a function. A
+function is smooth between its knots: times at which a derivative jumps.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from newton_euler.scalars import Array, Scalar
 @dataclass(frozen=True)
 class Sum(Function):
     """The sum of several functions of time.
+
+    Lists of numbers, such as those of `piece` and `part` (see `Function`), have the numbers of the first
+    term first.
 
     Attributes:
         terms: one or more functions of time; a sum may be a term of a sum.
@@ -54,8 +58,8 @@ class Sum(Function):
         return tuple(sorted({jump for term in self.terms for jump in term.jumps}))
 
     @property
-    def numbers(self) -> int:
-        return sum(term.numbers for term in self.terms)
+    def piece_size(self) -> int:
+        return sum(term.piece_size for term in self.terms)
 
     @property
     def constant(self) -> Mapping[str, str]:  # type: ignore[override]
@@ -74,8 +78,8 @@ class Sum(Function):
     def on_piece(self, numbers: Sequence[Scalar]) -> Sum:
         terms: list[TimeFunction] = []
         for term in self.terms:
-            terms.append(term.on_piece(numbers[: term.numbers]))
-            numbers = numbers[term.numbers :]
+            terms.append(term.on_piece(numbers[: term.piece_size]))
+            numbers = numbers[term.piece_size :]
         return Sum(tuple(terms))
 
     def part(self, name: str) -> list[Scalar]:
@@ -114,11 +118,12 @@ def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps
 
 def scaled(function: TimeFunction, factor: float) -> TimeFunction:
     """Return a function of time multiplied by a number."""
+    # part "" has the numbers on which the function depends linearly
     return function.with_part("", [factor * number for number in function.part("")], replace)
 
 
 def shifted(function: TimeFunction, by: float) -> TimeFunction:
-    """Return a function of time with a constant added to the values."""
+    """Return a function of time with the constant `by` added to its value at all times."""
     if isinstance(function, Sum):
         return Sum((shifted(function.terms[0], by), *function.terms[1:]))
     if isinstance(function, Sine):
@@ -134,8 +139,8 @@ def shifted(function: TimeFunction, by: float) -> TimeFunction:
 def piece_numbers(functions: Iterable[TimeFunction], time: float) -> Array:
     """Return the numbers that determine several functions between the knots (breakpoints) around a time in s.
 
-    The numbers of the functions follow each other, see `Function.piece`. Compiled equations of motion take
-    them as parameters and get new numbers at each knot.
+    The result is one array: the numbers of the first function, then those of the second, ..., see
+    `Function.piece`. Compiled equations of motion take them as parameters and get new numbers at each knot.
     """
     return np.array([number for function in functions for number in function.piece(time)])
 
@@ -153,8 +158,8 @@ def on_piece(value: Any, numbers: list[Any]) -> Any:
     changed = dict(value)
     for key, each in value.items():
         if isinstance(each, TimeFunction):
-            changed[key] = each.on_piece(numbers[: each.numbers])
-            numbers = numbers[each.numbers :]
+            changed[key] = each.on_piece(numbers[: each.piece_size])
+            numbers = numbers[each.piece_size :]
     return changed
 
 
@@ -181,8 +186,9 @@ class PrescribedMotion(OnCoordinate):
     coordinate: int = 0
 
     noun = "motion"
+    # The numbers of the function may vary from run to run; a change moves the pose at the start (moves_loops)
     number_fields: ClassVar = {"function": NumberField(shape=None, may_be_function=True, moves_loops=True)}
-    kind_of_parameters = ".motion"
+    kind_of_parameters = ".motion"  # names of parameters in studies: `hinge.motion.function`
 
     def __post_init__(self) -> None:
         where, needed = self.element, "a Polynomial, Sine, Spline or Sum"
@@ -193,6 +199,6 @@ class PrescribedMotion(OnCoordinate):
             raise MechanismError(where, problem, f"{needed}, which has accelerations")
         check_key(where, self.joint, self.coordinate)
 
-    def held(self) -> PrescribedMotion:
-        """Return a motion that holds the coordinate at its value of time 0."""
+    def held_at_start(self) -> PrescribedMotion:
+        """Return a motion that holds the coordinate at its value at time 0."""
         return replace(self, function=Polynomial((float(self.function.value(0.0)),)))

@@ -18,7 +18,7 @@ from newton_euler.errors import MechanismError, check_flag, quoted, set_arrays
 from newton_euler.model.constraints import Angle, Constraint, Displacement, Distance, Frame, Jacobian, Span
 from newton_euler.model.description import DefaultArrayField, description
 from newton_euler.model.fields import NumberField
-from newton_euler.model.joint import LEAST_LENGTH, AxisJoint, Motion, Pose
+from newton_euler.model.joint import MIN_POINT_DISTANCE, AxisJoint, Motion, Pose
 from newton_euler.scalars import Array, arctan2, cross, sqrt
 
 
@@ -32,59 +32,63 @@ class LinkAngle:
 
         x_1 = angle about n from u to d,    x_2 = angle about n from d to p.
 
-    The vector u is fixed in body i and p in body j; both are along d at the initial pose. Let t = n x d / (d
-    . d), and v the rate of d as seen in body i. Then dx_1/dt = t . v. The sum x_1 + x_2 is the `Angle`
-    between the bodies.
+    The vector u is fixed in body i and p in body j; both are along d at the initial pose. Let t be the vector
+    n x d / (d . d), and v the rate of d as seen in body i. Then dx_1/dt = t . v. The sum x_1 + x_2 is the
+    `Angle` between the bodies.
 
     Attributes:
         hinge: 0 for x_1, 1 for x_2.
-        sense: 1, or -1 if the angle counts about -n.
-        turn: the angle x_1 + x_2. Its triad in body i is (u, n x u, n) and its pointer is p.
+        sense: 1, or -1 if x_2 counts about -n; 1 for x_1.
+        total_angle: the angle x_1 + x_2. Its triad in body i is (u, n x u, n) and its pointer is p.
         s_first: (3,) m, point on the first axis from the center of mass of body i, in the frame of body i.
         s_second: (3,) m, point on the second axis from the center of mass of body j, in the frame of body j.
     """
 
     hinge: Literal[0, 1]
     sense: float
-    turn: Angle
+    total_angle: Angle
     s_first: Array
     s_second: Array
     is_length = False
     count = 1
 
-    def _link(self, first: Frame, second: Frame) -> tuple[Array, Span, Array]:
+    def _link_vectors(self, first: Frame, second: Frame) -> tuple[Array, Span, Array]:
         """Compute the axis n (3,), the `Span` with d, and t = n x d / (d . d), (3,), world frame."""
         span = Span.of(first, second, self.s_first, self.s_second)
-        axis = first.rotation @ cross(self.turn.u_first, self.turn.w_first)
+        axis = first.rotation @ cross(self.total_angle.u_first, self.total_angle.w_first)
+        # d without a part along n, which only a violation of the constraints causes
         across = span.d - (axis @ span.d) * axis
         return axis, span, cross(axis, across) / (across @ across)
 
     def phi(self, first: Frame, second: Frame) -> Array:
-        axis, span, _ = self._link(first, second)
+        axis, span, _ = self._link_vectors(first, second)
         if self.hinge == 0:
-            start, end = first.rotation @ self.turn.u_first, span.d
+            start, end = first.rotation @ self.total_angle.u_first, span.d
         else:
-            start, end = span.d, second.rotation @ self.turn.pointer_second
+            start, end = span.d, second.rotation @ self.total_angle.pointer_second
         sine, cosine = axis @ cross(start, end), start @ end - (axis @ start) * (axis @ end)
         return np.array([arctan2(self.sense * sine, cosine)])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        _, (s_i, s_j, d), t = self._link(first, second)
-        link = Jacobian(-t[None], -cross(s_i + d, t)[None], t[None], cross(s_j, t)[None])
+        # The Jacobian of x_1; that of x_2 is the difference of the total angle and x_1
+        _, (s_i, s_j, d), t = self._link_vectors(first, second)
+        of_x_1 = Jacobian(-t[None], -cross(s_i + d, t)[None], t[None], cross(s_j, t)[None])
         if self.hinge == 0:
-            return link
-        turn = self.turn.jacobian(first, second)
-        return Jacobian(*(self.sense * (one - two) for one, two in zip(turn, link, strict=True)))
+            return of_x_1
+        of_sum = self.total_angle.jacobian(first, second)
+        return Jacobian(*(self.sense * (one - two) for one, two in zip(of_sum, of_x_1, strict=True)))
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        axis, span, t = self._link(first, second)
+        axis, span, t = self._link_vectors(first, second)
         w, rate = first.angular_velocity, span.rate(first, second)
         relative_rate = rate - cross(w, span.d)  # v: the rate of d as seen in body i
         relative_drift = span.drift(first, second) - 2.0 * cross(w, rate) + cross(w, cross(w, span.d))
         across = span.d - (axis @ span.d) * axis
+        # dx_1/dt is n . (d x v) / s with s = d . d; its derivative at zero acceleration is
+        # t . dv/dt - 2 (d . v) (t . v) / s
         turning = 2.0 * (across @ relative_rate) * (t @ relative_rate) / (across @ across)
-        link = np.array([turning - t @ relative_drift])
-        return link if self.hinge == 0 else self.sense * (self.turn.gamma(first, second) - link)
+        of_x_1 = np.array([turning - t @ relative_drift])
+        return of_x_1 if self.hinge == 0 else self.sense * (self.total_angle.gamma(first, second) - of_x_1)
 
 
 def driving_wrench(axes: Array, rates: Array, forces: Array) -> tuple[Array, Array]:
@@ -101,7 +105,7 @@ def driving_wrench(axes: Array, rates: Array, forces: Array) -> tuple[Array, Arr
     Returns:
         F (3,), N, and T (3,), N m, world frame.
     """
-    across = rates.sum(axis=0)
+    across = rates.sum(axis=0)  # perpendicular to the link: the other rate is zero
     axis = axes[0]
     force, torque = np.linalg.solve(np.stack([rates @ across, axes @ axis], axis=1), forces)
     return force * across, torque * axis
@@ -145,29 +149,31 @@ class ParallelHinges(AxisJoint):
         set_arrays(self, where, offset=(3,))
         check_flag(where, self, "opposed")
         with np.errstate(all="ignore"):  # an overflow makes the length infinite, which is refused below
-            across = float(np.linalg.norm(self._across(self.offset)))
-        if not LEAST_LENGTH <= across < np.inf:
+            across = float(np.linalg.norm(self._perpendicular_part(self.offset)))
+        if not MIN_POINT_DISTANCE <= across < np.inf:
             problem = f"offset {self.offset.tolist()} puts its axes {across:.3g} m apart"
-            raise MechanismError(where, problem, f"at least {LEAST_LENGTH:g} m, a revolute joint otherwise")
+            raise MechanismError(
+                where, problem, f"at least {MIN_POINT_DISTANCE:g} m, a revolute joint otherwise"
+            )
         if given_point is None:
             object.__setattr__(self, "point_on_second", self.point + self.offset)
 
     def offset_between(self, axis: Array, point: Array, point_on_second: Array) -> Array:
         """Compute the offset (3,), m, of the joint at another pose of the mechanism.
 
-        Its components along and perpendicular to the axis keep the lengths of `offset`; only the directions
-        follow from the points, so that round-off in the points does not change the lengths.
+        Its parts along and perpendicular to the axis have the lengths of those of `offset`. Only their
+        directions follow from the points, so that round-off in the points does not change the lengths.
 
         Args:
             axis, point, point_on_second: (3,) the joint's unit axis and points (m) at the other pose, world
                 frame.
         """
-        old_across, link = self._across(self.offset), point_on_second - point
+        old_across, link = self._perpendicular_part(self.offset), point_on_second - point
         new_across = link - (axis @ link) * axis
         stretch = np.sqrt((old_across @ old_across) / (new_across @ new_across))
         return np.asarray((self.axis @ self.offset) * axis + stretch * new_across)
 
-    def _across(self, vector: Array) -> Array:
+    def _perpendicular_part(self, vector: Array) -> Array:
         """Return the part of a vector (3,) that is perpendicular to the axis."""
         return np.asarray(vector - (self.axis @ vector) * self.axis)
 
@@ -179,7 +185,7 @@ class ParallelHinges(AxisJoint):
         moved = offset - self.offset
         if "axis" in values:
             # the base class turns the point on the second axis; the offset turns alike
-            offset, moved = self._turned(changed, offset), self._turned(changed, moved)
+            offset, moved = self._rotated_with_axis(changed, offset), self._rotated_with_axis(changed, moved)
         object.__setattr__(changed, "offset", offset)
         if "offset" in values:
             object.__setattr__(changed, "point_on_second", changed.point_on_second + moved)
@@ -199,14 +205,16 @@ class ParallelHinges(AxisJoint):
     def motion_points(self) -> tuple[Array, ...]:
         return self.reaction_point - self.offset, self.reaction_point
 
-    def _ends(self, first: Pose, second: Pose) -> tuple[Array, Array]:
-        """Return a point (3,), m, on each axis, in the frame of its body; the line through both is
-        perpendicular."""
+    def _axis_points(self, first: Pose, second: Pose) -> tuple[Array, Array]:
+        """Return a point on each axis, (3,), m, in the frames of their bodies.
+
+        The line through both points is perpendicular to the axes.
+        """
         along = (self.axis @ self.offset) * self.axis
         return first.point_to_body(self.point + along), second.point_to_body(self.reaction_point)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        ends, across = self._ends(first, second), self._across(self.offset)
+        ends, across = self._axis_points(first, second), self._perpendicular_part(self.offset)
         return (
             *self._parallel(self.axis, self.pair, first, second),
             Displacement(first.vector_to_body(self.axis), *ends),
@@ -214,8 +222,8 @@ class ParallelHinges(AxisJoint):
         )
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        across = self._across(self.offset)
-        turn = self._turn(self.axis, across / sqrt(across @ across), first, second)
+        across = self._perpendicular_part(self.offset)
+        turn = self._hinge_coordinate(self.axis, across / sqrt(across @ across), first, second)
         assert isinstance(turn, Angle)
-        ends = self._ends(first, second)
+        ends = self._axis_points(first, second)
         return LinkAngle(0, 1.0, turn, *ends), LinkAngle(1, -1.0 if self.opposed else 1.0, turn, *ends)

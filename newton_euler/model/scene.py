@@ -65,7 +65,8 @@ MAXIMUM_DURATION = 1e7
 """Longest duration of a scene, s: four months. With steps of a millisecond such a run already takes a day."""
 
 MAXIMUM_ANGLE = 1e9
-"""Largest hinge angle in a state, rad; larger floats resolve less than the digits of a pose."""
+"""Largest hinge angle in a state, rad. Neighboring floats of this size differ by 1e-7 rad; larger angles
+would be less accurate than poses."""
 
 REDUNDANCY_TOLERANCE = 1e-4
 """Default of `Scene.redundancy_tolerance`, dimensionless: the noise of model files whose points are rounded
@@ -136,6 +137,7 @@ class Scene(Variable):
     description: str = ""
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
 
+    # Numbers of the scene itself that may vary from run to run, and reasons why others cannot
     number_fields: ClassVar = {"gravity": NumberField("m/s^2", shape=(3,))}
     constant: ClassVar = {
         "duration": "the same in all runs",
@@ -211,12 +213,12 @@ class Scene(Variable):
         """
         for element in (*self.motions, *self.control, *self.forces):
             given = element.law if isinstance(element, Digital) else element
-            functions = [(name, f) for name in given.functions for f in functions_of(getattr(given, name))]
-            for name, term in ((name, term) for name, f in functions for term in terms(f)):
-                if isinstance(term, Spline) and not term.covers(begin, end):
-                    span = f"{name} is known from {term.times[0]:.9g} to {term.times[-1]:.9g} s"
-                    needed = f"samples from {begin:g} to {end:g} s, {noun}"
-                    raise MechanismError(element.element, span, needed)
+            for name in given.functions:
+                for term in (term for f in functions_of(getattr(given, name)) for term in terms(f)):
+                    if isinstance(term, Spline) and not term.covers(begin, end):
+                        span = f"{name} is known from {term.times[0]:.9g} to {term.times[-1]:.9g} s"
+                        needed = f"samples from {begin:g} to {end:g} s, {noun}"
+                        raise MechanismError(element.element, span, needed)
 
     @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:
@@ -293,6 +295,7 @@ class Scene(Variable):
         """Raise `MechanismError` unless the ground has its described pose and is at rest in a state."""
         ground = self.mechanism.bodies[0]
         shift = float(np.linalg.norm(state.position[0] - ground.center_of_mass))
+        # Compare outer products, because q and -q are the same orientation
         turn = float(
             np.linalg.norm(
                 np.outer(state.quaternion[0], state.quaternion[0])
@@ -313,7 +316,7 @@ class Scene(Variable):
 
     @property
     def sampled(self) -> tuple[Sampled | Digital, ...]:
-        """The control laws in discrete time, whose force is held between sampling instants."""
+        """Control laws in discrete time, whose force is held constant between sampling instants."""
         return tuple(law for law in self.control if isinstance(law, HeldLaw))
 
     @property

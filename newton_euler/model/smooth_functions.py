@@ -35,9 +35,10 @@ class Polynomial(Function):
 
     coefficients: tuple[float, ...]
 
-    parts: ClassVar = {"": ("coefficients",)}  # in which the function is linear, see `Function.parts`
+    parts: ClassVar = {"": ("coefficients",)}  # part "": numbers on which the value depends linearly
 
     def __post_init__(self) -> None:
+        # The coefficients k (k - 1) c_k of the acceleration must be finite, too; k^2 c_k bounds them
         given = items_of(self.coefficients) or ()
         if not given or not all(
             is_finite_number(c) and is_finite_number(k * k * c) for k, c in enumerate(given)
@@ -115,7 +116,7 @@ class Sine(Function):
     phase: float = 0.0
     offset: float = 0.0
 
-    # the function is linear in the fields of part "", see `Function.parts`
+    # The value depends linearly on the numbers of part "", nonlinearly on those of the other parts
     parts: ClassVar = {
         "": ("amplitude", "offset"),
         "angular_frequency": ("angular_frequency",),

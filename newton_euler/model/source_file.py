@@ -44,7 +44,7 @@ class Request:
             neither.
         redundancy_tolerance: tolerance of the scene for redundant constraints, see `newton_euler.Scene`.
         verified: True to compare the imported scene with the model that MuJoCo or Pinocchio compiles from the
-            file. If False, the caller makes this comparison later with the references in the import report.
+            file. If False, the caller makes this comparison later; the import report has what it needs.
         excitation: True to drive the actuators by sines and to start joints with small velocities, because a
             model at rest tests little.
     """
@@ -111,7 +111,7 @@ def read_content(
         status = Path(where).stat()
         if not stat.S_ISREG(status.st_mode):  # a pipe would keep its reader waiting
             raise error(where, "not a regular file")
-        if problem := exceeded(limit, (before + status.st_size) / MB):
+        if problem := exceeded(limit, (before + status.st_size) / MB):  # the message, empty if allowed
             raise error(where, problem)
         with Path(where).open("rb") as stream:
             max_size, parts = size_in_bytes(limit), list[bytes]()
@@ -269,9 +269,9 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
         error: class of the error to raise, `SourceError` or a subclass.
 
     Raises:
-        SourceError: for text that is not well-formed, another root element, too many or too deeply nested
-            elements, and a document type declaration, whose entities can expand to gigabytes or read other
-            files.
+        SourceError: for text that is not well-formed, another root element, and too many or too deeply nested
+            elements. Also for a document type declaration, whose entities can expand to gigabytes or read
+            other files.
     """
     parser = expat.ParserCreate()
     depth = count = 0

@@ -1,10 +1,11 @@
-"""Spanning tree of a mechanism: which joints carry coordinates, and which joints are cut because they close
-loops.
+"""Spanning tree of a mechanism: which joints carry coordinates, and which joints are cut, that is, close
+loops by constraint equations.
 
 The joint-coordinate formulation of newton_euler, exported MJCF files and exported URDF files use the same
 tree, so that their coordinates have the same values. Bodies of the tree have frames that are parallel to the
 world at the initial pose ("tree frames"). A hinge axis then has the same components in both of its bodies,
-and joint coordinates are zero at the initial pose.
+and joint coordinates are zero at the initial pose. q (nq,) denotes the coordinates of all joints of the tree,
+and v (nv,) their velocities. Balls have quaternions in q and angular velocities in v.
 
 MuJoCo and Pinocchio close loops only with ball joints, rods and welds. `weld_loops` rewrites a mechanism for
 them: instead of any other joint it cuts a body into two halves, which a weld holds together. `unweld_loops`
@@ -19,6 +20,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +30,16 @@ from newton_euler.model.joint_kinds import Fixed, Free, Rod, Spherical
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, mapped, sqrt, zeros
+
+
+class PlacedMotion(NamedTuple):
+    """An elementary motion (hinge, slide or ball) of a tree joint, with its places in q and v."""
+
+    motion: Motion
+    on_q: slice
+    """Slice in q of the coordinate of a hinge or slide, or of the quaternion of a ball."""
+    on_v: slice
+    """Slice in v of the rate of a hinge or slide, or of the angular velocity of a ball."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +68,12 @@ class TreeJoint:
     v: slice
 
     @property
-    def places(self) -> Iterator[tuple[Motion, slice, slice]]:
-        """Elementary motions with their slices in q and in v."""
+    def places(self) -> Iterator[PlacedMotion]:
+        """Elementary motions from the parent to the child, with their slices in q and in v."""
         iq, iv = self.q.start, self.v.start
         for motion in self.motions:
             nq, nv = (4, 3) if motion.kind == "ball" else (1, 1)
-            yield motion, slice(iq, iq + nq), slice(iv, iv + nv)
+            yield PlacedMotion(motion, slice(iq, iq + nq), slice(iv, iv + nv))
             iq, iv = iq + nq, iv + nv
 
 
@@ -95,32 +107,33 @@ class SpanningTree:
     """A spanning tree of a mechanism, in which the joints with the most constraint equations are kept.
 
     The cut joints, which close loops, therefore have few equations, such as balls. Among joints with equally
-    many, those that are actuated or have loaded balls are kept. Rods are always cut. A body that only rods
-    hold gets an additional free joint at its center of mass; additional joints have indices after those of
-    the mechanism.
+    many equations, joints that are actuated or have loaded balls are kept, because only kept joints have
+    coordinates. Rods have no coordinates and are always cut. A body that only rods hold gets an additional
+    free joint at its center of mass; additional joints have indices after those of the mechanism.
 
     Attributes:
         mechanism: the mechanism.
         joints: kept joints, parents before children.
         floating: the additional free joints.
-        cuts: indices of the joints that close loops.
+        cuts: indices of the cut joints, which close loops.
         nq, nv: numbers of coordinates and of velocities; nq is larger by one for each ball.
     """
 
     def __init__(
-        self, mechanism: Mechanism, never: Collection[str] = (), loaded: Collection[str] = ()
+        self, mechanism: Mechanism, always_cut: Collection[str] = (), loaded: Collection[str] = ()
     ) -> None:
         """Grow the tree from the ground, always by the best joint at a reached body (Prim's algorithm).
 
         Args:
             mechanism: the mechanism.
-            never: names of joints that are always cut.
+            always_cut: names of joints that are always cut.
             loaded: names of joints with a spring, damper or armature on their ball, see `Scene.loaded_balls`.
         """
         self.mechanism = mechanism
         kept: list[TreeJoint] = []
         reached: dict[int, int] = {0: 0}  # depth in the tree by body index
-        # heap of (-equations, is passive, depth of the body, index of the joint, index of the reached body)
+        # Heap with the best (smallest) candidate first: (-number of equations, is passive, depth of the
+        # reached body, index of the joint, index of the reached body)
         candidates: list[tuple[int, bool, int, int, int]] = []
         nq = nv = 0
 
@@ -128,7 +141,7 @@ class SpanningTree:
             """Add the joints at a reached body to the candidates."""
             for index in mechanism.joints_at[body]:
                 equations = self._equations[index]
-                if equations.joint.name not in never and not equations.joint.only_closes:
+                if equations.joint.name not in always_cut and not equations.joint.only_closes:
                     passive = not (equations.joint.actuated or equations.joint.name in loaded)
                     heapq.heappush(candidates, (-equations.count, passive, reached[body], index, body))
 
@@ -181,7 +194,7 @@ class SpanningTree:
         """Add a free joint between the ground and the body with an index; return the index of the joint."""
         ground, name = self.mechanism.body_names[0], self.mechanism.body_names[body]
         free = Free(f"{name}_floats", ground, name, np.zeros(3))
-        # set after construction, because the constructor refuses generic scalars
+        # Set the points after construction, because the constructor refuses the symbols of the code generator
         for point in ("point", "point_on_second"):
             object.__setattr__(free, point, self.mechanism.bodies[body].center_of_mass)
         self.floating = (*self.floating, free)
@@ -202,7 +215,7 @@ class SpanningTree:
         return tuple(rotation(body.quaternion) for body in self.mechanism.bodies)
 
     @cached_property
-    def motions(self) -> tuple[tuple[Motion, slice, slice], ...]:
+    def motions(self) -> tuple[PlacedMotion, ...]:
         """All elementary motions of the tree with their slices in q and in v."""
         return tuple(place for joint in self.joints for place in joint.places)
 
@@ -245,6 +258,7 @@ class SpanningTree:
         if kept is None:
             return None
         places = [(on_q.start, on_v.start) for motion, on_q, on_v in kept.places if motion.kind != "ball"]
+        # If the child is the joint's first body, the motions are in reverse order
         return places[coordinate if kept.forward else -1 - coordinate]
 
     def ball_place(self, joint: str) -> slice | None:
@@ -259,8 +273,8 @@ class SpanningTree:
     def rate(self, q: Array, v: Array) -> Array:
         """Compute dq/dt (nq,) from q (nq,) and v (nv,).
 
-        It is v for hinges and slides, and dp/dt = 1/2 L^T omega' for quaternions p
-        (`euler_parameters.matrix_l`).
+        The rate is v for hinges and slides, and dp/dt = 1/2 L^T omega' for quaternions p of balls with the
+        angular velocity omega' (`euler_parameters.matrix_l`).
         """
         if self.nq == self.nv:
             return v
@@ -268,7 +282,12 @@ class SpanningTree:
         return np.concatenate([v[self._axis_indices[1]], *quaternion_rates])[self._axes_first_to_q]
 
     def retract(self, q: Array, step: Array) -> Array:
-        """Compute the coordinates (nq,) after a small step (nv,) from q (nq,), with unit quaternions."""
+        """Compute the coordinates (nq,) after a small step (nv,) from q, with unit quaternions.
+
+        Args:
+            q: (nq,) or longer; numbers after the first nq, which other parts of a state may add, are ignored.
+            step: (nv,) hinge angles, rad, displacements of slides, m, and rotation vectors of balls, rad.
+        """
         if self.nq == self.nv:
             return q[: self.nq] + step
         axes_q, axes_v = self._axis_indices
@@ -292,28 +311,32 @@ class SpanningTree:
 
     @cached_property
     def _axes_first_to_q(self) -> Array:
-        """(nq,) indices that bring a vector with all hinges and slides first, then all balls, to the order of
-        q."""
+        """(nq,) indices that reorder a vector with all hinges and slides first, then all balls, to the order
+        of q."""
         order = [*self._axis_indices[0], *(k for on_q, _ in self._ball_slices for k in range(self.nq)[on_q])]
         return np.argsort(np.array(order, dtype=int))
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """Compute the coordinates q (nq,) and velocities v (nv,) of the kept joints in a state."""
-        # Frames of the tree, which differ from body frames by the rotations at the initial pose
+        """Compute the coordinates q (nq,) and velocities v (nv,) of the kept joints in a state.
+
+        The numbers of the state are floats, or generic scalars such as the states of many times at once.
+        """
+        # Tree frames, which differ from body frames by the rotations at the initial pose
         frames = [
             frame._replace(rotation=frame.rotation @ initial.T)
             for frame, initial in zip(state.frames(), self.initial_rotations, strict=True)
         ]
         q, v = zeros(self.nq, state.position), zeros(self.nv, state.position)
         for kept in self.joints:
-            # Measure the hinges and slides of the joint
+            # Measure the hinges and slides of the joint: `phi` of a coordinate is its value
             equations = self._equations[kept.joint]
             i, j = frames[equations.first], frames[equations.second]
             values = []
             for coordinate in equations.coordinates:
                 values.append((coordinate.phi(i, j), coordinate.jacobian(i, j).rate(i, j)))
 
-            # Order the values from parent to child, with quaternions and angular velocities for balls
+            # Order the pairs (coordinate, rate) from parent to child, and insert the quaternion and the
+            # angular velocity of balls
             parent, child = frames[kept.parent], frames[kept.child]
             remaining = iter(values if kept.forward else values[::-1])
             parts = []
@@ -341,7 +364,7 @@ class WeldedMechanism:
     Attributes:
         mechanism: the bodies, with the additional halves at the end; the joints, with the welds at the end.
         tree: spanning tree of that mechanism; its cuts are ball joints without loads, rods and welds.
-        origin: for each body, the index of the body in the original mechanism of which it is a part.
+        origin: for each body, the index of the original mechanism's body from which it was made.
     """
 
     mechanism: Mechanism
@@ -370,45 +393,46 @@ def weld_loops(
     """
     bodies, joints = list(mechanism.bodies), list(mechanism.joints)
     origin = list(range(len(bodies)))
-    never = _removable_welds(mechanism) if keep_bodies else []
+    always_cut = _cuttable_welds(mechanism) if keep_bodies else []
 
-    # Split a body at each cut joint that an engine cannot close
-    for index in SpanningTree(mechanism, never, loaded).cuts:
+    # Split a body at each cut joint that an engine cannot close: the second body of the joint, or the first
+    # if the second is the ground
+    for index in SpanningTree(mechanism, always_cut, loaded).cuts:
         joint = mechanism.joints[index]
         closes = isinstance(joint, Rod) or (isinstance(joint, Spherical) and joint.name not in loaded)
-        if closes or joint.name in never:
+        if closes or joint.name in always_cut:
             continue
         side = "second" if joint.second != mechanism.body_names[0] else "first"
         whole = mechanism.body_index(getattr(joint, side))
         weld, half = _names_of_cut(joint.name, bodies[whole].name, bodies, joints)
         joints[index] = replace(joint, first=half) if side == "first" else replace(joint, second=half)
         joints.append(Fixed(weld, bodies[whole].name, half, bodies[whole].center_of_mass))
-        never.append(weld)
+        always_cut.append(weld)
         bodies.append(replace(mechanism.bodies[whole], name=half, shapes=()))
         origin.append(whole)
 
-    # Divide mass and inertia equally among the parts of a body
-    parts = Counter(origin)
+    # Divide mass and inertia equally among the parts of a body, which may be split at several joints
+    part_count = Counter(origin)
     for index, whole in enumerate(origin):
-        share = 1.0 / parts[whole]
+        share = 1.0 / part_count[whole]
         if share < 1.0:
             body = bodies[index]
             bodies[index] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
     welded = Mechanism(bodies, joints, mechanism.couplings)
-    return WeldedMechanism(welded, SpanningTree(welded, never, loaded), tuple(origin))
+    return WeldedMechanism(welded, SpanningTree(welded, always_cut, loaded), tuple(origin))
 
 
-def _removable_welds(mechanism: Mechanism) -> list[str]:
-    """Return the names of the fixed joints that can all be cut at once while the other joints still reach all
-    bodies."""
+def _cuttable_welds(mechanism: Mechanism) -> list[str]:
+    """Return the names of the fixed joints that can all be cut at once without the tree needing more free
+    joints to reach all bodies."""
     floating = len(SpanningTree(mechanism).floating)
-    removable: list[str] = []
+    cuttable: list[str] = []
     for joint in mechanism.joints:
         if isinstance(joint, Fixed):
-            without = SpanningTree(mechanism, [*removable, joint.name])
-            if len(without.floating) == floating:
-                removable.append(joint.name)
-    return removable
+            tree = SpanningTree(mechanism, always_cut=[*cuttable, joint.name])
+            if len(tree.floating) == floating:
+                cuttable.append(joint.name)
+    return cuttable
 
 
 def _names_of_cut(joint: str, whole: str, bodies: list[Body], joints: list[Joint]) -> tuple[str, str]:
@@ -429,7 +453,7 @@ def _names_of_cut(joint: str, whole: str, bodies: list[Body], joints: list[Joint
 
 
 def unweld_loops(mechanism: Mechanism) -> Mechanism:
-    """Merge the body halves that `weld_loops` has made, which are recognized by their names.
+    """Merge the body halves that `weld_loops` has made with their bodies; their names identify them.
 
     A mechanism without such halves is returned with the same bodies and joints.
     """
@@ -448,7 +472,8 @@ def unweld_loops(mechanism: Mechanism) -> Mechanism:
         if ends.count(half) != 1 or not same:
             continue
 
-        # Add mass and inertia of the half, and move its joint to the body
+        # Add mass and inertia of the half (turn: from the frame of the half to that of the body), and move
+        # its joint to the body
         turn = rotation(body.quaternion).T @ rotation(other.quaternion)
         inertia = body.inertia + turn @ other.inertia @ turn.T
         bodies[weld.first] = replace(body, mass=body.mass + other.mass, inertia=0.5 * (inertia + inertia.T))

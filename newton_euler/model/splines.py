@@ -22,7 +22,7 @@ from newton_euler.scalars import Scalar
 SPLINE_DEGREE = 5
 """Degree of the polynomials of splines; accelerations then have two continuous derivatives."""
 
-EXTENSION = 1e-9
+ALLOWED_EXTRAPOLATION = 1e-9
 """Fraction of a spline's time span by which the spline may be evaluated beyond its first and last sample. It
 allows for round-off in the times of a run."""
 
@@ -39,16 +39,16 @@ class Piecewise(Function):
         times: (n,) times of the samples, s, ascending.
         values: (n,) values of the samples.
         noun: name of the kind of function in error messages.
-        least: smallest number of samples.
+        min_samples: smallest number of samples.
     """
 
     times: ArrayField
     values: ArrayField
 
     noun: ClassVar[str]
-    least: ClassVar[int]
-    parts: ClassVar = {"": ("values",)}  # the function is linear in its values, see `Function.parts`
-    constant: ClassVar = {"times": "where runs are divided"}
+    min_samples: ClassVar[int]
+    parts: ClassVar = {"": ("values",)}  # part "": numbers on which the function depends linearly
+    constant: ClassVar = {"times": "where runs are divided"}  # reason why times cannot vary between runs
 
     def __post_init__(self) -> None:
         # Convert times and values to read-only arrays
@@ -58,13 +58,13 @@ class Piecewise(Function):
                 array = real_array(given)
             except (TypeError, ValueError, OverflowError):
                 array = np.zeros((0, 0))
-            if array.ndim != 1 or len(array) < self.least or not np.all(np.isfinite(array)):
-                needed = f"{self.least} finite numbers or more"
+            if array.ndim != 1 or len(array) < self.min_samples or not np.all(np.isfinite(array)):
+                needed = f"{self.min_samples} finite numbers or more"
                 raise MechanismError(self.noun, f"{name} is {quoted(given)}", needed)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
-        # One value per time, and times in ascending order
+        # Check that each time has a value, and that times ascend; report the first one that does not
         if len(self.times) != len(self.values):
             problem = f"has {len(self.times)} times and {len(self.values)} values"
             raise MechanismError(self.noun, problem, "a value at each time")
@@ -80,7 +80,7 @@ class Piecewise(Function):
 
         Args:
             numbers: start of the piece, s, then the coefficients in ascending powers of the time since the
-                start.
+                start; floats, or symbols of the code generator.
         """
         return Piece(tuple(numbers[1:]), numbers[0])
 
@@ -97,11 +97,11 @@ class Piecewise(Function):
 class Spline(Piecewise):
     """Interpolating spline through samples: polynomials of degree 5 with four continuous derivatives.
 
-    If there are six samples or fewer, the function is one polynomial. Noise in the samples is amplified: for
-    samples h apart, the noise of the acceleration is 4 / h^2 times that of the values. If the samples are
-    those of a sine of angular frequency w, the interpolation error is (w h)^6 / 13,000 of the amplitude, and
-    (w h)^4 / 700 of the amplitude of the acceleration. Near the first and the last few samples the errors are
-    (w h)^6 / 100 and (w h)^4 / 2.
+    If there are six samples or fewer, the function is one polynomial. Let h be the time between samples.
+    Noise in the samples is amplified: the noise of the acceleration is 4 / h^2 times that of the values. For
+    samples of a sine of angular frequency w, the interpolation error is (w h)^6 / 13,000 of the amplitude.
+    The error of the acceleration is (w h)^4 / 700 of the acceleration's amplitude. Near the first and the
+    last few samples these two errors are (w h)^6 / 100 and (w h)^4 / 2.
 
     Attributes:
         times: (n,) s, ascending, two or more. A run, which begins at time 0, must lie between the first and
@@ -117,12 +117,12 @@ class Spline(Piecewise):
         (2.25, 2.0)
     """
 
-    noun, least = "spline", 2
-    numbers = SPLINE_DEGREE + 2  # per piece: its start and SPLINE_DEGREE + 1 coefficients
+    noun, min_samples = "spline", 2
+    piece_size = SPLINE_DEGREE + 2  # per piece: its start and SPLINE_DEGREE + 1 coefficients
 
     @cached_property
     def knots(self) -> tuple[float, ...]:
-        """Times, s, at which the fifth derivative jumps: all samples except three at each end.
+        """Times, s, at which the fifth derivative jumps: those of all samples except three at each end.
 
         The first and the last polynomial extend over three sample intervals each (not-a-knot conditions).
         """
@@ -131,7 +131,7 @@ class Spline(Piecewise):
 
     def covers(self, begin: float, end: float) -> bool:
         first, last = self.times[0], self.times[-1]
-        allowed = EXTENSION * (last - first)
+        allowed = ALLOWED_EXTRAPOLATION * (last - first)
         return bool(first - allowed <= begin and end <= last + allowed)
 
     @cached_property
@@ -171,8 +171,8 @@ class Steps(Piecewise):
         (0.0, 0.1)
     """
 
-    noun, least = "steps", 1
-    numbers = 2  # per piece: a start, which does not matter, and the value
+    noun, min_samples = "steps", 1
+    piece_size = 2  # per piece: a start, which does not matter, and the value
     is_constant = True
 
     @cached_property

@@ -86,15 +86,15 @@ class State:
 
 
 def whole_revolutions(angle: Any) -> Any:
-    """Round angles, rad, a number or an array, to the nearest multiples of 2 pi; 0 for those not finite."""
+    """Round angles, rad, a number or an array, to the nearest multiples of 2 pi; 0 for angles not finite."""
     return 2.0 * np.pi * np.round(np.nan_to_num(angle, posinf=0.0, neginf=0.0) / (2.0 * np.pi))
 
 
 def stacked(states: Sequence[State]) -> State:
     """Combine n states into one state whose numbers are `Stack` scalars.
 
-    A `Stack` (`newton_euler.scalars`) holds n numbers that are computed at once. The `angles` of the states
-    are not combined.
+    A `Stack` (`newton_euler.scalars`) holds n numbers with which the equations compute at once. The `angles`
+    of the states are not combined.
     """
     columns = zip(*(state.arrays for state in states), strict=True)
     return State(*(_stacks(np.array(column)) for column in columns))

@@ -41,7 +41,7 @@ from newton_euler.scalars import Array, Floats, unstacked
 
 
 class Quantity(NamedTuple):
-    """Description of a computed array of a trajectory.
+    """Shape and unit of an array that a run computes, and the optional output to which it belongs.
 
     Attributes:
         shape: one character per dimension: n output times, b bodies, j joints, a actuators, or a number.
@@ -86,7 +86,7 @@ ARCHIVE_ERRORS = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZip
 """Errors, in addition to ValueError, that `zipfile` and `numpy.load` raise for broken archives."""
 
 COMPONENTS = {"3": "xyz", "4": "wxyz"}
-"""Names of the components of vectors and quaternions, by the character of their dimension in `SHAPES`."""
+"""Letters of the components of vectors and quaternions, by the character of their dimension in `SHAPES`."""
 
 REQUIRED_ARRAYS = ("time", "body_names", "joint_names", "position", "quaternion")
 """Names of the arrays that every saved trajectory has."""
@@ -121,8 +121,8 @@ def joint_motion(
     Args:
         equations: the joint, with its two bodies.
         time: (n,) output times of all runs, s.
-        carried: angles (..., n), rad, including full revolutions, that the runs carry, by index of the
-            coordinate.
+        carried: angles (..., n), rad, that the runs integrate with their full revolutions, by index of the
+            coordinate in the joint. Body poses determine an angle only within one revolution.
         position: (..., n, b, 3) centers of mass of all b bodies, m, as in `Trajectory`.
         quaternion: (..., n, b, 4) orientations.
         linear_velocity, angular_velocity: (..., n, b, 3) m/s and rad/s; None if the runs have no velocities.
@@ -130,21 +130,23 @@ def joint_motion(
     Returns:
         Coordinates and rates (..., n, k).
     """
-    # Evaluate all coordinates and rates at all times at once
+    # Evaluate all coordinates and rates at all times at once: the frames of the two bodies consist of `Stack`
+    # scalars (the numbers of all runs and times as one scalar). `phi` of a coordinate is its value
     bodies, measures = [equations.first, equations.second], equations.coordinates
     has_rates = linear_velocity is not None and angular_velocity is not None
     if linear_velocity is None or angular_velocity is None:
         linear_velocity = angular_velocity = np.zeros_like(position)
     motion = (position, quaternion, linear_velocity, angular_velocity)
     first, second = stacked_frames(*(a[..., bodies, :].reshape(-1, 2, a.shape[-1]) for a in motion))
-    with np.errstate(invalid="ignore", divide="ignore"):  # NaN where three hinges cannot reach the poses
+    # A joint of three hinges may not be able to reach the poses; its angles are then NaN
+    with np.errstate(invalid="ignore", divide="ignore"):
         x_stacks = [measure.phi(first, second)[0] for measure in measures]
         rate_stacks = [measure.jacobian(first, second).rate(first, second)[0] for measure in measures]
     count, shape = position[..., 0, 0].size, (*position.shape[:-2], len(measures))
     x, rates = (unstacked(stacks, count).reshape(shape) for stacks in (x_stacks, rate_stacks))
 
-    # Add full revolutions to angles: those of carried angles, or those that the rates imply (trapezoidal
-    # rule)
+    # Add full revolutions (multiples of 2 pi) to angles: those of carried angles, or those that the rates
+    # imply (trapezoidal rule)
     for k, measure in enumerate(measures):
         if k in carried:
             x[..., k] += whole_revolutions(carried[k] - x[..., k])
@@ -164,8 +166,8 @@ class Trajectory:
         engine: name of the engine that simulated the run.
         settings: options of the engine and its counts of steps and evaluations.
         wall_time: duration of the simulation in real time, s, without the construction of the model.
-        angle_names: labels (`Mechanism.coordinate_labels`) of the c angles that the run carries. A run
-            carries, including full revolutions, the angles on which forces, control laws or couplings depend.
+        angle_names: labels (`Mechanism.coordinate_labels`) of the c carried angles. A run carries (integrates
+            with their full revolutions) the angles on which forces, control laws or couplings depend.
         mechanism: the mechanism that moved; None for a trajectory that was made from arrays. Files do not
             contain it.
 
@@ -207,7 +209,8 @@ class Trajectory:
     kinetic_energy: Floats | None = None
     """(n,) J."""
     potential_energy: Floats | None = None
-    """(n,) J: of gravity, zero with all mass at the world origin, plus of springs, zero at rest."""
+    """(n,) J: energy in gravity, zero with all mass at the world origin, plus energy in springs, zero at
+    their rest lengths and angles."""
     work: Floats | None = None
     """(n,) work since the start by control laws, dampers, wrenches, wind and prescribed motions, J."""
     angle_names: tuple[str, ...] = ()
@@ -251,7 +254,7 @@ class Trajectory:
 
     @property
     def _carried(self) -> dict[Key, Array]:
-        """The carried angles (n,), rad, by joint coordinate."""
+        """Carried angles (n,), rad, including full revolutions, by joint coordinate."""
         if self.joint_angle is None:
             return {}
         keys = (coordinate_key(name, self.joint_names) for name in self.angle_names)
@@ -471,9 +474,11 @@ def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
     Raises:
         SourceError: naming the file and, if one array is invalid, the array.
     """
-    content = io.BytesIO(read_content(path, "array_size"))
+    content = io.BytesIO(read_content(path, "array_size"))  # refuses a file larger than this limit
     try:
-        with ZipFile(content) as archive:  # the zip reader unpacks at most the sizes in its directory
+        # Refuse an archive whose arrays together are larger than the limit `array_size`, MB. The zip reader
+        # unpacks at most the sizes in the archive's directory
+        with ZipFile(content) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
         if problem := exceeded("array_size", size / MB):
             raise ValueError(problem)
@@ -486,9 +491,9 @@ def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
 
 
 def _check_arrays(arrays: Mapping[str, Array]) -> None:
-    """Raise `ValueError` for missing or unknown arrays, shapes that do not fit together, and numbers not
-    finite."""
-    # All required arrays are there, and each array has the right type and number of dimensions
+    """Raise `ValueError` for missing or unknown arrays, shapes that do not fit together, and numbers that are
+    not finite."""
+    # All required arrays exist, and each array has the right type and number of dimensions
     sizes = {digit: int(digit) for digit in "34"}  # length of each dimension by its character in SHAPES
     for name in REQUIRED_ARRAYS:
         if name not in arrays:
@@ -510,7 +515,8 @@ def _check_arrays(arrays: Mapping[str, Array]) -> None:
         if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
             raise ValueError(f"{name} is not finite")
 
-    # Carried angles have different labels of known joints; there is at least one body and one time
+    # The labels of carried angles name different coordinates of known joints. There is at least one body, and
+    # the times increase
     if ("joint_angle" in arrays) != ("angle_names" in arrays):
         raise ValueError("one of joint_angle and angle_names without the other")
     joints, labels = (

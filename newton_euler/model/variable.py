@@ -59,12 +59,11 @@ def altered(thing: T, **fields: Any) -> T:
 
 
 class Function:
-    """Base class of functions of time, which are given by numbers. The defaults here are for smooth
-    functions.
+    """Base class of functions of time, which are given by numbers.
 
     The value of a function depends linearly on some of its numbers, such as an amplitude, and nonlinearly on
     others, such as a phase. The numbers are therefore grouped in parts. A function is smooth between its
-    knots: times at which a derivative jumps.
+    knots: times at which a derivative jumps. The methods of this class are those of a function without knots.
 
     Attributes:
         parts: names of the fields of each part. Part "" has the fields in which the function is linear; the
@@ -86,7 +85,7 @@ class Function:
         return ()
 
     @property
-    def numbers(self) -> int:
+    def piece_size(self) -> int:
         """Count of the numbers that `piece` returns; 0 for a function without knots."""
         return 0
 
@@ -145,14 +144,16 @@ class Function:
         fields: dict[str, Any] = {}
         for field in self.parts.get(name, ()):
             if isinstance(getattr(self, field), tuple | np.ndarray):
-                fields[field] = numbers
+                fields[field] = numbers  # an array is the only field of its part
             else:
                 fields[field], numbers = numbers[0], numbers[1:]
         return change(self, **fields) if fields else self
 
 
 class Variable:
-    """Base class of model elements with numbers that may vary from run to run without a new compilation.
+    """Base class of model elements with numbers that may vary from run to run.
+
+    Compiled equations of motion take these numbers as parameters, so that a new value needs no compilation.
 
     Attributes:
         number_fields: declarations of the attributes that may vary, by attribute name.
@@ -164,13 +165,13 @@ class Variable:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the attributes that may vary, except points of bodies."""
+        """Names of the attributes that may vary, except points fixed in bodies (see `points`)."""
         return tuple(name for name, field in self.number_fields.items() if not field.displaces)
 
     @property
     def points(self) -> tuple[str, ...]:
-        """Names of the attributes that are points of bodies; what varies is the displacement (3,) of such a
-        point, m."""
+        """Names of the attributes that are points fixed in bodies; their variable is the displacement (3,) of
+        the point, m."""
         return tuple(name for name, field in self.number_fields.items() if field.displaces)
 
     def field_of(self, name: str) -> NumberField:
@@ -195,8 +196,8 @@ class Variable:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """Names of all numbers that may vary: ATTRIBUTE, and ATTRIBUTE.PART for parts of functions of
-        time."""
+        """Names of all numbers that may vary: ATTRIBUTE, and ATTRIBUTE.PART for the nonlinear parts of
+        functions of time, such as `target.phase`."""
         names: list[str] = []
         parts: list[str] = []
         for name in self.parameters:
@@ -221,9 +222,9 @@ class Variable:
         return {**self.constant, **of_functions}
 
     def number(self, name: str) -> Array:
-        """Return the present value of one of `variables` as an array of floats; zeros (3,) for a point.
+        """Return the present value of one of `variables` as an array of floats.
 
-        The value of a point is zero because its parameter is the displacement from the described place.
+        A point has the value zeros (3,), because its variable is the displacement from the described point.
         """
         if name in self.points:
             return np.zeros(3)
@@ -279,9 +280,9 @@ def functions_of(value: Any) -> tuple[Any, ...]:
 def _numbers(value: Any, part: str) -> Any:
     """Return the numbers of one part of an attribute, see `Function.parts`.
 
-    Part "" has all numbers that are in no named part: the linear numbers of a function of time, or a number
-    or array itself. The numbers of a mapping are those of its values, in order: rows if each value is an
-    array.
+    Part "" of a function of time has the numbers on which the value depends linearly; part "" of a number or
+    an array is the number or array. The numbers of a mapping are those of its values, in order: one row per
+    value if each value is an array, else one list.
     """
     if isinstance(value, Function):
         return value.part(part)
@@ -312,6 +313,7 @@ def _changed_values(present: Mapping[Any, Any], part: str, value: Any, change: C
     """Return a mapping with other numbers for one part of its values; arguments as of `_changed`."""
     if _is_table(present):
         return dict(zip(present, value, strict=True))
+    # Hand out the numbers to the values in order, as many as each value has in this part
     changed, numbers = dict(present), (value,) if np.ndim(value) == 0 else tuple(value)
     for key, each in present.items():
         count = np.size(_numbers(each, part))

@@ -17,7 +17,7 @@ from newton_euler.arguments import Range, checked
 from newton_euler.errors import MechanismError, check_texts, quoted
 from newton_euler.model.balls import SQUARE_FLOOR
 from newton_euler.model.description import ArrayField, description
-from newton_euler.model.elements import OnPoint, PoseChange, Surroundings
+from newton_euler.model.elements import OnPoint, PointLoad, PoseChange, Surroundings
 from newton_euler.model.fields import NumberField
 from newton_euler.model.mechanism import check_name
 from newton_euler.model.motions import Sum, TimeFunction
@@ -37,12 +37,12 @@ END_LOSS, END_RATE = 0.41, 17.0
 `WindLoad`)."""
 
 PRESSURE_LEAD = 0.175
-"""Distance of the center of pressure ahead of the plate's center for wind along the plate, in plate
-lengths."""
+"""Distance of the center of pressure ahead of the plate's center for wind along the plate, in plate lengths
+(source in `WindLoad`)."""
 
-CALM = 1e-2
-"""Speed, m/s, whose square is added to squares of wind speeds, so that the load is smooth where the wind is
-calm."""
+CALM_SPEED = 1e-2
+"""Speed, m/s, whose square is added to the squares of the wind speeds normal to and along the plate. The load
+is then smooth at zero wind, and the error is 1e-6 of the load at 10 m/s."""
 
 MAX_VECTOR_LENGTH = 1e100
 """Largest length of any vector of a wind load, so that squared lengths and the plate's area stay finite."""
@@ -61,10 +61,10 @@ STANDARD_AIR = 1.225
 class WindLoad(OnPoint):
     """The load of wind on a flat rectangular plate that is a part of a body.
 
-    Let w be the velocity of the wind relative to the plate's center, and w_n its component along the plate's
-    normal n. The angle of attack a between w and the plate has sin a = |w_n| / |w|. A is the area of the
-    plate, rho the density of air, and R the ratio of the plate's longer side to the shorter side. The force
-    is
+    Let w be the velocity of the wind relative to the plate's center, and w_n the component of w along the
+    plate's normal n. The angle of attack a between w and the plate has sin a = |w_n| / |w|. A is the area of
+    the plate, rho the density of air, and R the ratio of the plate's longer side to the shorter side. The
+    force is
 
         F = 1/2 rho A |w|^2 C_N sign(w_n) n,
         C_N = 1.98 sin a (1 / (0.56 + 0.44 sin a) - 0.41 (1 - exp(-17 / R))).
@@ -123,12 +123,13 @@ class WindLoad(OnPoint):
 
     noun = "wind load"
     kind = "wind_load"
+    # Attributes that may vary from run to run: unit, shape and allowed values, see `NumberField`
     number_fields: ClassVar = OnPoint.number_fields | {
         "direction": NumberField(shape=(3,), allowed="direction"),
         "speed": NumberField("m/s", may_be_function=True),
         "air_density": NumberField("kg/m^3", least=0.0, strength="wind"),
-        "first_side": NumberField("m", shape=(3,), allowed="joint"),
-        "second_side": NumberField("m", shape=(3,), allowed="joint"),
+        "first_side": NumberField("m", shape=(3,), allowed="constructor"),
+        "second_side": NumberField("m", shape=(3,), allowed="constructor"),
     }
 
     @np.errstate(all="ignore")  # squares that overflow are refused
@@ -149,6 +150,7 @@ class WindLoad(OnPoint):
             raise MechanismError(self.element, problem, needed)
 
     def described_after(self, change: PoseChange) -> Self:
+        """Return the same load for the scene as it is described at another initial pose."""
         move = change.move(self.body)
         sides = move.vector(self.first_side), move.vector(self.second_side)
         return replace(self, point=move.point(self.point), first_side=sides[0], second_side=sides[1])
@@ -181,8 +183,8 @@ class WindLoad(OnPoint):
         if isinstance(length, float) and isinstance(width, float):
             shorter, longer = min(length, width), max(length, width)
         else:
-            apart = sqrt((length - width) * (length - width) + SQUARE_FLOOR)
-            shorter, longer = 0.5 * (length + width - apart), 0.5 * (length + width + apart)
+            difference = sqrt((length - width) * (length - width) + SQUARE_FLOOR)
+            shorter, longer = 0.5 * (length + width - difference), 0.5 * (length + width + difference)
         return END_LOSS * (1.0 - exp(-END_RATE * shorter / longer))
 
     def velocity(self, time: float) -> Array:
@@ -190,7 +192,9 @@ class WindLoad(OnPoint):
         speed = self.speed.value(time) if isinstance(self.speed, TimeFunction) else self.speed
         return np.asarray(speed / sqrt(self.direction @ self.direction) * self.direction)
 
-    def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
+    def load(self, at: Surroundings) -> PointLoad:
+        """Compute the wind's force at the plate's center and its torque about the center, at a state."""
+        # `pose`: the body frame at the initial pose; `frame`: its present pose and velocity
         k = at.mechanism.body_index(self.body)
         pose, frame = at.poses[k], at.frames[k]
         arm = frame.rotation @ pose.point_to_body(self.point)
@@ -198,21 +202,22 @@ class WindLoad(OnPoint):
         # Relative wind w in the frame of the plate; its speeds normal to the plate and along it
         axes = frame.rotation @ (pose.rotation.T @ self.axes)
         w = (self.velocity(at.time) - frame.velocity - cross(frame.angular_velocity, arm)) @ axes
-        calm = CALM * CALM
-        normal_speed, tangential_speed = sqrt(w[2] * w[2] + calm), sqrt(w[0] * w[0] + w[1] * w[1] + calm)
+        floor = CALM_SPEED * CALM_SPEED
+        normal_speed, tangential_speed = sqrt(w[2] * w[2] + floor), sqrt(w[0] * w[0] + w[1] * w[1] + floor)
         speed = sqrt(normal_speed * normal_speed + tangential_speed * tangential_speed)
 
-        # Normal force; C_N / sin a, as sin a = normal_speed / speed
+        # Normal force, with coefficient = C_N / sin a and sin a = normal_speed / speed
         hoerner = speed / (HOERNER_CONSTANT * speed + HOERNER_SLOPE * normal_speed)
         coefficient = NORMAL_COEFFICIENT * (hoerner - self.end_loss)
         normal_force = 0.5 * self.area * self.air_density * coefficient * speed * w[2]
         force = axes[:, 2] * normal_force
 
-        # Center of pressure; arctan2(tangential, normal) = pi / 2 - a
+        # Center of pressure, from the plate's center against the wind. With arctan2(tangential, normal) =
+        # pi / 2 - a, `lead` is 0.175 (1 - 2 a / pi) / tangential_speed
         length, width = self.lengths
         lead = (PRESSURE_LEAD * 2.0 / math.pi) * arctan2(tangential_speed, normal_speed) / tangential_speed
         center = axes[:, 0] * (-(length * lead * w[0])) + axes[:, 1] * (-(width * lead * w[1]))
-        return k, force, cross(center, force), arm
+        return PointLoad(k, force, cross(center, force), arm)
 
 
 @checked

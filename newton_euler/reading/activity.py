@@ -1,10 +1,11 @@
 """Find the elements of a model file, such as limits and contacts, that would have acted in a run.
 
-Joint limits, contacts and dry friction are one-sided, and scenes do not simulate them. If no limit is reached
-and nothing touches, the run of the scene is nevertheless valid for the whole file. Between output times the
-motion is interpolated by cubic polynomials through values and rates. The interpolation error at an output is
-estimated with a cubic through the neighbors of the output. If the error hides whether an element acts, the
-result is *not settled*, and the run has to be repeated with more outputs.
+Scenes do not simulate joint limits, contacts and dry friction of the file. If no limit is reached, nothing
+touches and nothing with friction moves, the run of the scene is nevertheless valid for the whole file. Each
+condition under which an element acts is a `Watch`. A watch judges the motion of the run, which is
+interpolated between output times by cubic polynomials through values and rates. The interpolation error at an
+output is estimated with a cubic through the neighbors of the output. If the error hides whether an element
+acts, the result is *not settled*, and the run has to be repeated with more outputs.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ POINTS_PER_INTERVAL = 16
 """Number of equal parts of each output interval; elements are checked at the ends of the parts."""
 
 MAX_POSE_ERROR = 1e-2
-"""Largest error of interpolated poses: rad, and m per m of the longest body."""
+"""Largest error of interpolated poses: rad, and m per m of length of the largest body."""
 
 LIMIT_TOLERANCE = 1e-9
 """Largest overshoot of a limit that does not count: rad, m, or a fraction of the limit of a force."""
@@ -40,8 +41,8 @@ START_LIMIT_TOLERANCE = 1e-6
 have six digits."""
 
 SETTLED_SHARE = 1e-3
-"""Largest interpolation error, as a fraction of the overshoot, with which the time counts as settled at which
-a limit is first passed."""
+"""Largest interpolation error, as a fraction of the overshoot of a limit. With a larger error, the time at
+which the limit is first passed is not settled."""
 
 UNSETTLED = "may act between output times"
 """Observation for a result that only a run with more outputs can settle."""
@@ -65,7 +66,7 @@ def cubic_error(time: Array, x: Array, rate: Array) -> Array:
     if len(time) < 3:
         return np.full((len(time) - 1, *x.shape[1:]), np.inf)
     errors = np.zeros(x.shape)
-    # cubics through the outputs of even numbers predict those of odd numbers, and vice versa
+    # Cubics through the outputs of even numbers predict those of odd numbers, and vice versa
     for first in (0, 1):
         ends, within = slice(first, None, 2), slice(first + 1, len(time) - 1, 2)
         if len(time[within]):
@@ -73,7 +74,7 @@ def cubic_error(time: Array, x: Array, rate: Array) -> Array:
             steps = np.diff(time)[within].reshape(-1, *(1,) * (x.ndim - 1))
             rate_errors = curve(time[within], 1) - rate[within]
             errors[within] = np.abs(curve(time[within]) - x[within]) + steps * np.abs(rate_errors)
-    errors[0], errors[-1] = errors[1], errors[-2]
+    errors[0], errors[-1] = errors[1], errors[-2]  # the first and the last output have one neighbor only
     return np.maximum(errors[:-1], errors[1:])
 
 
@@ -82,7 +83,7 @@ class SampledMotion:
 
     Attributes:
         scene: the scene of the run.
-        run: a trajectory with velocities, at n output times.
+        run: a trajectory of the scene with velocities, at n output times.
         time: (m,) s, output times and `POINTS_PER_INTERVAL` - 1 times between each two of them.
     """
 
@@ -111,8 +112,8 @@ class SampledMotion:
         # a rotation by a small angle changes a quaternion by half the angle
         quaternion_errors = cubic_error(run.time, run.quaternion, self._quaternion_rates)
         angles = 2.0 * np.linalg.norm(quaternion_errors, axis=2)
-        longest = self.scene.mechanism.longest  # m, length of the longest body
-        return bool(np.all(distances <= MAX_POSE_ERROR * longest) and np.all(angles <= MAX_POSE_ERROR))
+        largest = self.scene.mechanism.largest_extent  # m, length of the largest body from its center of mass
+        return bool(np.all(distances <= MAX_POSE_ERROR * largest) and np.all(angles <= MAX_POSE_ERROR))
 
     @cached_property
     def poses(self) -> tuple[Array, Array]:
@@ -122,23 +123,23 @@ class SampledMotion:
         centers = _cubic_curve(self.run.time, self.run.position, self.run.linear_velocity)(self.time)
         return centers, quaternions / np.linalg.norm(quaternions, axis=2, keepdims=True)
 
-    # angles of several consecutive hinges are NaN for orientations that the hinges cannot reach
+    # Angles of several consecutive hinges are NaN for orientations that the hinges cannot reach
     @np.errstate(invalid="ignore")
     def coordinate(self, key: Key) -> tuple[Array, Array, Array]:
         """Compute a joint coordinate, m or rad from the initial pose, with full revolutions.
 
         Args:
-            key: name of the joint, and number of the coordinate within the joint.
+            key: name of the joint, and index of the coordinate within the joint.
 
         Returns:
             The coordinate (m,), its rate (m,), and its interpolation error between outputs (n - 1,). All are
             NaN if the poses do not determine the coordinate at every output time.
         """
         if key not in self._coordinates:
-            (joint, number), time = key, self.run.time
+            (joint, index), time = key, self.run.time
             measured = replace(self.run, mechanism=self.scene.mechanism).joint(joint)
             assert measured.rates is not None
-            x, rate = measured.coordinates[:, number], measured.rates[:, number]
+            x, rate = measured.coordinates[:, index], measured.rates[:, index]
             if np.all(np.isfinite([x, rate])):
                 curve = _cubic_curve(time, x, rate)
                 self._coordinates[key] = curve(self.time), curve(self.time, 1), cubic_error(time, x, rate)
@@ -163,7 +164,7 @@ def _cubic_curve(time: Array, x: Array, rate: Array) -> Any:
     def curve(at: Array | float, order: int = 0) -> Array:
         if len(time) == 1:
             return np.asarray((rate if order else x)[np.zeros(np.shape(at), dtype=int)])
-        # interval k with each time; s from 0 to 1 within the interval
+        # Output interval k in which each time lies; s runs from 0 to 1 within the interval
         k = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
         size, shape = time[k + 1] - time[k], (*np.shape(at), *(1,) * (x.ndim - 1))
         s, h = np.reshape((at - time[k]) / size, shape), np.reshape(size, shape)
@@ -182,7 +183,7 @@ class Activity(NamedTuple):
 
     Attributes:
         words: the observation, for the import report.
-        since: s, the first time at which the element acts; None if the element does not act.
+        since: s, the first time at which the element acts or may act; None if the element does not act.
         settled: False if only a run with more outputs can show whether and when the element acts.
     """
 
@@ -192,7 +193,7 @@ class Activity(NamedTuple):
 
     @property
     def active(self) -> bool:
-        """True if the element acts at any time of the run."""
+        """True if the element acts, or may act, at any time of the run."""
         return self.since is not None
 
 
@@ -203,8 +204,9 @@ class Watch(Protocol):
         """Report whether the element acts at any time of a motion."""
 
 
-LENGTHS_AND_ANGLES = ("m", "rad", "m or rad", "m/s", "rad/s")
-"""Units whose tolerances are absolute; tolerances of other units are relative to the limit."""
+ABSOLUTE_UNITS = ("m", "rad", "m or rad", "m/s", "rad/s")
+"""Units of limits with absolute tolerances; tolerances of limits in other units (forces) are relative to the
+limit."""
 
 
 @dataclass(frozen=True)
@@ -212,15 +214,16 @@ class Bounds:
     """Limit of a joint coordinate or force: low <= constant + by_value * x + by_rate * dx/dt <= high.
 
     x is a weighted sum of joint coordinates. For a limit of a coordinate, constant = 0, by_value = 1 and
-    by_rate = 0. For a limited servo, by_value and by_rate are the negative gains.
+    by_rate = 0. For a limit of the force of a servo (an actuator with position and velocity feedback),
+    by_value and by_rate are the negative gains.
 
     Attributes:
-        terms: joint coordinates (joint name, number of the coordinate) with their weights in x.
+        terms: joint coordinates (joint name, index of the coordinate) with their weights in x.
         low, high: limits, may be infinite.
         unit: unit of the limits.
         constant: number, or function of time.
-        by_value: factor of x.
-        by_rate: factor of dx/dt, s.
+        by_value: factor of x: 1, or a gain in SI units.
+        by_rate: factor of dx/dt: s, or a gain in SI units.
     """
 
     terms: tuple[tuple[Key, float], ...]
@@ -241,7 +244,7 @@ class Bounds:
             x, rate = x + factor * value, rate + factor * value_rate
             errors += abs(factor) * (abs(self.by_value) + abs(self.by_rate) / steps) * error
         if not np.all(np.isfinite(x)):
-            return Activity("not judged: the poses do not determine its coordinate", 0.0)
+            return Activity("not judged: the poses do not determine its coordinate", since=0.0)
         constant: Any = self.constant
         if isinstance(constant, TimeFunction):
             constant = np.array([constant.value(time) for time in motion.time.tolist()])
@@ -264,18 +267,19 @@ class Bounds:
         if np.isinf(room[worst]):
             return Activity("no limit")
         limits = [abs(limit) for limit in (self.low, self.high) if np.isfinite(limit)]
-        scale = 1.0 if self.unit in LENGTHS_AND_ANGLES else max(limits)
-        # times at which the limit is passed, without a start that moves inwards
+        scale = 1.0 if self.unit in ABSOLUTE_UNITS else max(limits)
+        # Times at which the limit is passed, except a start at the limit from which the value moves inwards
         is_passed = room < -LIMIT_TOLERANCE * scale
         inside_from, inwards_until = _way_inwards(room, START_LIMIT_TOLERANCE * scale)
         is_passed[:inside_from] = False
-        # output intervals in which the interpolation error may hide that the limit is passed
+        # Output intervals in which the interpolation error may hide that the limit is passed
         nearest = np.min(np.minimum(room[1:], room[:-1]).reshape(-1, POINTS_PER_INTERVAL), axis=1)
         nearest[: inwards_until // POINTS_PER_INTERVAL] = np.inf
         may_hide = (nearest < errors) & (errors > LIMIT_TOLERANCE * scale)
         interval_starts = times[:-1:POINTS_PER_INTERVAL]
         if np.any(is_passed):
             first = int(np.argmax(is_passed))
+            # The time is settled if the error is small, and if no earlier interval may hide an overshoot
             interval = max(0, first - 1) // POINTS_PER_INTERVAL
             is_exact = first == 0 or errors[interval] <= SETTLED_SHARE * -room[worst]
             settled = is_exact and not np.any(may_hide[:interval])
@@ -306,13 +310,13 @@ def _way_inwards(room: Array, at_limit: float) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Rest:
-    """Test of dry friction: it acts from the time on at which one of its joint coordinates moves.
+class FrictionWatch:
+    """Test of dry friction: friction acts from the time at which one of its joint coordinates moves.
 
     If the coordinates stay at rest in the run without friction, they also stay at rest with friction.
 
     Attributes:
-        keys: the joint coordinates (joint name, number of the coordinate).
+        keys: the joint coordinates with friction (joint name, index of the coordinate).
     """
 
     keys: tuple[Key, ...]
@@ -328,8 +332,9 @@ class Rest:
 
 
 def judge_all(watches: Sequence[Watch], motion: SampledMotion) -> Activity:
-    """Combine all tests of one element: the element acts from the first time on at which any test finds."""
+    """Combine all tests of one element: the element acts from the earliest time that any test finds."""
     found = [watch.judge(motion) for watch in watches]
     times = [each.since for each in found if each.since is not None]
+    # The observations of the tests that find activity; of all tests if none does
     words = "; ".join(each.words for each in found if each.active == bool(times))
     return Activity(words, min(times, default=None), all(each.settled for each in found))

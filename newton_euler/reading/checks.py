@@ -16,8 +16,9 @@ from newton_euler.scalars import Array
 MIN_SCALE_SHARE = 1e-3
 """Smallest scale by which a difference is divided, as a fraction of the largest scale of the quantity.
 
+Each entry of a quantity, such as the force on one joint, has a scale: the sum of the magnitudes of its terms.
 Torques are divided by the size of the mechanism before scales are compared. Sums over all bodies are accurate
-to about 1e-16 of the largest scale, which is less than `READING_ROUND_OFF` (1e-12) times this fraction."""
+to about 1e-16 of the largest scale. This is less than the tolerance of checks, 1e-12, times the fraction."""
 
 
 class ReadingCheck(NamedTuple):
@@ -42,13 +43,13 @@ class ReadingCheck(NamedTuple):
 
 
 def worst_entry(quantity: str, gaps: Array, tolerances: Array | float, names: Sequence[str]) -> ReadingCheck:
-    """Make a check of the difference that is largest relative to its tolerance.
+    """Make a check of the one among several differences that is largest relative to its tolerance.
 
     Args:
         quantity: name and unit.
         gaps: (..., n) absolute differences; the leading axes are samples.
         tolerances: largest allowed differences, of a shape that broadcasts to `gaps`.
-        names: (n,) elements, bodies or joints.
+        names: (n,) names of the elements, bodies or joints that the last axis of `gaps` counts.
     """
     limits = np.broadcast_to(tolerances, gaps.shape)
     if not gaps.size:

@@ -1,10 +1,11 @@
 """Compare poses, energies and accelerations of an imported scene with the file's reference model.
 
 The reference model is the model file as an independent parser compiles it; *samples* are the states at which
-scene and file are compared. Accelerations of the scene are substituted into the equations of the reference
-model, M a = f + J^T lambda and J a = -dJ/dt v. The checks are the residual of the first equation along the
-free motions of the file, and the residual of the second equation. The accelerations of the two models are not
-compared directly, because they depend on a decision on the rank of J.
+scene and file are compared. `ScenePlacement` has the scene's bodies at the poses of the samples.
+Accelerations of the scene are substituted into the equations of the reference model, M a = f + J^T lambda and
+J a = -dJ/dt v. The checks are the residual of the first equation along the free motions of the file, and the
+residual of the second equation. The accelerations of the two models are not compared directly, because they
+depend on a decision on the rank of the constraint Jacobian J.
 """
 
 from __future__ import annotations
@@ -23,22 +24,24 @@ from newton_euler.reading.quantities import FORCE_KINDS, FREE_SINGULAR_VALUE, HE
 from newton_euler.reading.reference import READING_ROUND_OFF, Sample
 from newton_euler.scalars import Array
 
-SAMPLE_RATE = 1.0
-"""Typical speed of the samples, rad/s, or sizes of the mechanism per second: the smallest scale of rates."""
+SAMPLE_SPEED = 1.0
+"""Typical speed of the samples, rad/s, or sizes of the mechanism per second. It is the smallest scale by
+which differences of velocities are divided, its square that of accelerations."""
 
 ACCELERATION_LOSS = 100.0
-"""Error of accelerations of joints that are computed from accelerations of bodies, as a multiple of
-round-off."""
+"""Allowed error of joint accelerations that are computed from accelerations of bodies, as a multiple of the
+tolerance of motions."""
 
 LIGHT_BODY_LOSS = 1000.0
-"""Error of accelerations, as a multiple of round-off, if inertias of bodies differ by a factor of 1e9."""
+"""Allowed error of accelerations, as a multiple of the componentwise round-off: enough for bodies whose
+inertias differ by a factor of 1e9."""
 
 
 def system_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     """Check poses, energies and accelerations of the scene's equations of motion at the samples."""
     coordinates = [placed.system.coordinates(place.state) for place in placed.placements]
     found = [placed.system.evaluate(q, v) for q, v in coordinates]
-    # length that scales positions, m: size of the mechanism and distance from the origin
+    # Length that scales positions, m: size of the mechanism and distance from the origin
     reach = placed.reference.size
     reach += max(float(np.max(np.abs(place.state.position))) for place in placed.placements)
     yield from _pose_checks(placed, found, reach)
@@ -82,11 +85,11 @@ def _energy_checks(
         reach: height that scales the potential energy of gravity, m.
     """
     samples = placed.reference.samples
-    # columns: kinetic and potential energy, J
+    # Columns: kinetic and potential energy, J
     wanted = np.array([sample.energies for sample in samples])
     energies = np.array([[each.kinetic_energy, each.potential_energy] for each in found])
     mass = sum(body.mass for body in placed.mechanism.bodies)
-    typical_kinetic = 0.5 * mass * (placed.reference.size * SAMPLE_RATE) ** 2
+    typical_kinetic = 0.5 * mass * (placed.reference.size * SAMPLE_SPEED) ** 2
     of_gravity = mass * float(np.linalg.norm(placed.scene.gravity)) * reach
     tolerances = np.array([sample.tolerance_of_motion for sample in samples])
     names = [f"state {k}" for k in range(len(found))]
@@ -94,7 +97,7 @@ def _energy_checks(
         [typical_kinetic, typical_kinetic + of_gravity]
     )
     gaps = energies - wanted
-    gaps[:, 1] -= gaps[0, 1]
+    gaps[:, 1] -= gaps[0, 1]  # the zeros of the potential energies differ
     for k, quantity in enumerate(("kinetic energy, rel", "potential energy, rel")):
         yield worst_entry(quantity, np.abs(gaps[:, k]) / scales[k], tolerances, names)
 
@@ -108,19 +111,20 @@ def _acceleration_checks(placed: ScenePlacement, found: Sequence[Evaluation]) ->
         dimensionless, joint_check = _file_acceleration(placed, place, accelerations)
         joint_checks.append(joint_check)
         loop_checks += _loop_check(place.sample, dimensionless, reference.units)
-        # residual of M a = f along the motions that are certainly free, in independent velocities
+        # Residual of M a = f along the motions that are certainly free, in independent velocities
         basis, a = place.sample.freedom.basis, reference.units * dimensionless
         mass, forces = np.sum(place.sample.mass_matrices, axis=0), np.array(place.sample.forces)
         total_force = forces[: len(FORCE_KINDS)].sum(axis=0) - forces[-1]  # the last row is the bias
         certain_basis = place.sample.freedom.certain_basis
-        projection = certain_basis @ np.linalg.pinv(certain_basis)
+        projection = certain_basis @ np.linalg.pinv(certain_basis)  # on the motions that are certainly free
         residuals.append(projection.T @ (basis.T @ (mass @ a - total_force)))
-        typical = np.abs(a) + SAMPLE_RATE**2 * reference.units  # a scale also where no force acts
+        typical = np.abs(a) + SAMPLE_SPEED**2 * reference.units  # a scale also where no force acts
         scales.append(np.abs(basis).T @ (np.abs(mass) @ typical + np.abs(forces).sum(axis=0)))
     yield closest_to_failing(joint_checks)
     if loop_checks:
         yield closest_to_failing(loop_checks)
-    # constraint rows in doubt have large multipliers, whose round-off shows along the free motions
+    # Constraint rows with singular values in doubt (between round-off and the effect of rounded digits) may
+    # have large multipliers, whose round-off shows along the free motions
     doubtful_values = [sample.freedom.doubtful_value for sample in reference.samples]
     of_multipliers = max(
         (
@@ -141,7 +145,8 @@ def _file_acceleration(
     """Fit accelerations of the file's coordinates to accelerations of the scene's bodies.
 
     Args:
-        placed, place: bodies of the scene at the poses of the file, and at one sample.
+        placed: bodies of the scene at the poses of the file.
+        place: the same bodies at one sample.
         accelerations: (6 b,) linear and angular accelerations of the bodies, m/s^2 and rad/s^2.
 
     Returns:
@@ -151,7 +156,7 @@ def _file_acceleration(
     rows = place.group_transformation / placed.group_units[:, None] * placed.reference.units
     reached, drift = placed.group_rows(accelerations), place.group_drift / placed.group_units
     fitted = least_squares(rows, reached - drift)
-    scale = max(SAMPLE_RATE**2, float(np.max(np.abs([reached, drift]))))
+    scale = max(SAMPLE_SPEED**2, float(np.max(np.abs([reached, drift]))))
     gaps = np.abs(rows @ fitted - (reached - drift)).reshape(-1, 6).max(axis=1) / scale
     tolerance, names = place.sample.tolerance_of_motion, placed.reference.names
     return fitted, worst_entry("accelerations across joints, rel", gaps, tolerance, names)
@@ -176,18 +181,19 @@ def _loop_check(sample: Sample, acceleration: Array, units: Array) -> list[Readi
     if not len(owners):
         return []
     fine, coarse = sample.velocity_products  # dJ/dt v by a small and a large difference step
-    scale = float(np.max(np.abs(jacobian))) * max(SAMPLE_RATE**2, float(np.max(np.abs(acceleration))))
-    # Only the range of rows that certainly hold is judged. No acceleration changes the rest: redundant rows,
-    # rows in doubt, loops that keep an offset, rows that lose rank in a singular configuration.
+    scale = float(np.max(np.abs(jacobian))) * max(SAMPLE_SPEED**2, float(np.max(np.abs(acceleration))))
+    # Only the part of the residual in the range of the rows that certainly hold is judged. No acceleration
+    # changes the rest: redundant rows, rows in doubt, loops with an offset, rows that lose rank in a singular
+    # configuration
     u, s, _ = singular_values(jacobian)
     held = u[:, s > HELD_SINGULAR_VALUE * max(1.0, float(s[0]))]
     second_rates = held @ (held.T @ (jacobian @ acceleration + fine))
     difference_error = held @ (held.T @ (coarse - fine))
-    scale = max(scale, SAMPLE_RATE**2)
-    # componentwise round-off: |J| |M^-1| (|M| |a| + |f|)
+    scale = max(scale, SAMPLE_SPEED**2)
+    # Componentwise round-off: |J| |M^-1| (|M| |a| + |f|)
     mass, forces = np.abs(np.sum(sample.mass_matrices, axis=0)), np.abs(np.array(sample.forces)).sum(axis=0)
     inverse = np.abs(np.linalg.inv(np.sum(sample.mass_matrices, axis=0)))
-    bound = inverse @ (mass @ (units * (np.abs(acceleration) + SAMPLE_RATE**2)) + forces) / units
+    bound = inverse @ (mass @ (units * (np.abs(acceleration) + SAMPLE_SPEED**2)) + forces) / units
     round_off = LIGHT_BODY_LOSS * np.finfo(float).eps * float(np.max(np.abs(jacobian) @ bound))
     gaps = np.maximum(np.abs(second_rates) - np.abs(difference_error) - round_off, 0.0) / scale
     return [worst_entry("accelerations across loops, rel", gaps, sample.tolerance_of_motion, owners)]

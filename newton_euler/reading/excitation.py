@@ -1,8 +1,10 @@
 """Excitation of a scene: small start velocities, sines for actuators, and random consistent states.
 
 Most models stand still or fall freely at their initial state, and a run without motion tests little. This
-module adds motion to a scene; it does not simulate. All random numbers have fixed seeds, so that the results
-are the same in every process. "Sizes" below are lengths divided by the size of the mechanism.
+module adds motion to a scene; it does not simulate. Joint limits of the file, which scenes do not simulate,
+are respected where possible: the "room" of a joint is its distance from a limit at the start. All random
+numbers have fixed seeds, so that the results are the same in every process. "Sizes" below are lengths divided
+by the size of the mechanism.
 """
 
 from __future__ import annotations
@@ -40,17 +42,17 @@ MAX_START_SPEED = 0.1
 """Largest start velocity of a joint's translation, sizes/s."""
 
 SWING_ANGLE = 0.2
-"""Approximate amplitude of a driven rotation, rad."""
+"""Approximate amplitude of a rotation that an actuator drives by a sine, rad."""
 
 SWING_LENGTH = 0.05
-"""Approximate amplitude of a driven translation, sizes."""
+"""Approximate amplitude of a translation that an actuator drives by a sine, sizes."""
 
 MIN_KEPT_SHARE = 0.05
-"""Smallest fraction to which joint limits reduce these speeds and amplitudes, so that closed loops can
-move."""
+"""Smallest fraction to which joint limits reduce these speeds and amplitudes. Without it, a joint next to its
+limit would stop the whole closed loop."""
 
 START_ROOM_SHARE = 0.5
-"""Largest fraction of the distance to a limit that start velocities use; sines use the rest."""
+"""Largest fraction of the room that start velocities use; sines use the rest."""
 
 MIN_FREQUENCY = 0.7
 """Lowest frequency of a sine, Hz."""
@@ -59,19 +61,20 @@ MAX_FREQUENCY = 1.9
 """Highest frequency of a sine, Hz."""
 
 RANDOM_AMPLITUDE = 0.2
-"""Amplitude of random joint displacements before loops are closed, rad and sizes."""
+"""Amplitude of the joint displacements of random states before loops are closed, rad and sizes."""
 
 MAX_STRAY_FACTOR = 3.0
-"""Largest displacement of a joint after its loops are closed, as a multiple of the random amplitude."""
+"""Largest displacement of a joint after its loops are closed, as a multiple of `RANDOM_AMPLITUDE`; beyond it,
+the loops have closed on another branch."""
 
 MAX_TRIES_PER_STATE = 50
 """Number of random displacements per requested state before the search is given up."""
 
 ROUND_OFF_SPEED = 1e-9
-"""Relative size of velocities that are round-off."""
+"""Velocity, as a fraction of the largest one, that is round-off."""
 
 MIN_START_SPEED = 1e-9
-"""Speed, rad/s and sizes/s, below which constraints leave a mechanism no start velocities."""
+"""Speed, rad/s and sizes/s, below which the constraints count as leaving no start velocities."""
 
 
 def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[Scene, str]:
@@ -79,14 +82,14 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
 
     The velocities use at most `START_ROOM_SHARE` of the distance to each limit. For a limit of a joint
     coordinate this holds at the end of the run, if the joint keeps its velocity. A joint moves towards the
-    side with more room. If a closed loop decides the direction, all joints that constraints connect with the
-    loop move in the direction that allows the higher speed. Joints that share no constraint do not slow each
-    other down.
+    side with more room. In a closed loop not every joint can: all joints that constraints connect with the
+    loop then move in the direction that allows the higher speed. Joints that share no constraint do not slow
+    each other down.
 
     Args:
         scene: scene at rest, at its initial state.
         bounds: limits of joint coordinates, and of forces that depend on velocities, such as the force of a
-            servo with damping.
+            servo (position control) with damping.
 
     Returns:
         The scene with start velocities, and a text with the largest speeds. A scene that starts in a singular
@@ -95,20 +98,21 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
     Raises:
         AssemblyError: if no velocities satisfy the constraints.
     """
-    system = Relative(scene)
+    system = Relative(scene)  # equations of motion in joint coordinates: q, and velocities v (nv,)
     q, _ = system.coordinates(initial_state(scene))
     jacobian = dimensionless_jacobian(system, q)
     if rank(jacobian) < constraint_rank(system):
         return scene, "no start velocities, as the start is a singular configuration"
-    # 1. largest speed of each joint, from its kind and from limits of forces
+    # 1. largest speed of each joint, from its kind and from limits of forces: each of the n joints on which a
+    # force depends may use 1/n of the distance to the limit of the force
     lengths = system.tree.is_length
     limits = np.where(lengths, MAX_START_SPEED * scene.mechanism.size, MAX_START_SPIN)
     bounds = list(bounds)
-    rows = _rate_rows(system, q, bounds)
-    for row in rows:
+    force_rows = _force_rows(system, q, bounds)
+    for row in force_rows:
         nonzero = row != 0.0
         limits[nonzero] = np.minimum(limits[nonzero], 1.0 / (np.sum(nonzero) * np.abs(row[nonzero])))
-    # 2. direction of each joint, and its largest speed, from limits of its coordinate
+    # 2. direction and largest speed of each joint, from the limits of its coordinate
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], system.nv)
     rooms, fastest = list(_rooms(system, bounds)), limits.copy()
@@ -119,19 +123,20 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
             limits[k] *= np.clip(
                 START_ROOM_SHARE * max(down, up) / (scene.duration * limits[k]), MIN_KEPT_SHARE, 1.0
             )
-    # 3. random speeds, projected on the free motions
+    # 3. random speeds, projected on the motions that the constraints leave free
     wanted = limits * signs * rng.uniform(0.5, 1.0, system.nv)
     free = orthonormal_null(jacobian, constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
-    # 4. groups of velocities that constraints and limits connect
+    # 4. groups of velocities that constraints and limits connect, and the ratio of each group to its limits
     spin_jacobian = _spin_jacobian(scene, system, q)
     spin_rows = spin_jacobian.reshape(-1, system.nv) * system.velocity_units
-    scaled_rows = (row / np.max(np.abs(row)) for row in rows if np.any(row))
+    scaled_rows = (row / np.max(np.abs(row)) for row in force_rows if np.any(row))
     groups = list(_connected_groups([*jacobian, *spin_rows, *scaled_rows]))
-    limit_ratios = [_limit_ratio(v * group, limits, spin_jacobian, rows) for group in groups]
+    limit_ratios = [_limit_ratio(v * group, limits, spin_jacobian, force_rows) for group in groups]
     if max(limit_ratios, default=0.0) * MAX_START_SPIN < MIN_START_SPEED:
         return scene, "no start velocities, as constraints leave none"
-    # 5. scale each group to its limits; the proportions between groups stay as drawn
+    # 5. scale each group to its limits. The ratios of the speeds of different groups are those of the random
+    # speeds; the largest one reaches its limit
     drawn = np.abs(wanted) / limits
     moving_groups = [
         (group, ratio)
@@ -152,11 +157,11 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
     return replace(scene, initial_state=state), f"start velocities up to {text}"
 
 
-def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Array]:
-    """Return a row (nv,) for each limit that depends on velocities, such as a limit of a damper's force.
+def _force_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Array]:
+    """Return a row (nv,) for each limited force that depends on velocities, such as that of a damper.
 
-    If row @ v is 1, velocities v use `START_ROOM_SHARE` of the distance to the limit. A limit that the start
-    has already reached has no row.
+    If row @ v is 1, velocities v use `START_ROOM_SHARE` of the distance to the limit of the force. A limit
+    that the start has already reached has no row.
 
     Args:
         system: equations of motion of the scene.
@@ -173,8 +178,9 @@ def _rate_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Arr
             continue
         row = np.zeros(system.nv)
         for key, factor in bound.terms:
-            for k, x in measured[key].jacobian.items():
-                row[k] += factor * x * bound.by_rate / (START_ROOM_SHARE * room)
+            # The sparse Jacobian of the coordinate's rate: derivative with respect to v[k], by k
+            for k, derivative in measured[key].jacobian.items():
+                row[k] += factor * derivative * bound.by_rate / (START_ROOM_SHARE * room)
         rows.append(row)
     return rows
 
@@ -183,8 +189,8 @@ class LimitRoom(NamedTuple):
     """Distances of a joint coordinate from its limits at the start.
 
     Attributes:
-        key: joint and number of the coordinate.
-        velocity_index: index of the coordinate's velocity; None for a joint that closes a loop.
+        key: name of the joint, and index of the coordinate in the joint.
+        velocity_index: index of the coordinate's velocity in v; None for a joint that closes a loop.
         down: distance to the lower limit, m or rad.
         up: distance to the upper limit, m or rad.
     """
@@ -203,6 +209,7 @@ def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[LimitRoom]:
     """
     start = initial_state(system.scene)
     for bound in bounds:
+        # Only limits of one joint coordinate have room: low <= constant + by_value * factor * x <= high
         if bound.by_rate or len(bound.terms) != 1 or isinstance(bound.constant, TimeFunction):
             continue
         ((key, factor),) = bound.terms
@@ -212,7 +219,7 @@ def _rooms(system: Relative, bounds: Iterable[Bounds]) -> Iterator[LimitRoom]:
         value = bound.constant + slope * measured_coordinate(system.scene, start, key)[0]
         sides = max(0.0, value - bound.low) / abs(slope), max(0.0, bound.high - value) / abs(slope)
         down, up = sides if slope > 0.0 else sides[::-1]
-        place = system.tree.place(*key)
+        place = system.tree.place(*key)  # indices in q and in v; None for a joint that closes a loop
         yield LimitRoom(key, None if place is None else place[1], down, up)
 
 
@@ -222,12 +229,12 @@ def _within_rooms(system: Relative, rooms: Iterable[LimitRoom], fastest: Array, 
     Args:
         system: equations of motion of the scene.
         rooms: distances from limits at the start.
-        fastest: (nv,) largest rates without limits, m/s or rad/s.
-        q: (nq,) coordinates of the tree.
-        v: (nv,) velocities of the tree.
+        fastest: (nv,) largest rates without limits of joint coordinates, m/s or rad/s.
+        q: (nq,) coordinates of the spanning tree.
+        v: (nv,) velocities of the spanning tree.
     """
     scene = system.scene
-    # largest ratio of a rate to its allowed rate, for velocities v and for the opposite velocities -v
+    # Largest ratio of a rate to its allowed rate, for velocities v and for the opposite velocities -v
     ratio, reverse_ratio = 0.0, 0.0
     frames = system.state(q, v).frames()
     for room in rooms:
@@ -246,6 +253,7 @@ def _within_rooms(system: Relative, rooms: Iterable[LimitRoom], fastest: Array, 
         )
         ratio = max(ratio, abs(rate) / (up if rate > 0.0 else down))
         reverse_ratio = max(reverse_ratio, abs(rate) / (down if rate > 0.0 else up))
+    # Choose the direction that allows the higher speed; slow down if it still passes a limit
     if min(ratio, reverse_ratio) > 1.0 + ROUND_OFF_SPEED:
         v = v / min(ratio, reverse_ratio)
     return -v if ratio > max(1.0, reverse_ratio) * (1.0 + ROUND_OFF_SPEED) else v
@@ -258,18 +266,18 @@ def _spin_jacobian(scene: Scene, system: Relative, q: Array) -> Array:
     return angular[[each.second for each in equations]] - angular[[each.first for each in equations]]
 
 
-def _limit_ratio(v: Array, limits: Array, spin_jacobian: Array, rows: Iterable[Array]) -> float:
+def _limit_ratio(v: Array, limits: Array, spin_jacobian: Array, force_rows: Iterable[Array]) -> float:
     """Compute the largest ratio of any limited quantity to its limit at velocities v.
 
     Args:
         v: (nv,) velocities.
         limits: (nv,) largest velocities.
         spin_jacobian: (joints, 3, nv) of the angular velocities of joints, limited by `MAX_START_SPIN`.
-        rows: (nv,) each, see `_rate_rows`; the limit of row @ v is 1.
+        force_rows: (nv,) each, see `_force_rows`; the limit of row @ v is 1.
     """
     spins = np.linalg.norm(spin_jacobian @ v, axis=1)
     ratios = np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / MAX_START_SPIN
-    return float(max(*ratios, *(abs(row @ v) for row in rows)))
+    return float(max(*ratios, *(abs(row @ v) for row in force_rows)))
 
 
 def _connected_groups(rows: Iterable[Array]) -> Iterator[Array]:
@@ -278,7 +286,7 @@ def _connected_groups(rows: Iterable[Array]) -> Iterator[Array]:
     Each row connects all velocities of its nonzero entries.
     """
     nonzero = np.abs(np.array([*rows])) > ROUND_OFF_SPEED
-    # with a row for each velocity alone, those that nothing connects are groups too
+    # Rows of the identity make velocities that nothing connects groups, too
     groups = connected(np.vstack([nonzero, np.eye(nonzero.shape[1], dtype=bool)]))
     for group in np.unique(groups):
         yield groups == group
@@ -289,12 +297,12 @@ class Swing(NamedTuple):
 
     Attributes:
         amplitude: amplitude of the control input that disregards limits of joints.
-        within: amplitude of the control input that keeps joints within their limits.
+        amplitude_within_limits: amplitude of the control input that keeps joints within their limits.
         angular_frequency: rad/s.
     """
 
     amplitude: float
-    within: float
+    amplitude_within_limits: float
     angular_frequency: float
 
 
@@ -309,7 +317,7 @@ def swings(
 
     Args:
         scene: scene at its initial state.
-        forces: for each sine, forces on joint coordinates for a control input of 1, N or N m.
+        forces: for each sine, the forces on joint coordinates that a control input of 1 causes, N or N m.
         bounds: limits of joint coordinates. A joint swings by at most the room that start velocities leave,
             and by at least `MIN_KEPT_SHARE` of its amplitude without limits.
     """
@@ -322,14 +330,14 @@ def swings(
     free = system.velocity_units[:, None] * free
     inertia = free.T @ mass @ free
     for number, unit_forces in enumerate(forces):
-        # fractional parts of multiples of the golden ratio are spread evenly
+        # Spread the frequencies evenly, by the fractional parts of multiples of the golden ratio
         golden = 0.5 * (np.sqrt(5.0) - 1.0)
         w = 2.0 * np.pi * (MIN_FREQUENCY + (MAX_FREQUENCY - MIN_FREQUENCY) * ((0.5 + number * golden) % 1.0))
         # accelerations (nv,) of the free motions for a control input of 1
         generalized = np.zeros(system.nv)
         for key, force in unit_forces.items():
-            for k, x in measured[key].jacobian.items():
-                generalized[k] += x * force
+            for k, derivative in measured[key].jacobian.items():
+                generalized[k] += derivative * force
         accelerations = (
             free @ np.linalg.solve(inertia, free.T @ generalized) if free.size else np.zeros(system.nv)
         )
@@ -339,7 +347,8 @@ def swings(
             acceleration = abs(float(sum(x * accelerations[k] for k, x in measured[key].jacobian.items())))
             if not force or not acceleration:
                 continue
-            # impedance: force per displacement; a servo alone decides it if there is one
+            # Impedance: amplitude of the force per amplitude of the displacement. If a servo drives the
+            # joint, its stiffness alone is the impedance. The mass is force / acceleration
             stiffness, damping, servo = _joint_impedance(scene, key)
             impedance = abs(force) * w**2 / (acceleration * (1.0 + w * scene.duration))
             impedance = servo or impedance + stiffness + damping * w
@@ -349,11 +358,12 @@ def swings(
             within = min(within, np.clip(room, MIN_KEPT_SHARE * swing, swing) * impedance / abs(force))
         if not np.isfinite(amplitude):
             amplitude = within = 0.0
-        yield Swing(float(amplitude), float(within), float(w))
+        yield Swing(float(amplitude), amplitude_within_limits=float(within), angular_frequency=float(w))
 
 
 def _joint_impedance(scene: Scene, key: Key) -> tuple[float, float, float]:
-    """Return the sums of stiffness and damping at a joint coordinate, SI, and the stiffness of servos alone.
+    """Return the sum of stiffnesses and the sum of dampings at a joint coordinate, SI, and the stiffness of
+    the servos alone.
 
     Servos are proportional-derivative control laws (`PD`); the sums also include joint springs.
     """
@@ -385,14 +395,15 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
     assert isinstance(code.system, Relative)
     system, project = code.system, Projection(code)
     tree, unit = system.tree, system.velocity_units
-    # indices in q and v of all coordinates but those of balls, whose quaternions have no single velocity
+    # Indices in q and v of all coordinates but those of balls, whose quaternions have no single velocity
     single = [(on_q.start, on_v.start) for motion, on_q, on_v in tree.motions if motion.kind != "ball"]
     single_q, single_v = [index for index, _ in single], [index for _, index in single]
     start, _ = system.coordinates(initial_state(scene))
     rng = np.random.default_rng(seed)
     states: list[State] = []
-    x = code.packed(start, np.zeros(tree.nv))
-    # random displacements and velocities, projected on the constraints
+    x = code.packed(start, np.zeros(tree.nv))  # input of native functions: q, v, then time and parameters
+    # Draw displacements and velocities, and project them on the constraints; `project` returns False if the
+    # loops do not close
     for _ in range(MAX_TRIES_PER_STATE * count):
         if len(states) == count:
             break

@@ -1,8 +1,8 @@
 """Names and zeros of a model file for joints, bodies and inputs, to read runs of the file by other tools.
 
-A scene counts joint coordinates from its start, puts bodies at their centers of mass, and merges bodies that
-are fixed to each other. Logs of other simulators use the joints, body frames and actuators of the file. A
-reader of a file format records here how the two correspond.
+A scene counts joint coordinates from its initial pose, puts body frames at centers of mass, and merges bodies
+that are fixed to each other. Logs of other simulators use the joints, body frames and actuators of the file.
+The reader of a file format records here how the two correspond.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class FileInput(NamedTuple):
     """Actuator of a model file whose control becomes forces of control laws in the scene.
 
     Attributes:
-        start: control at the start.
-        gains: force on joint coordinates of the scene per unit of the control, N or N m.
+        start: control input at the start, in the unit of the file.
+        gains: force on joint coordinates of the scene per unit of the control input, N or N m.
     """
 
     start: float

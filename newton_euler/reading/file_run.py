@@ -1,8 +1,9 @@
 """Interface for simulating a model file with the file's own engine, time step, integrator and solver.
 
-The run of the file is compared with a reference solution of the imported scene, to measure its error and the
-causes of the error, see `crosscheck.own_run`. A package for a file format derives from `FileSimulation`. The
-run begins at the start of the imported scene and has the scene's inputs.
+The run of the file is compared with the *reference*: an accurate solution of the scene that was imported from
+the file. The comparison measures the error of the run and its causes, see `crosscheck.own_run`. A package for
+a file format derives from `FileSimulation`. The run begins at the initial state of the imported scene and has
+the scene's control inputs.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ SettingsT = TypeVar("SettingsT", bound=Settings)
 """Type of an engine's settings (time step, integrator, solver); one class for each engine."""
 
 TIME_STEP, INTEGRATOR = "time step", "integrator"
-"""Names of causes that a mode faster than the time step can explain."""
+"""Names of causes of errors (`Cause.name`) that a mode of the model that is too fast for the time step can
+explain."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,11 @@ class FileRun:
 
     Attributes:
         trajectory: motion of the scene's bodies up to the time at which the run ended.
-        opening: (n,) largest violation of the file's loop constraints at each output time, m or rad.
+        opening: (n,) largest violation of the file's loop constraints at each of n output times, m or rad.
         events: first action of each element that the reference does not simulate, in the order of time.
         stopped: reason why the run ended early, such as MuJoCo's warning; "" for a complete run.
-        states: state of the engine at each output time, for `FileSimulation.small_motions`.
+        states: state of the engine at each output time, in the engine's own form, for
+            `FileSimulation.small_motions`.
     """
 
     trajectory: Trajectory
@@ -70,12 +73,13 @@ class FileRun:
 class Cause(Generic[SettingsT]):
     """One property of a file's settings whose contribution to the run's error can be measured.
 
-    The contribution is the difference of two runs: with settings `against`, and with settings `without`.
+    The contribution is the difference of two runs: with settings `against`, which have the error, and with
+    settings `without`, which do not have it.
 
     Attributes:
         name: the property, such as `TIME_STEP`.
-        without: settings that remove the error of the property and keep all else.
-        against: settings with the error of the property; None means the settings of the file.
+        without: the settings `against`, changed so that the error of the property disappears.
+        against: settings with the error of the property; None for the settings of the file.
     """
 
     name: str
@@ -95,8 +99,8 @@ class FileSimulation(ABC, Generic[SettingsT]):
         engine: name and version of the engine, such as "MuJoCo 4.0".
         scene: the imported scene.
         settings: settings of the file.
-        max_evaluations: largest number of evaluations of the equations of motion in the judged run, and in a
-            run with a smaller step; lower for an engine whose loop runs in Python.
+        max_evaluations: largest number of evaluations of the equations of motion in a run, with the file's
+            time step or a smaller one; lower for an engine whose time loop runs in Python.
     """
 
     max_evaluations: float = math.inf
@@ -109,7 +113,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
         return settings.timestep
 
     def evaluations(self, settings: SettingsT) -> float:
-        """Return the number of evaluations of the equations of motion per second of motion."""
+        """Return the number of evaluations of the equations of motion per second of simulated time."""
         return evaluations_per_step(settings.integrator) / settings.timestep
 
     @abstractmethod
@@ -132,7 +136,7 @@ class FileSimulation(ABC, Generic[SettingsT]):
             settings: settings of the run.
             steps: number of time steps.
             every: number of steps from one output to the next.
-            reduced: whether to switch off all elements that the imported scene does not have.
+            reduced: True to switch off all elements that the imported scene does not have.
         """
 
     def run_inputs(self, reduced: bool) -> Mapping[str, Any]:
@@ -166,9 +170,9 @@ class FileSimulation(ABC, Generic[SettingsT]):
 
         Args:
             run: run of the file without the elements that the scene does not have.
-            outputs: numbers of the outputs; if empty, the start of the file.
+            outputs: indices of the output times whose states are taken; if empty, the state at the start.
         """
 
     def changed(self, change: ModelChange) -> FileSimulation[SettingsT]:
-        """Return the simulation of a changed model, for an engine with small motions."""
+        """Return the simulation of a changed model; only for an engine with `small_motions`."""
         raise NotImplementedError(f"{self.engine}: changes of the model")

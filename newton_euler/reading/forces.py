@@ -1,9 +1,12 @@
 """Compare forces and armatures of an imported scene with the file's reference model.
 
-The reference model is the model file as an independent parser compiles it. The bodies of the scene are placed
-at its sample states. Forces of both models are projected on independent velocities of the file and compared.
-A difference is attributed to the element of the file whose force alone explains most of the difference.
-Armatures are inertias of motors' rotors; they are compared as parts of the mass matrix.
+The reference model is the model file as an independent parser compiles it. Its *samples* are states at which
+file and scene are compared; the bodies of the scene are placed at the poses and velocities of the samples.
+Forces of the scene (`found`) and of the reference model (`wanted`) are compared along the motions that the
+constraints leave free: d of the nv velocities of the file are independent, and `Freedom.basis` (nv, d) gives
+all velocities from them. A difference is attributed to the element of the file whose force alone explains
+most of the difference. Armatures are inertias of motors' rotors; they are compared as parts of the mass
+matrix.
 """
 
 from __future__ import annotations
@@ -34,8 +37,8 @@ from newton_euler.reading.wrenches import Wrenches
 from newton_euler.scalars import Array
 
 MAX_UNEXPLAINED_SHARE = 1e-3
-"""Largest sum of squares that an element may leave unexplained, as a fraction of the difference's sum of
-squares, if the difference is attributed to the element."""
+"""Largest fraction of the difference's sum of squares that an element may leave unexplained, if the
+difference is attributed to the element."""
 
 ElementForces = Iterator[tuple[str, list[list[Array]]]]
 """Pairs of an element's name and its forces. The forces are a list for each way in which the element can act;
@@ -43,7 +46,7 @@ each list has one array for each sample."""
 
 
 def force_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
-    """Check forces of each of the `FORCE_KINDS`, armatures, and limited forces."""
+    """Check gravity, springs, dampers and actuators (the `FORCE_KINDS`), armatures, and limited forces."""
     scenes = _split_by_kind(placed.scene)
     found = [_wrenches_by_kind(placed, place, scenes) for place in placed.placements]
     wanted = [place.sample.forces for place in placed.placements]
@@ -56,16 +59,19 @@ def force_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
 
 
 def _limit_check(placed: ScenePlacement) -> ReadingCheck:
-    """Check the imported limits of forces, which runs are tested for, and the limited forces at the samples.
+    """Check the imported limits of forces, and the limited forces at the samples.
 
-    A difference is divided by the largest sum of the magnitudes of a force's terms at any sample. In this
-    scale a joint coordinate counts with at least `MIN_SCALE_SHARE` times 1 rad or the size of the mechanism.
+    Scenes do not simulate limits; after a run, the import report tests with these values whether a limit
+    would have acted. A difference is divided by the largest sum of the magnitudes of a force's terms at any
+    sample. In this sum a joint coordinate has at least the magnitude `MIN_SCALE_SHARE` times 1 rad or the
+    size of the mechanism.
     """
     reference = placed.reference
     gaps, scales, names = [], [], list[str]()
     for place in placed.placements:
         limits = reference.force_limits(place.sample.q, place.sample.v)
         names = [limit.element for limit in limits]
+        # `watched`: limit and force as the reader imported them. Different limits count as an infinite gap
         forces = [_limited_force(placed, place, limit.watched) for limit in limits]
         scales.append([scale for _, scale in forces])
         gaps.append(
@@ -81,16 +87,20 @@ def _limit_check(placed: ScenePlacement) -> ReadingCheck:
 
 
 def _limited_force(placed: ScenePlacement, place: SamplePlacement, bounds: Bounds) -> tuple[float, float]:
-    """Compute a limited force from joint coordinates, N or N m, and the sum of its terms' magnitudes."""
+    """Compute a limited force constant + by_value * x + by_rate * dx/dt, N or N m, at a sample.
+
+    Returns:
+        The force, and the sum of the magnitudes of its terms.
+    """
     assert not isinstance(bounds.constant, TimeFunction)  # control inputs of the samples are constant
     force, frames = bounds.constant, place.state.frames()
     scale = abs(force)
-    for (joint, number), factor in bounds.terms:
+    for (joint, index), factor in bounds.terms:
         equations = placed.mechanism.joint_equations(joint)
-        least = MIN_SCALE_SHARE * (placed.reference.size if equations.coordinates[number].is_length else 1.0)
-        for gain, x in zip((bounds.by_value, bounds.by_rate), equations.measure(number, frames), strict=True):
+        unit = placed.reference.size if equations.coordinates[index].is_length else 1.0
+        for gain, x in zip((bounds.by_value, bounds.by_rate), equations.measure(index, frames), strict=True):
             force += gain * factor * x
-            scale += abs(gain * factor) * max(abs(x), least)
+            scale += abs(gain * factor) * max(abs(x), MIN_SCALE_SHARE * unit)
     return float(force), float(scale)
 
 
@@ -102,7 +112,8 @@ def _force_check(
     Args:
         placed: bodies of the scene at the poses of the file.
         kind: number of the kind in `FORCE_KINDS`.
-        found: for each sample, the scene's wrenches (b, 6) on bodies and the sums of magnitudes.
+        found: for each sample, the scene's wrenches (b, 6) on bodies and the sums (b, 6) of the magnitudes of
+            their terms.
         wanted: for each sample, the generalized forces (nv,) of the reference model.
     """
     reference, differences, scales = placed.reference, [], []
@@ -115,18 +126,19 @@ def _force_check(
     def of_elements() -> ElementForces:
         """Yield the force of each element of the file alone."""
         for name, ways in reference.elements(reference.samples):
-            yield name, [_reduced(reference, [forces[kind] for forces in each]) for each in ways]
+            yield name, [_projected(reference, [forces[kind] for forces in each]) for each in ways]
 
     def at_joints() -> ElementForces:
-        """Yield constant forces, springs and dampers at each joint, for forces that no element explains."""
+        """Yield a constant force, a spring and a damper at each joint, with the name of the joint."""
         displacements = [reference.difference(reference.start, sample.q) for sample in reference.samples]
         for k, name in enumerate(reference.motions):
             unit = np.eye(len(reference.motions))[k]
             springs = [x[k] * unit for x in displacements]
             dampers = [sample.v[k] * unit for sample in reference.samples]
             ways = ([unit] * len(displacements), springs, dampers)
-            yield name, [_reduced(reference, forces) for forces in ways]
+            yield name, [_projected(reference, forces) for forces in ways]
 
+    # A difference that no element of the file explains is attributed to a joint
     quantity, scale = f"{FORCE_KINDS[kind]}, rel", row_scales(reference, scales)
     tolerances = placed.force_tolerances
     return row_check(reference, quantity, differences, scale, tolerances, of_elements, at_joints)
@@ -135,15 +147,15 @@ def _force_check(
 def _armature_check(placed: ScenePlacement) -> ReadingCheck:
     """Check armatures as parts of the mass matrix of independent velocities."""
     reference = placed.reference
-    wanted = _reduced(reference, [sample.mass_matrices[1] for sample in reference.samples])
+    wanted = _projected(reference, [sample.mass_matrices.armatures for sample in reference.samples])
     found = []
     for place in placed.placements:
-        spins = _armature_speeds(placed, place) @ place.transformation @ place.sample.freedom.basis
-        found.append(spins.T @ spins)
+        speeds = _armature_speeds(placed, place) @ place.transformation @ place.sample.freedom.basis
+        found.append(speeds.T @ speeds)
     sums = [np.diag(one) + np.abs(np.diag(two)) for one, two in zip(found, wanted, strict=True)]
     scale = np.sqrt(row_scales(reference, sums, 2))  # square roots of inertias, one for each velocity
 
-    def relative(masses: Sequence[Array]) -> list[Array]:
+    def with_scaled_columns(masses: Sequence[Array]) -> list[Array]:
         """Divide the columns of mass matrices (d, d) by scales; `row_check` divides the rows."""
         units = (positive(scale[sample.freedom.independent]) for sample in reference.samples)
         return [mass / unit for mass, unit in zip(masses, units, strict=True)]
@@ -151,23 +163,28 @@ def _armature_check(placed: ScenePlacement) -> ReadingCheck:
     def of_elements() -> ElementForces:
         """Yield the mass matrix of each armature of the file alone."""
         for name, each in reference.armatures(reference.samples):
-            yield name, [relative(_reduced(reference, each))]
+            yield name, [with_scaled_columns(_projected(reference, each))]
 
     def at_other_joints() -> ElementForces:
-        """Yield each armature of the file together with an armature at another joint, as if misplaced."""
+        """Yield each armature of the file together with an armature at another joint.
+
+        Such a pair explains the difference if the scene has the armature at the wrong joint.
+        """
         units = [np.diag(unit) for unit in np.eye(len(reference.motions))]
-        others = [relative(_reduced(reference, [unit] * len(reference.samples))) for unit in units]
+        others = [
+            with_scaled_columns(_projected(reference, [unit] * len(reference.samples))) for unit in units
+        ]
         for name, (at_joint,) in of_elements():
             yield from ((name, [at_joint, other]) for other in others)
 
-    differences = relative([one - two for one, two in zip(found, wanted, strict=True)])
+    differences = with_scaled_columns([one - two for one, two in zip(found, wanted, strict=True)])
     tolerances = placed.force_tolerances
     return row_check(
         reference, "armatures, rel", differences, scale, tolerances, of_elements, at_other_joints
     )
 
 
-def _reduced(reference: ReferenceModel, values: Sequence[Array]) -> list[Array]:
+def _projected(reference: ReferenceModel, values: Sequence[Array]) -> list[Array]:
     """Project forces (nv,) or mass matrices (nv, nv), one for each sample, on independent velocities."""
     found = []
     for sample, value in zip(reference.samples, values, strict=True):
@@ -177,14 +194,15 @@ def _reduced(reference: ReferenceModel, values: Sequence[Array]) -> list[Array]:
 
 
 def row_scales(reference: ReferenceModel, scales: Sequence[Array], power: int = 1) -> Array:
-    """Return the largest scale (nv,) of each velocity over all samples.
+    """Return the scale (nv,) of the forces or inertias of each velocity: the largest one of all samples.
 
-    The result is at least `MIN_SCALE_SHARE` times the largest entry, compared in units of the velocities.
+    Each scale is at least `MIN_SCALE_SHARE` times the largest scale, where those of slides are multiplied by
+    the size of the model (forces) or its square (masses).
 
     Args:
         reference: the model of the file.
         scales: one array (d,) for each sample, in the independent velocities of the sample.
-        power: 1 for forces, 2 for masses: power of the unit of a velocity that makes a scale comparable.
+        power: 1 for forces, 2 for masses.
     """
     units = reference.units**power
     total = np.zeros(len(units))
@@ -206,11 +224,12 @@ def row_check(
     Args:
         reference: the model of the file.
         quantity: name and unit.
-        differences: (d,) or (d, d) differences at each sample, in independent velocities.
-        scale: (nv,) largest value for each velocity, by which differences are divided.
+        differences: differences at each sample, (d,) of forces or (d, d) of mass matrices, in the d
+            independent velocities of the sample.
+        scale: (nv,) scale of each velocity, by which rows of differences are divided.
         tolerances: relative tolerance at each sample.
-        candidates: functions that yield elements with their forces. The first function with an element that
-            explains the difference names the element at fault.
+        candidates: functions that yield possible causes: elements with their forces. The functions are called
+            in order until one has an element that explains the difference.
     """
     found, weights = [], []
     for difference, sample, tolerance in zip(differences, reference.samples, tolerances, strict=True):
@@ -236,7 +255,7 @@ def _best_explanation(differences: Sequence[Array], weights: Sequence[Array], el
     """
 
     def weighted(values: Sequence[Array]) -> Array:
-        """Multiply arrays of the samples by their weights and join them."""
+        """Multiply the rows of the arrays of all samples by their weights, and join them to one vector."""
         pairs = zip(values, weights, strict=True)
         return np.concatenate([(each.T * weight).T.ravel() for each, weight in pairs])
 
@@ -269,7 +288,8 @@ def _wrenches_by_kind(
     """Compute the scene's wrenches (b, 6) of each of the `FORCE_KINDS`, and the sums of their magnitudes.
 
     Args:
-        placed, place: bodies of the scene at the poses of the file, and at one sample.
+        placed: bodies of the scene at the poses of the file.
+        place: the same bodies at one sample.
         scenes: the scene with springs, with dampers, and with all other forces.
     """
     weight = np.zeros((len(placed.mechanism.bodies), 6))
@@ -285,16 +305,18 @@ def _wrenches_by_kind(
 
 
 def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
-    """Compute the wrenches (b, 6) of all forces of a scene except gravity, and the sums of magnitudes."""
+    """Compute the wrenches (b, 6) of all forces of a scene except gravity, and the sums of their
+    magnitudes."""
     found = Wrenches(scene.mechanism, state)
     found.add_forces(scene)
     return found.total, found.magnitude
 
 
 def _armature_speeds(placed: ScenePlacement, place: SamplePlacement) -> Array:
-    """Return the Jacobian (r, 6 b) of armature speeds with respect to body velocities, times sqrt(inertia).
+    """Return the Jacobian (r, 6 b) of the r armature speeds with respect to body velocities, each row times
+    sqrt(inertia).
 
-    The square of the result's product with velocities is twice the kinetic energy of the armatures.
+    The squared norm of its product with body velocities is twice the kinetic energy of the armatures.
     """
     mechanism, frames = placed.mechanism, place.rest.frames()
     found = [np.zeros((0, len(frames), 6))]

@@ -1,8 +1,9 @@
 """Import report: how each element of a model file was imported, and likely mistakes in the file.
 
-A reader adds an entry for each element while it turns the file into a `Scene`. The *fate* of an element is
-"exactly" (imported without change), "left out" (not simulated) or "inactive" (not simulated, but a run has
-shown that the element would not have acted).
+A reader (of MJCF or URDF files) adds an entry for each element while it turns the file into a `Scene`. The
+*fate* of an element is "exactly" (imported without change), "left out" (not simulated) or "inactive" (not
+simulated, but a run has shown that the element would not have acted). Tests that judge this in a run are
+called *watches*, see `newton_euler.reading.activity`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ FATES: tuple[Fate, ...] = ("exactly", "inactive", "left out")
 """All fates, from the best to the worst."""
 
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
-"""Topics of elements that scenes do not simulate."""
+"""Topics (`ImportedElement.topic`) of elements that scenes do not simulate."""
 
 CONTROL_RANGE = "control range"
 """Topic of the range that clips the control of an actuator."""
@@ -34,7 +35,7 @@ CONTROL_RANGE = "control range"
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """Values of `ImportedElement.became`: kinds of scene elements that some file formats cannot represent."""
 
-ACTING = (("equality", "equalities"), ("actuator", "actuators"), ("tendon", "tendons"))
+ALWAYS_ACTING = (("equality", "equalities"), ("actuator", "actuators"), ("tendon", "tendons"))
 """Kinds of elements in files, singular and plural, that act in every configuration of a model."""
 
 
@@ -47,13 +48,14 @@ class ImportedElement:
         fate: "exactly" if imported exactly; "left out" if not simulated; "inactive" if not simulated and a
             run has shown that the element would not have acted.
         how: the element's counterpart in the scene, or the reason why the element is left out.
-        became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
+        became: kind of the counterpart in the scene: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: the property of the element that the entry is about, such as "limits"; "" for all properties.
-        inert: True if the element moves nothing as the file has it.
-        seen: observation in a run.
+        moves_nothing: True if the element, as it is in the file, cannot move anything, such as a camera.
+        seen: observation in a run, such as "passed from 0.3 s on"; "" before a run.
         is_off: True if the file itself switches the element off.
         is_understood: False for an element that no rule of the reader knows.
-        numbers: name and values of numbers in the file that are not simulated, such as "limits"; SI units.
+        numbers: names and values of the element's numbers in the file that are not simulated, such as those
+            of "limits"; SI units.
         since: s, the first time of a run at which the element acts; None if inactive, and before a run.
         examined: False if neither the file nor a run shows whether the element acts.
     """
@@ -63,7 +65,7 @@ class ImportedElement:
     how: str
     became: str = ""
     topic: str = ""
-    inert: bool = False
+    moves_nothing: bool = False
     seen: str = ""
     since: float | None = None
     examined: bool = True
@@ -78,7 +80,7 @@ class ImportedElement:
         Elements that move nothing, that the file switches off, or that a run has shown to be inactive do not
         count.
         """
-        return self.fate == "left out" and not self.inert
+        return self.fate == "left out" and not self.moves_nothing
 
     @property
     def account(self) -> str:
@@ -138,10 +140,11 @@ class ImportReport:
         references: pairs of a reference model and the scene to verify against the model, see
             `newton_euler.reading.verify`. The first pair has the scene that the reader returns; other scenes
             are read only for verification.
-        watches: for an entry, given by its number, tests that find out whether the element acts in a run.
-        unsettled: numbers of entries that only a run with more outputs can judge.
-        simulation: the file as its own engine simulates it; None for formats without an engine, such as URDF.
-        moved: change of the start by loop closure; None if the file has no loops.
+        watches: tests that find out whether the element of an entry acts in a run, by index of the entry.
+        unsettled: indices of the entries that only a run with more outputs can judge.
+        simulation: simulation of the file with its own engine and settings; None for formats without an
+            engine, such as URDF.
+        moved: change of the initial pose that was needed to close loops; None if the file has no loops.
         changed_velocities: change of the start velocities; None if the file has no velocities.
         names: joints, body frames and actuators of the file, by their names in the file.
     """
@@ -174,7 +177,7 @@ class ImportReport:
         """
         given = tuple((what, tuple(map(float, values))) for what, values in (numbers or {}).items())
         self.entries.append(
-            ImportedElement(element, "exactly", how, became, inert=moves_nothing, numbers=given)
+            ImportedElement(element, "exactly", how, became, moves_nothing=moves_nothing, numbers=given)
         )
 
     def left_out(
@@ -203,7 +206,13 @@ class ImportReport:
         if watches and not moves_nothing:
             self.watches[len(self.entries)] = watches
         entry = ImportedElement(
-            element, "left out", why, "", topic, moves_nothing, examined=examined, is_off=switched_off
+            element,
+            "left out",
+            why,
+            topic=topic,
+            moves_nothing=moves_nothing,
+            examined=examined,
+            is_off=switched_off,
         )
         if numbers:
             entry = replace(entry, numbers=((topic, tuple(map(float, numbers))),))
@@ -223,7 +232,7 @@ class ImportReport:
         return [entry for entry in self.entries if entry.is_unsimulated]
 
     def after(self, motion: SampledMotion) -> ImportReport:
-        """Return the report with the fates that a run shows for elements that are not simulated.
+        """Return the report with the fates that the motion of a run shows for elements not simulated.
 
         If some entries of this report are unsettled (an earlier run could not judge them), only these entries
         are judged; other entries stay unchanged.
@@ -239,7 +248,7 @@ class ImportReport:
                     unsettled.add(number)
                 fate: Fate = "left out" if seen.active else "inactive"
                 found.entries[number] = replace(entry, fate=fate, seen=seen.words, since=seen.since)
-            elif entry.is_unsimulated and entry.examined:
+            elif entry.is_unsimulated and entry.examined:  # no watch: it counts as acting from the start
                 found.entries[number] = replace(entry, since=0.0)
         found.unsettled = frozenset(unsettled)
         return found
@@ -276,21 +285,25 @@ class ImportReport:
         """Describe how many elements are inactive, left out, or switched off.
 
         Elements that move nothing are not counted. Each element counts once, with its worst fate. The kinds
-        of `ACTING` are counted separately, because a model without them moves differently from the start. The
-        text is "" if there is nothing to count.
+        of `ALWAYS_ACTING` are counted separately, because a model without them moves differently from the
+        start. The text is "" if there is nothing to count.
         """
-        # each element once, "left out" before "inactive"
+        # The worst fate of each element: "left out" replaces "inactive"
         worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
-            worst.update((entry.element, fate) for entry in self.of(fate) if not entry.inert)
+            worst.update((entry.element, fate) for entry in self.of(fate) if not entry.moves_nothing)
         found: list[str] = []
         for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
             subject = "element is" if count == 1 else "elements are"  # only in the first part of the text
             found.append(f"{count} {'' if found else subject + ' '}{fate}")
-        # equalities, actuators and tendons left out, and elements that no rule knows
-        whole = {entry.element for entry in self.of("left out") if not entry.inert and not entry.topic}
+        # Equalities, actuators and tendons left out as a whole, and elements that no rule knows
+        whole = {
+            entry.element for entry in self.of("left out") if not entry.moves_nothing and not entry.topic
+        }
         acting = Counter(element.split()[0] for element in whole)
-        named = [f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ACTING if acting[one]]
+        named = [
+            f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ALWAYS_ACTING if acting[one]
+        ]
         unknown = len({entry.element for entry in self.entries if not entry.is_understood})
         named += [f"{unknown} not understood"] if unknown else []
         counted = ", ".join(found) + (f" ({', '.join(named)})" if named else "")
@@ -300,10 +313,10 @@ class ImportReport:
 
 
 def left_out(report: ImportReport) -> dict[str, set[str]]:
-    """Map each element that is not simulated in full to its topics; elements that move nothing are absent."""
+    """Return the topics that are not simulated, by element; elements that move nothing are absent."""
     found: dict[str, set[str]] = {}
     for entry in report.entries:
-        if entry.fate != "exactly" and not entry.inert:
+        if entry.fate != "exactly" and not entry.moves_nothing:
             found.setdefault(entry.element, set()).add(entry.topic)
     return found
 

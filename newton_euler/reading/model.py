@@ -1,7 +1,10 @@
 """Compare bodies, initial state and joints of an imported scene with the file's reference model.
 
 The reference model is the model file as an independent parser compiles it. Its rigid groups (links that fixed
-joints hold together) are the bodies of the scene. *Samples* are states at which scene and file are compared.
+joints hold together) are the bodies of the scene, or parts of bodies that the file cuts at loops. *Samples*
+are states at which scene and file are compared; `ScenePlacement` has the scene's bodies at the poses of the
+samples. Values of the scene are called `found`, those of the reference model `wanted`. Dimensionless numbers
+have lengths divided by the size of the mechanism ("sizes").
 """
 
 from __future__ import annotations
@@ -21,16 +24,16 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 OFFSET_FACTOR = 10.0
-"""Allowed difference of two initial poses, as a multiple of the loop-closure error times the condition number
-of the constraints."""
+"""Allowed difference of the initial poses of scene and file, as a multiple of the file's loop-closure error
+times the condition number of the constraints."""
 
 STALLED_RATIO = 10.0
-"""Ratio of loop-closure errors above which closing the loops of the file has stalled: error of
-`ReferenceModel.closest`, divided by the error at the start of the scene. Stalled loops are not compared with
-`closest`."""
+"""Ratio of loop-closure errors above which Newton steps have not closed the loops of the file: the error at
+`ReferenceModel.closest`, divided by the error at the start of the scene. The start of these loops is not
+compared."""
 
 MIN_STALLED_ERROR = 1e-9
-"""Loop-closure error, rad or fraction of the mechanism's size, below which closing has not stalled."""
+"""Loop-closure error, rad or sizes, below which loops count as closed in any case."""
 
 CENTER_CHECK = "center of mass at the start, m"
 """Quantity of the check of initial centers of mass; later checks make no sense if this check fails."""
@@ -49,10 +52,12 @@ def body_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     reach = reference.size + float(np.max(np.abs(wanted.center_of_mass)))  # m, scale of positions
     yield worst_entry("mass, rel", np.abs(found.mass / wanted.mass - 1.0), READING_ROUND_OFF, names)
     gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
+    # The two halves of a cut body may be apart by the loop-closure error of the file at the start
     offset = reference.offset if placed.has_cut_bodies else 0.0
     yield worst_entry(CENTER_CHECK, gaps, reach * (READING_ROUND_OFF + 10.0 * offset), names)
-    largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
+    largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))  # largest principal moment of each body
     gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
+    # Terms of the parallel-axis theorem, divided by the inertia
     losses = np.clip(wanted.mass * reference.size * reach / largest, 1.0, MAX_INERTIA_LOSS)
     yield worst_entry("inertia, rel", gaps, READING_ROUND_OFF * losses, names)
     yield _mass_matrix_check(placed, of_scene)
@@ -68,7 +73,7 @@ def _combined(groups: MassProperties, bodies: Sequence[int]) -> MassProperties:
 
     Args:
         groups: mass properties of g groups, world frame.
-        bodies: (g,) number of the body that a group is a part of.
+        bodies: (g,) index of the body of which each group is a part.
     """
     count = max(bodies) + 1
     mass, center, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
@@ -84,8 +89,8 @@ def _combined(groups: MassProperties, bodies: Sequence[int]) -> MassProperties:
 def _mass_matrix_check(placed: ScenePlacement, of_scene: MassProperties) -> ReadingCheck:
     """Check the mass matrix of the scene's bodies, without armatures, in the velocities of the file.
 
-    The configurations have open loops. Only if the file cuts bodies into halves, the configurations are the
-    samples, in which loops are closed.
+    The configurations have open loops, so that all velocities are compared. If the file cuts bodies into
+    halves, which open loops would separate, the configurations are the samples with closed loops.
 
     Args:
         placed: bodies of the scene at the poses of the file.
@@ -97,8 +102,10 @@ def _mass_matrix_check(placed: ScenePlacement, of_scene: MassProperties) -> Read
         basis, chosen = sample.freedom.basis, sample.freedom.independent
         if not len(chosen):
             continue
-        (wanted, of_armatures), motion = sample.mass_matrices, sample.kinematics
-        # kinetic energy of the scene's bodies at the velocities of the file: M = sum of J^T (m, I) J
+        wanted, of_armatures = sample.mass_matrices
+        motion = sample.kinematics
+        # M = sum over bodies of J_v^T m J_v + J_w^T I J_w, with the Jacobians of the velocities of the center
+        # of mass and of the angular velocities. `turn` is the rotation of a group since the start
         mass = np.zeros_like(wanted)
         for body, k in placed.first_groups.items():
             turn = motion.rotation[k] @ start_rotations[k].T
@@ -107,7 +114,8 @@ def _mass_matrix_check(placed: ScenePlacement, of_scene: MassProperties) -> Read
             inertia = turn @ of_scene.inertia[body] @ turn.T
             mass += of_scene.mass[body] * rows[:3].T @ rows[:3] + rows[3:].T @ inertia @ rows[3:]
         scale = np.sqrt(np.diag(basis.T @ (wanted + of_armatures) @ basis))
-        units = reference.units[chosen]  # links without mass take their scale from the others
+        # Links without mass would have the scale 0; the scale is at least a fraction of the largest one
+        units = reference.units[chosen]
         scale = np.maximum(scale, MIN_SCALE_SHARE * np.max(scale * units) / units)
         gaps = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
         names = [reference.motions[k] for k in chosen]
@@ -119,7 +127,7 @@ def joint_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     """Check the scene's joints at motions of the file, and the file's constraints at the scene's motions."""
     found = [_joint_errors(placed, place) for place in placed.placements]
     tolerances = np.array([place.sample.tolerance_of_motion for place in placed.placements])[:, None]
-    # joints with constraints (a free joint has none), then couplings of joint coordinates, such as gears
+    # Joints with constraints (a free joint has none), then couplings of joint coordinates, such as gears
     names = [equations.joint.name for equations in placed.mechanism.equations if equations.count]
     names += [coupling.name for coupling in couplings(placed.scene)]
     yield worst_entry(
@@ -130,10 +138,8 @@ def joint_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
 
 
 def _joint_errors(placed: ScenePlacement, place: SamplePlacement) -> tuple[list[float], list[float]]:
-    """Return the constraint errors of the scene's joints and couplings at a sample, and their rates.
-
-    Errors are in rad or divided by the size of the mechanism; rates are in 1/s.
-    """
+    """Return the largest constraint error of each joint and coupling of the scene at a sample, rad or sizes,
+    and the largest rate of these errors, 1/s."""
     frames, size = place.state.frames(), placed.reference.size
     gaps, rates = list[float](), list[float]()
     for equations in placed.mechanism.equations:
@@ -142,7 +148,8 @@ def _joint_errors(placed: ScenePlacement, place: SamplePlacement) -> tuple[list[
             gaps.append(float(np.max(np.abs(equations.phi(first, second)) / units)))
             jacobian = equations.jacobian(first, second)
             rates.append(float(np.max(np.abs(jacobian.rate(first, second)) / units)))
-    # a coupling's error is divided by its sensitivity, the sum of its derivatives' magnitudes
+    # The error of a coupling is divided by the sum of the magnitudes of its derivatives with respect to the
+    # joint coordinates, its sensitivity
     coupled = couplings(placed.scene)
     errors = residuals(placed.mechanism, coupled, frames, 0.0, place.state.angles)
     of_couplings = zip(coupled, errors.phi, errors.rate, errors.sensitivity, strict=True)
@@ -156,13 +163,14 @@ def _joint_errors(placed: ScenePlacement, place: SamplePlacement) -> tuple[list[
 def _free_motion_check(placed: ScenePlacement, place: SamplePlacement) -> ReadingCheck:
     """Check that joints and constraints of the file allow each free motion of the scene."""
     reference, system, sample = placed.reference, placed.system, place.sample
-    # unit velocities of the rigid groups, one column for each free motion of the scene
+    # Velocities of the rigid groups, one column of norm 1 for each free motion of the scene at the poses of
+    # the sample (`place.rest`)
     q, _ = system.coordinates(place.rest)
     free = _free_motions(dimensionless_jacobian(system, q))
     motions = placed.group_rows(system.velocity_transformation(q) * system.velocity_units @ free)
     norms = np.linalg.norm(motions, axis=0)
     motions = motions[:, norms > FREE_SINGULAR_VALUE] / norms[norms > FREE_SINGULAR_VALUE]
-    # the part that no joint of the file allows, and the rates of the file's constraints
+    # The part of each motion that no joint of the file allows, and the rates of the file's constraints
     rows = place.group_transformation / placed.group_units[:, None] * reference.units
     velocities = least_squares(rows, motions)
     across_joints = np.abs(rows @ velocities - motions)
@@ -178,7 +186,8 @@ def _free_motion_check(placed: ScenePlacement, place: SamplePlacement) -> Readin
 
 
 def _free_motions(jacobian: Array) -> Array:
-    """Return orthonormal columns (nv, d) of motions that a dimensionless Jacobian certainly leaves free."""
+    """Return orthonormal columns (nv, d) of the motions whose singular values of a dimensionless constraint
+    Jacobian (k, nv) are round-off."""
     if not jacobian.size:
         return np.eye(jacobian.shape[1])
     _, s, vt = singular_values(jacobian, full=True)
@@ -189,7 +198,8 @@ def start_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     """Check loop closure, pose and velocities at the start of the scene."""
     reference, place = placed.reference, placed.placements[0]
     free = place.sample.freedom
-    # tolerance of each group of loops that share joints: includes the error at which the file closes them
+    # Tolerance of each group of loops that share joints (label): includes the error that remains in these
+    # loops at the configuration of the file with closed loops (`closest`)
     at_closest, at_start = reference.near_start
     row_labels, motion_labels = _components(reference)
     offsets = np.zeros(len(row_labels) + len(motion_labels))
@@ -198,13 +208,14 @@ def start_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     if len(row_labels):
         gaps, names = np.abs(at_start.residual), at_start.owners
         yield worst_entry("loops open at the start, sizes or rad", gaps, tolerances[row_labels], names)
-    # distance from the configuration in which the loops of the file close, nearest to the file's own
+    # Distance of the scene's start from the closed configuration nearest to that in the file, for the joints
+    # of loops that this configuration closes
     distance = np.abs(reference.difference(reference.closest, reference.start)) / reference.units
     judged = np.flatnonzero(~_stalled(reference))
     if len(judged):
         motions = [reference.motions[k] for k in judged]
         yield worst_entry("start, sizes or rad", distance[judged], tolerances[motion_labels[judged]], motions)
-    # velocities of the scene, and the consistent velocities nearest to the file's
+    # Initial velocities of the scene, and the velocities nearest to the file's that satisfy the constraints
     state = initial_state(placed.scene)
     of_groups = placed.group_rows(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
     rows = place.group_transformation / placed.group_units[:, None] * reference.units
@@ -221,15 +232,17 @@ def start_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
 
 
 def starts_not_compared(reference: ReferenceModel) -> list[str]:
-    """Return the names of joints in loops for which the file has no closed configuration to compare with."""
+    """Return the names of the joints in loops that Newton steps from the file's configuration do not close,
+    so that the start of the scene cannot be compared."""
     return list(dict.fromkeys(reference.motions[k] for k in np.flatnonzero(_stalled(reference))))
 
 
 def _stalled(reference: ReferenceModel) -> Array:
-    """Mark the velocities (nv,) in loops that `ReferenceModel.closest` closes less well than the scene.
+    """Mark the velocities (nv,) of joints in loops that are less well closed at `ReferenceModel.closest` than
+    at the start of the scene.
 
-    Next to a singular configuration, closing the loops of the file may stall, and the file has no start to
-    compare with. Loops that share no joint are judged separately.
+    Next to a singular configuration, the Newton steps that close the loops of the file may stall. Loops that
+    share no joint are judged separately.
     """
     row_labels, motion_labels = _components(reference)
     errors = np.zeros((2, len(row_labels) + len(motion_labels)))  # largest constraint error of each component
@@ -241,19 +254,20 @@ def _stalled(reference: ReferenceModel) -> Array:
 
 
 def _components(reference: ReferenceModel) -> tuple[Array, Array]:
-    """Label the connected components of the graph of a file's constraint rows and velocities.
+    """Label the groups of constraint rows and velocities of a file that depend on each other.
 
-    A row and a velocity are connected if the row's Jacobian has an entry for the velocity.
+    The groups are the connected components of a graph: a row and a velocity are connected if the row's
+    Jacobian has a nonzero entry for the velocity.
 
     Returns:
         Labels of the rows (k,) and of the velocities (nv,), from 0 to k + nv - 1.
     """
-    # the maximum over two configurations, because a lever arm may vanish in one of them
+    # The maximum over two configurations, because a lever arm may vanish in one of them
     jacobian = np.maximum(*(np.abs(constraints.jacobian) for constraints in reference.near_start))
     is_connected = jacobian > READING_ROUND_OFF
     row_labels, velocity_labels = np.arange(len(jacobian)), np.arange(jacobian.shape[1]) + len(jacobian)
     for row, velocities in zip(row_labels.copy(), is_connected, strict=True):
-        # everything that the row connects takes the label of the row
+        # All rows and velocities that the row connects take the label of the row
         others = velocity_labels[velocities]
         row_labels[np.isin(row_labels, others)] = row
         velocity_labels[np.isin(velocity_labels, others)] = row
@@ -267,9 +281,10 @@ def _nearest_consistent(stated: Array, rows: Array, free: Freedom, units: Array)
         stated: (nv,) dimensionless velocities in the file.
         rows: (6 g, nv) dimensionless Jacobian of the velocities of the rigid groups.
         free: motions that the constraints of the file leave free.
-        units: (nv,) units of velocities: the size of the model, m, or 1 for angles.
+        units: (nv,) scales of velocities: the size of the model, m, or 1 for angles.
     """
     basis = free.basis * units[free.independent] / units[:, None]
-    # readers project with quaternions as coordinates, whose rates are half of angular velocities
+    # The norm is that of the readers of files, which project velocities with quaternions as coordinates: the
+    # rates of quaternions are half of angular velocities
     metric = np.tile(np.repeat([1.0, 0.5], 3), len(rows) // 6)[:, None] * rows
     return np.asarray(basis @ least_squares(metric @ basis, metric @ stated))

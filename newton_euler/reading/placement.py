@@ -26,12 +26,13 @@ class SamplePlacement(NamedTuple):
     Attributes:
         sample: state of the file's reference model, with nv velocities.
         state: poses and velocities of the scene's bodies.
-        rest: the same poses without velocities.
+        rest: the same poses with all velocities zero.
         transformation: (6 b, nv) Jacobian of the bodies' linear (at the center of mass) and angular
             velocities with respect to the velocities of the file.
         group_transformation: (6 g, nv) the same for each of the file's g rigid groups. The linear velocity of
             a group is taken at the center of mass of its body.
-        group_drift: (6 g,) accelerations of the groups at zero accelerations of the file's coordinates.
+        group_drift: (6 g,) accelerations of the groups, at the same points, at zero accelerations of the
+            file's coordinates.
     """
 
     sample: Sample
@@ -52,9 +53,9 @@ class ScenePlacement:
         reference: model of the file.
         system: equations of motion of the scene.
         scene, mechanism: the scene and its mechanism.
-        body_of_group: (g,) number of the scene's body of each rigid group.
-        first_groups: for each of these bodies, the number of its first group.
-        group_units: (6 g,) size of the model for linear velocities, 1 for angular velocities.
+        body_of_group: (g,) index of the scene's body of each rigid group.
+        first_groups: index of the first group of each of these bodies, by index of the body.
+        group_units: (6 g,) scales of velocities: size of the model for linear, 1 for angular velocities.
         start_frames: centers of mass (g, 3), m, and rotations (g, 3, 3) of the groups at the start.
     """
 
@@ -76,17 +77,18 @@ class ScenePlacement:
     def force_tolerances(self) -> list[float]:
         """Relative tolerance of forces at each sample.
 
-        The tolerance includes the loop-closure error if the file cuts bodies into halves, or if the scene has
-        couplings: a spring or an armature may then be on the other side of a gear.
+        The tolerance includes ten times the loop-closure error if the file cuts bodies into halves, whose
+        poses may differ by the error. It also does if the scene has couplings: a spring or an armature of the
+        file may be on one side of a gear, and that of the scene on the other side.
         """
-        errors_count = bool(self.has_cut_bodies or self.mechanism.couplings)
+        includes_closure = bool(self.has_cut_bodies or self.mechanism.couplings)
         return [
-            sample.tolerance + (10.0 * sample.closure_error if errors_count else 0.0)
+            sample.tolerance + (10.0 * sample.closure_error if includes_closure else 0.0)
             for sample in self.reference.samples
         ]
 
     def group_rows(self, values: Array) -> Array:
-        """Return dimensionless velocities or accelerations (6 g, ...) of groups.
+        """Return the velocities or accelerations (6 g, ...) of the groups' bodies, divided by `group_units`.
 
         Args:
             values: (6 b, ...) velocities or accelerations of the scene's bodies, SI.
@@ -107,12 +109,12 @@ class ScenePlacement:
         rest = State.initial(self.mechanism)
         start_centers, start_rotations = self.start_frames
         for k in reversed(range(len(groups))):  # in reverse, so that the first half sets the pose
-            # the group, and with it the body, has turned from the start by `turn`
+            # `turn`: rotation of the group, and with it of the body, since the start
             body, turn = self.body_of_group[k], found.rotation[k] @ start_rotations[k].T
             arm = turn @ (bodies[body].center_of_mass - start_centers[k])
             rest.position[body] = found.position[k] + arm
             rest.quaternion[body] = product(from_rotation(turn), bodies[body].quaternion)
-            # velocities and accelerations at the body's center of mass
+            # Velocities and accelerations at the body's center of mass
             groups[k] = shifted_to(groups[k], arm)
             omega = groups[k, 3:] @ sample.v
             drift[k, :3] += cross(drift[k, 3:], arm) + cross(omega, cross(omega, arm))

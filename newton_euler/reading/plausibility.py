@@ -2,7 +2,7 @@
 
 Each rule compares mass properties of a body with the geometry of the body, with the mechanism, or with the
 *twin* of the body: the body on the other side, such as `right_arm` for `left_arm`. The limits of the rules
-accept all intended values in public robot models.
+were chosen so that no intended value in public robot models is a finding.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from newton_euler.reading.import_report import Finding
 from newton_euler.scalars import Array
 
 MAX_GYRATION = 2.0
-"""Largest radius of gyration, divided by the extent of the body. A mass inside the extent has at most 1; the
-file may have geometry for a part of the body only."""
+"""Largest radius of gyration, divided by the extent of the body (largest distance of geometry and joints from
+the center of mass). All mass inside the extent gives at most 1; the file may have geometry for a part of the
+body only."""
 
 MIN_GYRATION = 0.005
 """Smallest radius of gyration, divided by half the longest side of the geometry; a thin bar has 0.6."""
@@ -44,7 +45,7 @@ MAX_TWIN_DIFFERENCE = 0.02
 """Largest relative difference of masses, moments of inertia and centers of mass of twins."""
 
 UNIT_FACTORS = {1e-3: "g m^2 or kg m mm", 1e-6: "kg mm^2", 1e-9: "g mm^2", 1e3: "t m^2", 1e6: "kg km^2"}
-"""Units of inertia, by their factor to kg m^2."""
+"""Units of inertia that a file may have by mistake, by their factor to kg m^2."""
 
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
 """Words for the two sides in names. Single letters count only between underscores or at an end."""
@@ -52,8 +53,8 @@ SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("
 MAX_LISTED_FINDINGS = 3
 """Largest number of findings of one kind that are listed separately."""
 
-MIN_LENGTH = 0.02
-"""Length of geometry, m, below which the geometry is a marker and not the shape of the body."""
+MIN_GEOMETRY_LENGTH = 0.02
+"""Longest side of the geometry, m, below which the geometry is a marker and not the shape of the body."""
 
 
 def findings(mechanism: Mechanism) -> Iterator[Finding]:
@@ -94,10 +95,10 @@ class MeasuredBody:
     joints: Array
 
     @classmethod
-    def of(cls, mechanism: Mechanism, number: int) -> MeasuredBody:
-        """Measure a body of a mechanism, given by its number."""
-        body = mechanism.bodies[number]
-        # with principal moments A + B + C = 2 (sum of m r^2)
+    def of(cls, mechanism: Mechanism, index: int) -> MeasuredBody:
+        """Measure the body of a mechanism with an index."""
+        body = mechanism.bodies[index]
+        # The trace of the inertia tensor is twice the sum of m r^2
         gyration = (
             float(np.sqrt(max(0.0, 0.5 * np.trace(body.inertia)) / body.mass)) if body.mass > 0.0 else 0.0
         )
@@ -116,7 +117,7 @@ class MeasuredBody:
 
     @property
     def element(self) -> str:
-        """Kind and name, as findings have it."""
+        """Kind and name of the body, such as "body 'hip'", for findings."""
         return f"body {self.body.name!r}"
 
     @property
@@ -126,7 +127,8 @@ class MeasuredBody:
 
 
 def corners_of(shape: Shape | Mesh) -> list[Array]:
-    """Return points (3,) with the same bounding box as a shape."""
+    """Return points (3,), m, world frame, with the same bounding box as a shape; for a cylinder, the bounding
+    box of the capsule with the same ends."""
     if isinstance(shape, Mesh):
         return [np.min(shape.vertices, axis=0), np.max(shape.vertices, axis=0)]
     if isinstance(shape, Box):
@@ -188,10 +190,15 @@ def small_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]
 
 
 def _unit_advice(each: MeasuredBody, extent: float) -> str:
-    """Propose the unit in which the inertia would be plausible: a radius of gyration of 0.4 extents."""
+    """Propose the unit in which the inertia would be plausible.
+
+    Args:
+        each: the body.
+        extent: length of the body from its center, m; the plausible radius of gyration is 0.4 times as long.
+    """
     wanted = (0.4 * extent / each.gyration) ** 2  # factor from the file's inertia to the plausible one
     factor = min(UNIT_FACTORS, key=lambda one: abs(np.log(one / wanted)))
-    if abs(np.log10(factor / wanted)) > 1.0:
+    if abs(np.log10(factor / wanted)) > 1.0:  # no unit is within a factor of 10
         return "check the units of its inertia and of its mass: kg m^2 and kg"
     return f"if the inertia is in {UNIT_FACTORS[factor]}, multiply it by {factor:g}"
 
@@ -224,7 +231,7 @@ def dense_body(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
     is_partial = np.any(np.abs(joints_from_middle) > 2.0 * sides)  # geometry covers a part of the body only
     if (
         volume > 0.0
-        and float(np.max(sides)) > MIN_LENGTH
+        and float(np.max(sides)) > MIN_GEOMETRY_LENGTH
         and not is_partial
         and each.body.mass > MAX_DENSITY * volume
     ):
@@ -277,11 +284,11 @@ def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
 
     Centers of mass are compared if the joints of both twins are mirror images in the plane of symmetry.
     """
-    named = {each.body.name: each for each in bodies}
-    pairs = [
-        (each, named[other])
+    by_name = {each.body.name: each for each in bodies}
+    pairs = [  # each pair once
+        (each, by_name[other])
         for each in bodies
-        if (other := twin_name(each.body.name)) in named and each.body.name < other
+        if (other := twin_name(each.body.name)) in by_name and each.body.name < other
     ]
     reflection, plane = _symmetry_plane(pairs)
     for one, two in pairs:
@@ -303,6 +310,7 @@ def _symmetry_plane(pairs: list[tuple[MeasuredBody, MeasuredBody]]) -> tuple[Arr
         The reflection matrix (3, 3), the identity if no pair is symmetric; and the coordinate of the plane
         along its normal, m.
     """
+    # The first joints of the twins of each pair; the plane is half-way between most of them
     joints = [(one.joints[0], two.joints[0]) for one, two in pairs if len(one.joints) and len(two.joints)]
     most, best_reflection, best_plane = 0, np.eye(3), 0.0
     for axis in range(3):
@@ -318,13 +326,14 @@ def _symmetry_plane(pairs: list[tuple[MeasuredBody, MeasuredBody]]) -> tuple[Arr
 
 
 def _is_mirrored(p: Array, q: Array, reflection: Array, plane: float, axis: int) -> bool:
-    """True if point q (3,) is the mirror image of point p (3,); False for points in the plane of symmetry.
+    """Return True if point q (3,) is the mirror image of point p (3,); False for points in the plane of
+    symmetry.
 
     Args:
         p, q: points, m, world frame.
         reflection: (3, 3) reflection matrix.
-        plane: coordinate of the plane of symmetry, m.
-        axis: number of the axis that is the normal of the plane.
+        plane: coordinate of the plane of symmetry along its normal, m.
+        axis: index of the coordinate axis (x, y or z) that is the normal of the plane.
     """
     shift = 2.0 * plane * np.eye(3)[axis]
     distance = abs(p[axis] - q[axis])
@@ -339,7 +348,7 @@ def _twin_difference(one: MeasuredBody, two: MeasuredBody, reflection: Array, pl
         one, two: the twins.
         reflection, plane: plane of symmetry, see `_symmetry_plane`.
     """
-    # masses and principal moments
+    # Compare masses and principal moments
     masses = one.body.mass, two.body.mass
     if abs(masses[0] - masses[1]) > MAX_TWIN_DIFFERENCE * max(masses):
         return f"masses of {masses[0]:.4g} and {masses[1]:.4g} kg"
@@ -347,7 +356,7 @@ def _twin_difference(one: MeasuredBody, two: MeasuredBody, reflection: Array, pl
     if np.max(np.abs(one.moments - two.moments)) > MAX_TWIN_DIFFERENCE * largest:
         texts = (", ".join(f"{x:.4g}" for x in each.moments) for each in (one, two))
         return f"principal moments of {' and '.join(texts)} kg m^2"
-    # centers of mass from the first joint, if all joints are mirror images
+    # Compare centers of mass, from the first joint of each body, if all joints are mirror images
     axes = np.flatnonzero(np.diag(reflection) < 0.0)
     if not (len(axes) and len(one.joints) and len(two.joints)):
         return ""
@@ -362,6 +371,7 @@ def _twin_difference(one: MeasuredBody, two: MeasuredBody, reflection: Array, pl
     size = max(one.gyration, two.gyration, float(np.linalg.norm(arms[0])))
     gap = arms[1] - arms[0]
     worst = int(np.argmax(np.abs(gap)))
+    # Differences of centers of mass and of products of inertia may be 5 times as large as those of masses
     if abs(gap[worst]) > 5.0 * MAX_TWIN_DIFFERENCE * size and not _is_same_part(one, two, size):
         name = "xyz"[worst]
         return f"centers of mass whose {name}, mirrored, are {arms[0][worst]:.4g} and {arms[1][worst]:.4g} m"
@@ -369,23 +379,24 @@ def _twin_difference(one: MeasuredBody, two: MeasuredBody, reflection: Array, pl
 
 
 def _is_same_part(one: MeasuredBody, two: MeasuredBody, size: float) -> bool:
-    """True if the same part is used on both sides: moved, or rotated by half a turn about x, y or z.
+    """Return True if the same part, not its mirror image, is used on both sides: moved, or rotated by half a
+    turn about x, y or z.
 
     Args:
         one, two: the twins.
         size: length, m, that scales differences of centers of mass.
     """
-    # centers of mass from the first joint, and inertias along the axes of the world
+    # Centers of mass from the first joint, and inertias along the axes of the world
     first, second = (each.body.center_of_mass - each.joints[0] for each in (one, two))
     rotations = [rotation(np.asarray(each.body.quaternion)) for each in (one, two)]
     inertias = [
         matrix @ each.body.inertia @ matrix.T for matrix, each in zip(rotations, (one, two), strict=True)
     ]
-    # a rotated part differs from a mirrored part only in its products of inertia
+    # The inertia of a rotated part differs from that of a mirrored part only in its products of inertia
     largest = float(np.max(one.moments))
     products = inertias[0] - np.diag(np.diag(inertias[0]))
     has_products = np.max(np.abs(products)) > 5.0 * MAX_TWIN_DIFFERENCE * largest
-    not_turned = (1, 1, 1)
+    not_turned = (1, 1, 1)  # diagonal of the rotation matrix: no rotation, then half turns about x, y and z
     for signs in (not_turned, (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
         half_turn = np.diag(np.array(signs, dtype=float))
         has_same_center = float(np.max(np.abs(half_turn @ first - second))) < 5.0 * MAX_TWIN_DIFFERENCE * size

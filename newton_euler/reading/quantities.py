@@ -4,8 +4,8 @@ A reference model is a model file as an independent parser compiles it; an impor
 these quantities. The only decision at a state is which motions the constraints leave free. Constraint rows
 and velocities are made dimensionless with the size of the model. A motion is *free* if its singular value of
 the constraint Jacobian is round-off (`FREE_SINGULAR_VALUE`). A motion is *held* if its singular value exceeds
-the effect of rounded digits in a file (`HELD_SINGULAR_VALUE`). Singular values in between are *in doubt*: the
-motion may be free or held, and a scene passes the checks in both cases:
+the effect of rounded digits in a file (`HELD_SINGULAR_VALUE`). A motion with a singular value in between is
+*in doubt*: it may be free or held, and a scene passes the checks in both cases:
 
 - bodies and forces are compared along all motions that are not held; the tolerance includes the largest
   singular value in doubt;
@@ -34,7 +34,7 @@ The value is ten times the limit below which scenes treat rows as redundant."""
 
 
 class Constraints(NamedTuple):
-    """The k constraint rows of a model with nv velocities, dimensionless with the size of the model."""
+    """The k constraint rows of a model with nv velocities; lengths are divided by the size of the model."""
 
     residual: Array
     """(k,) constraint errors."""
@@ -57,8 +57,16 @@ class Kinematics(NamedTuple):
     """(b, 6) linear and angular accelerations at zero accelerations of the coordinates."""
 
 
+class MassMatrices(NamedTuple):
+    """Mass matrices (nv, nv) in the velocities of a model, SI; the complete mass matrix is their sum."""
+
+    bodies: Array
+    armatures: Array
+    """Of the rotor inertias of motors."""
+
+
 class Forces(NamedTuple):
-    """Generalized forces (nv,) by kind, without constraint forces; N and N m."""
+    """Generalized forces (nv,) by kind, without constraint forces; N at slides, N m at hinges and balls."""
 
     gravity: Array
     springs: Array
@@ -71,7 +79,7 @@ class Forces(NamedTuple):
 
 
 FORCE_KINDS = Forces._fields[:4]
-"""Kinds of forces that are compared separately, so that errors of small forces show."""
+"""Kinds of forces (all but the bias) that are compared separately, so that errors of small forces show."""
 
 
 class ForceLimit(NamedTuple):
@@ -85,7 +93,7 @@ class ForceLimit(NamedTuple):
     watched: Bounds
     """Force and limit as the reader imported them."""
     force: float
-    """Force without the limit by the reference model, N or N m."""
+    """Force that the reference model would have without the limit, N or N m."""
     low: float
     """Lower limit in the file, N or N m."""
     high: float
@@ -103,13 +111,14 @@ class Freedom(NamedTuple):
     certain_basis: Array
     """(d, c) basis of the motions that are certainly free, in the independent velocities."""
     condition: float
-    """Condition number of the constraint rows that certainly hold."""
+    """Condition number of the constraint Jacobian without motions that are free or in doubt."""
     doubtful_value: float
-    """Largest singular value that is not of a held motion; 0 or round-off if no motion is in doubt."""
+    """Largest singular value of a motion that is not held, relative to 1 or to the largest singular value; 0
+    or round-off if no motion is in doubt."""
 
 
 def freedom(jacobian: Array, units: Array) -> Freedom:
-    """Find the motions that constraints do not hold.
+    """Find the motions that constraints do not hold, from the singular value decomposition of their Jacobian.
 
     Args:
         jacobian: (k, nv) derivatives of constraint rows with respect to dimensionless velocities.
@@ -117,22 +126,27 @@ def freedom(jacobian: Array, units: Array) -> Freedom:
     """
     count = len(units)
     if not jacobian.size:
-        return Freedom(np.eye(count), np.arange(count), np.eye(count), 1.0, 0.0)
+        return Freedom(
+            np.eye(count), np.arange(count), certain_basis=np.eye(count), condition=1.0, doubtful_value=0.0
+        )
     _, s, vt = singular_values(jacobian, full=True)
     s = s / max(1.0, float(s[0]))
     # singular values descend: held motions first, then motions in doubt, then free motions
     held, not_free = int(np.sum(s > HELD_SINGULAR_VALUE)), int(np.sum(s > FREE_SINGULAR_VALUE))
     condition = float(s[0] / s[held - 1]) if held else 1.0
-    basis, chosen = _localized(vt[held:].T)
+    basis, chosen = _with_identity_rows(vt[held:].T)
     certain_basis = vt[not_free:].T[chosen] / units[chosen, None]
     basis = basis * units[:, None] / units[chosen]
-    return Freedom(basis, chosen, certain_basis, condition, float(np.max(s[held:], initial=0.0)))
+    return Freedom(
+        basis, chosen, certain_basis, condition, doubtful_value=float(np.max(s[held:], initial=0.0))
+    )
 
 
-def _localized(null: Array) -> tuple[Array, Array]:
-    """Return a basis of a column space with the identity in some rows, and the numbers of these rows.
+def _with_identity_rows(null: Array) -> tuple[Array, Array]:
+    """Return a basis of a column space with the identity in d of its rows, and the numbers of these rows.
 
-    The rows are chosen by pivoting (largest remaining norm), so that independent loops have separate columns.
+    The rows are chosen by pivoting: each has the largest norm of the part that the rows before it do not
+    span. Loops that share no joint then have separate columns.
 
     Args:
         null: (nv, d) orthonormal columns.

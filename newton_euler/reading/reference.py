@@ -4,6 +4,9 @@ A package for a file format derives from `ReferenceModel`. The subclass evaluate
 own parser (MuJoCo or Pinocchio) with that model's coordinates q and velocities v. This module finds
 configurations with closed loops (`samples`), and the motions that the constraints leave free in these
 configurations. It uses the imported scene only for the initial poses of its bodies.
+
+The constraints are the loops and couplings of the file; J is their Jacobian. Lengths are divided by the size
+of the mechanism, and their unit is then called "sizes".
 """
 
 from __future__ import annotations
@@ -26,27 +29,29 @@ from newton_euler.reading.quantities import (
     Forces,
     Freedom,
     Kinematics,
+    MassMatrices,
     freedom,
 )
 from newton_euler.scalars import Array
 
 READING_ROUND_OFF = 1e-12
-"""Relative error of some hundred operations, each with an error of 1e-16, on compiled numbers."""
+"""Relative round-off that a compared quantity may have: a generous bound for sums of hundreds of terms with
+errors of 1e-16 each."""
 
 MAX_USEFUL_TOLERANCE = 1e-4
-"""Relative tolerance above which a comparison at a state tests next to nothing."""
+"""Relative tolerance of motions above which a comparison at a state would miss most mistakes."""
 
 DERIVATIVE_WEIGHTS = ((1, 4.0 / 5.0), (2, -1.0 / 5.0), (3, 4.0 / 105.0), (4, -1.0 / 280.0))
 """Central difference of order eight: pairs of an offset in steps, and its weight. The weight at the negative
 offset is the negative weight."""
 
 DERIVATIVE_STEPS = (2.5e-4, 1e-3)
-"""Steps, s, of the derivative of J v along a motion: relative error 1e-13 for rotations at 1 rad/s.
+"""Two time steps, s, of the central difference of J v: relative error 1e-13 for rotations at 1 rad/s.
 
-Short rods turn faster; tolerances include the difference of the two steps."""
+Short rods rotate faster; tolerances include the difference of the results with the two steps."""
 
 CLOSED_RESIDUAL = 1e-12
-"""Constraint error that is round-off, rad, or m divided by the size of the model ("sizes")."""
+"""Constraint error that is round-off, rad or sizes."""
 
 MAX_CLOSING_STEPS = 40
 """Largest number of Newton steps that close loops."""
@@ -62,7 +67,8 @@ SAMPLE_AMPLITUDES = (0.2, 0.6, 2.5)
 """Amplitudes of random displacements from the start before loops are closed, rad or sizes."""
 
 MAX_SAMPLE_DISTANCE = 2.9
-"""Largest displacement of a sample, rad or sizes: poses determine angles up to half a revolution only."""
+"""Largest displacement of a sample from the start, rad or sizes: poses determine angles only up to half a
+revolution (3.1 rad)."""
 
 MAX_HINGE_ROW_ANGLE = 1.2
 """Largest random angle, rad, of consecutive hinges without a mass between them.
@@ -71,7 +77,8 @@ Beyond a quarter turn of the second of three such hinges, the poses of the bodie
 the three angles."""
 
 MAX_SAMPLE_CONDITION = 1e4
-"""Condition number of constraints above which a random state is next to a singular configuration."""
+"""Condition number of the constraint Jacobian above which a random state is next to a singular
+configuration."""
 
 MAX_SAMPLE_TRIES = 12
 """Number of random displacements that are tried for each amplitude."""
@@ -94,14 +101,14 @@ class ReferenceModel(ABC):
             the same name.
         motions: (nv,) name of the joint of each velocity, as reports print it.
         lengths: (nv,) True for velocities of slides and free translations.
-        units: (nv,) units of velocities: `size` for lengths, 1 for angles.
+        units: (nv,) scales that make velocities dimensionless: `size` for lengths, 1 for angles.
         ranges: (nv,) largest random displacements of coordinates from the start, rad or sizes.
         size: size of the mechanism, m.
         file_state: configuration q and velocities v (nv,) in the file; loops may be open.
-        closest: configuration nearest to the one in the file, with loops closed as well as possible.
-        start: configuration in which bodies are at their initial poses in the scene.
+        closest: configuration nearest to that in the file, with loops closed as well as possible.
+        start: configuration in which the bodies have the initial poses of the scene.
         near_start: constraints of the file at `closest` and at `start`.
-        unaccounted: elements that neither the scene nor its import report mentions.
+        unaccounted: elements of the file that neither the scene nor its import report mentions.
     """
 
     names: tuple[str, ...]
@@ -134,7 +141,8 @@ class ReferenceModel(ABC):
 
     @abstractmethod
     def constraints(self, q: Array) -> Constraints:
-        """Compute rows of all loops and couplings of the file that the report does not leave out."""
+        """Compute the constraint rows of all loops and couplings of the file, except those that the import
+        report lists as left out."""
 
     @abstractmethod
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
@@ -145,7 +153,8 @@ class ReferenceModel(ABC):
         """Compute the generalized forces without constraint forces."""
 
     def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
-        """Return limits of forces, and the forces at this state; the elements are the same at all states."""
+        """Return the limits of forces in the file, each with the force at this state; in the same order at
+        all states."""
         return []
 
     @abstractmethod
@@ -154,11 +163,12 @@ class ReferenceModel(ABC):
 
     @abstractmethod
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
-        """Yield the name of each element and the forces of this element alone.
+        """Yield the name of each force element of the file and the forces of this element alone.
 
-        An element has a list of forces for each way in which it can act. A spring, for example, has two: with
-        the rest length of the file, and with another rest length. A list has an array (4, nv) for each
-        sample, with a row for each of the `FORCE_KINDS`.
+        A mistake in the import of an element changes its forces in one of a few ways. The element has a list
+        of forces for each way. A spring, for example, has two: with the rest length of the file, and with
+        another rest length. A list has an array (4, nv) for each sample, with a row for each of the
+        `FORCE_KINDS` (gravity, springs, dampers, actuators).
         """
 
     @abstractmethod
@@ -167,7 +177,7 @@ class ReferenceModel(ABC):
 
     @abstractmethod
     def keep_offsets(self) -> None:
-        """Define each constraint as closed at the start: move its second end to the first.
+        """Redefine each constraint so that it is closed at the start: move its second end to the first end.
 
         With the rounded digits of a file, loops may stay open by a small offset. An imported scene treats the
         offset as a part of its geometry, and so does the reference model after this call.
@@ -176,8 +186,8 @@ class ReferenceModel(ABC):
     def find_start(self, scene: Scene) -> None:
         """Set `closest`, `start` and `near_start` from `file_state` and the initial poses of a scene.
 
-        Distances between configurations are measured as readers do: lengths are divided by the largest
-        distance of a center of mass or a joint from their mean.
+        Distances between configurations are measured as the readers of MJCF and URDF files measure them:
+        lengths are divided by the largest distance of a center of mass or a joint from their mean.
         """
         q, _ = self.file_state
         points = self.points(q)
@@ -188,7 +198,7 @@ class ReferenceModel(ABC):
 
     @property
     def offset(self) -> float:
-        """Largest offset of loops at the start, sizes or rad."""
+        """Largest constraint error of the file at the start, sizes or rad."""
         return float(np.max(np.abs(self.near_start[1].residual), initial=0.0))
 
     @abstractmethod
@@ -200,7 +210,7 @@ class ReferenceModel(ABC):
 
         Args:
             q: configuration to begin with.
-            metric: (nv,) units in which the norm of a step is measured; `units` if None.
+            metric: (nv,) scales by which the components of a step are divided in its norm; `units` if None.
 
         Returns:
             The configuration with the smallest constraint error, and this error, sizes or rad.
@@ -216,6 +226,8 @@ class ReferenceModel(ABC):
                 break  # only round-off is left
             if smallest <= 0.1 * CLOSED_RESIDUAL:
                 break
+            # Singular values of redundant rows count as zero: with rounded digits, such rows would cause
+            # huge steps
             step = least_squares(rows * (metric / self.units), residual, HELD_SINGULAR_VALUE)
             step *= min(1.0, MAX_STEP_LENGTH / max(float(np.max(np.abs(step))), CLOSED_RESIDUAL))
             q = self.integrate(q, -step * metric)
@@ -230,20 +242,20 @@ class ReferenceModel(ABC):
         poses = {body.name: body.pose for body in scene.mechanism.bodies}
         if not set(self.names) <= set(poses):
             return q
-        # of two halves of a body, the first one counts
+        # The first of two halves of a body has the pose of the body
         is_first = [self.names.index(name) == k for k, name in enumerate(self.names)]
         wanted = [poses[name] for name in dict.fromkeys(self.names)]
         best, smallest = q, np.inf
         for _ in range(MAX_FITTING_STEPS):
             found = self.kinematics(q, np.zeros(len(self.units)))
-            # differences of poses: position in sizes, and rotation vector, rad
+            # Differences of poses: (positions in sizes, rotation vector in rad)
             gap = np.zeros((len(wanted), 6))
             pairs = zip(wanted, found.position[is_first], found.rotation[is_first], strict=True)
             for k, (pose, position, rotation) in enumerate(pairs):
                 gap[k, :3] = (pose.position - position) / self.size
                 gap[k, 3:] = rotation_vector(pose.rotation @ rotation.T)
             error = float(np.max(np.abs(gap)))
-            # stop at round-off: no improvement, or less than a factor of 2
+            # Stop at round-off: the error no longer decreases, or by less than a factor of 2
             if error < smallest:
                 best, is_slow = q, error > 0.5 * smallest
                 smallest = error
@@ -259,18 +271,19 @@ class ReferenceModel(ABC):
 
     @cached_property
     def samples(self) -> list[Sample]:
-        """The start and random states near and far with closed loops, all with random velocities.
+        """The start, and random states with closed loops near and far from the start.
 
-        If loops close nowhere else, the start is the only sample.
+        All have random velocities that satisfy the constraints. If loops close nowhere else, the start is the
+        only sample.
         """
         rng = np.random.default_rng(0)
         start = self._sample(self.start, rng)
         found = [start]
-        # at most one sample for each amplitude; each attempt has a smaller displacement
+        # Find at most one sample for each amplitude; each attempt has a smaller displacement
         for amplitude in SAMPLE_AMPLITUDES:
             tried = (self._displaced(amplitude * 0.7**attempt, rng) for attempt in range(MAX_SAMPLE_TRIES))
             found += self._first_closed(tried, start, rng)
-        # none found: a small displacement along the free motions of the start
+        # If loops closed nowhere, displace the start a little along its free motions
         if len(found) == 1 and len(start.freedom.independent):
             basis, scale = start.freedom.basis, self.units[start.freedom.independent]
             steps = (basis @ (scale * rng.uniform(-1.0, 1.0, len(scale))) for _ in NEARBY_AMPLITUDES)
@@ -283,16 +296,16 @@ class ReferenceModel(ABC):
 
     @property
     def is_informative(self) -> bool:
-        """True if any sample shows motions that differ by more than `MAX_USEFUL_TOLERANCE`."""
+        """True if a comparison at any sample has a useful tolerance, see `Sample.is_informative`."""
         return any(sample.is_informative for sample in self.samples)
 
     def _first_closed(
         self, tried: Iterable[Array], start: Sample, rng: np.random.Generator
     ) -> Iterator[Sample]:
-        """Yield a sample next to the first of the tried configurations from which loops close.
+        """Yield a sample at the first closed configuration to which one of the tried configurations leads.
 
         Loops must close about as well as at the start, away from the start and from singular configurations.
-        No sample is yielded if all configurations fail.
+        No sample is yielded if all tried configurations fail.
 
         Args:
             tried: configurations with open loops.
@@ -315,7 +328,8 @@ class ReferenceModel(ABC):
 
     @cached_property
     def open_loop_samples(self) -> list[Sample]:
-        """Random configurations at rest with open loops, in which all nv velocities count as free."""
+        """Random configurations with open loops, at rest; the constraints are ignored, so that all nv
+        velocities count as free."""
         rng, count = np.random.default_rng(1), len(self.units)
         free = freedom(np.zeros((0, count)), self.units)
         configurations = [self._displaced(amplitude, rng) for amplitude in SAMPLE_AMPLITUDES]
@@ -327,7 +341,8 @@ class ReferenceModel(ABC):
         return self.integrate(self.start, reach * rng.uniform(-1.0, 1.0, len(reach)))
 
     def _sample(self, q: Array, rng: np.random.Generator) -> Sample:
-        """Make a sample at a configuration, with random velocities of about 1 rad/s or 1 size/s."""
+        """Make a sample at a configuration, with random velocities of about 1 rad/s or 1 size/s along the
+        motions that the constraints do not hold."""
         residual, jacobian, _ = self.constraints(q)
         free = freedom(jacobian, self.units)
         v = free.basis @ (self.units[free.independent] * rng.standard_normal(len(free.independent)))
@@ -337,14 +352,17 @@ class ReferenceModel(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """State of a reference model, with quantities that are computed at their first use.
+    """State of a reference model, at which the file and its scene are compared.
+
+    Other quantities of the state are computed at their first use.
 
     Attributes:
         reference: model of the file.
         q: configuration.
         v: (nv,) velocities, SI.
-        closure_error: largest constraint error beyond the offsets at the start, sizes or rad.
-        freedom: motions that the constraints do not hold.
+        closure_error: largest constraint error, sizes or rad; without the offsets at the start, see
+            `ReferenceModel.keep_offsets`.
+        freedom: motions that the constraints do not hold, with the condition number of the constraints.
     """
 
     reference: ReferenceModel
@@ -355,7 +373,8 @@ class Sample:
 
     @property
     def precision(self) -> float:
-        """Relative precision of coordinates: round-off, plus round-off of the distance from the origin."""
+        """Relative precision of coordinates: `READING_ROUND_OFF`, plus the round-off of the largest distance
+        from the origin in sizes."""
         distance = float(np.max(np.abs(self.kinematics.position), initial=0.0)) / self.reference.size
         return READING_ROUND_OFF + 10.0 * float(np.finfo(float).eps) * distance
 
@@ -371,20 +390,21 @@ class Sample:
     def tolerance_of_motion(self) -> float:
         """Relative tolerance of motions.
 
-        The tolerance of forces, plus ten times the constraint error and the largest singular value in doubt:
-        different equations of motion omit different combinations of redundant constraint rows.
+        The tolerance is that of forces, plus ten times the sum of the constraint error and the largest
+        singular value in doubt (`Freedom.doubtful_value`), times the condition number. Such errors matter
+        because different equations of motion omit different combinations of redundant constraint rows.
         """
         error = self.closure_error + self.freedom.doubtful_value
         return self.tolerance + 10.0 * error * self.freedom.condition
 
     @property
     def is_informative(self) -> bool:
-        """True if the state shows motions that differ by more than `MAX_USEFUL_TOLERANCE`."""
+        """True if the tolerance of motions is small enough for a comparison to find mistakes."""
         return self.tolerance_of_motion <= MAX_USEFUL_TOLERANCE
 
     @cached_property
     def kinematics(self) -> Kinematics:
-        """Motion of the rigid groups."""
+        """Motion of the rigid groups (links that fixed joints hold together)."""
         return self.reference.kinematics(self.q, self.v)
 
     @cached_property
@@ -393,9 +413,9 @@ class Sample:
         return self.reference.constraints(self.q)
 
     @cached_property
-    def mass_matrices(self) -> tuple[Array, Array]:
+    def mass_matrices(self) -> MassMatrices:
         """Mass matrices (nv, nv) of the bodies and of the armatures."""
-        return self.reference.mass_matrix(self.q)
+        return MassMatrices(*self.reference.mass_matrix(self.q))
 
     @cached_property
     def forces(self) -> Forces:
@@ -409,7 +429,8 @@ class Sample:
 
     @cached_property
     def velocity_products(self) -> tuple[Array, Array]:
-        """Products dJ/dt v (k,) along the motion with constant velocities, with both `DERIVATIVE_STEPS`."""
+        """Products dJ/dt v (k,) along the motion with constant velocities, dimensionless, by central
+        differences with each of the two `DERIVATIVE_STEPS`."""
         found = []
         for step in DERIVATIVE_STEPS:
             total = np.zeros(len(self.constraints.residual))
@@ -422,10 +443,10 @@ class Sample:
         return found[0], found[1]
 
 
-def names_of_wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
-    """Replace the names of halves of cut bodies by the names of their bodies.
+def whole_body_names(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
+    """Replace the names of the halves of cut bodies by the names of the bodies.
 
-    Export to MJCF and URDF cuts a body at a loop and names the second half BODY_at_JOINT.
+    The export of scenes to MJCF and URDF cuts a body at a loop and names the second half BODY_at_JOINT.
 
     Args:
         names: names of bodies and halves in a file.

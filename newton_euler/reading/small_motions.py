@@ -1,9 +1,10 @@
 """Small motions of a model file about states of its run, as the file's own engine computes them.
 
-A package for a file format derives from `SmallMotions`. A small motion x holds the changes of position (nv,),
-velocity (nv,) and actuator activations (na,). Two matrices describe small motions about a state: the rates A
-of dx/dt = A x, and the map M of one time step, x_next = M x. The eigenvalues of A are the speeds of the
-modes. A mode whose eigenvalue of M has a magnitude above 1 grows from step to step.
+A package for a file format derives from `SmallMotions`. A small motion x is the vector (n,) of the changes of
+position (nv,), velocity (nv,) and actuator activations (na,). Two matrices describe small motions about a
+state: A of dx/dt = A x in continuous time, and the map M of one time step of the engine, x_next = M x. The
+eigenvalues of A, 1/s, show how fast the modes oscillate and decay. A mode whose eigenvalue of M has a
+magnitude above 1 grows from step to step: the time step is too long for it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from newton_euler.scalars import Array
 
 SettingsT = TypeVar("SettingsT")
+"""Type of an engine's settings (time step, integrator, solver)."""
 
 ModelChange = Callable[[Any], None]
 """Function that changes the engine's model, for `FileSimulation.changed`."""
@@ -25,13 +27,14 @@ ModelChange = Callable[[Any], None]
 
 @dataclass(frozen=True)
 class ForceElement:
-    """Part of a model that makes forces, and that can be removed for a trial.
+    """Part of a model that exerts forces, and that can be removed to find the cause of a fast mode.
 
     Attributes:
         name: the part, such as "kp of actuator 'lift'".
-        value: value in the file, such as a gain or a stiffness in SI units; nan if no number describes it.
-        can_be_scaled: whether `SmallMotions.scaled` can weaken it.
-        is_constraint: whether it is a constraint, which also passes on the forces of others.
+        value: value of the part in the file, such as a gain or a stiffness in SI units; NaN if no number
+            describes the part.
+        can_be_scaled: True if `SmallMotions.scaled` can weaken the part.
+        is_constraint: True if the part is a constraint, which also transmits the forces of other parts.
     """
 
     name: str
@@ -42,13 +45,14 @@ class ForceElement:
 
 @dataclass(frozen=True)
 class MovingBody:
-    """Body that moves most in a small motion.
+    """The body with the most kinetic energy in a small motion.
 
     Attributes:
-        name: the body.
+        name: name of the body.
         mass: kg.
-        share: part of the kinetic energy of the small motion.
-        neighbor: heaviest body that a joint or a loop constraint connects to it; "" without moving neighbors.
+        share: kinetic energy of the body, as a fraction of the kinetic energy of the small motion.
+        neighbor: name of the heaviest body that a joint or a loop constraint connects to the body; "" without
+            moving neighbors.
         neighbor_mass: mass of the neighbor, kg.
     """
 
@@ -65,7 +69,7 @@ class SmallMotions(ABC, Generic[SettingsT]):
     Attributes:
         times: (k,) time of each state, s; the first state is the start.
         elements: force elements of the model.
-        velocities: slice of the velocities in a small motion.
+        velocities: slice of the velocities in the vector x of a small motion.
     """
 
     times: Array
@@ -74,12 +78,12 @@ class SmallMotions(ABC, Generic[SettingsT]):
 
     @abstractmethod
     def rates(self, state: int, settings: SettingsT, without: Collection[int] = ()) -> Array:
-        """Return the matrix A (n, n) of dx/dt = A x.
+        """Return the matrix A (n, n), 1/s, of dx/dt = A x.
 
         Args:
-            state: number of the state.
-            settings: settings; the stiffness of constraints may depend on the time step.
-            without: numbers of the elements that are removed.
+            state: index of the state in `times`.
+            settings: settings of the engine; the stiffness of constraints may depend on the time step.
+            without: indices of the `elements` that are removed.
         """
 
     @abstractmethod
@@ -87,9 +91,9 @@ class SmallMotions(ABC, Generic[SettingsT]):
         """Return the map M (n, n) of one time step, x_next = M x.
 
         Args:
-            state: number of the state.
-            settings: time step and integrator.
-            without: numbers of the elements that are removed.
+            state: index of the state in `times`.
+            settings: settings of the engine, with its time step and integrator.
+            without: indices of the `elements` that are removed.
         """
 
     @abstractmethod
@@ -98,21 +102,26 @@ class SmallMotions(ABC, Generic[SettingsT]):
 
     @abstractmethod
     def moving(self, state: int, velocity: Array) -> MovingBody:
-        """Return the body with most kinetic energy for complex amplitudes of the velocities (nv,)."""
+        """Return the body with the most kinetic energy in a mode.
+
+        Args:
+            state: index of the state in `times`.
+            velocity: (nv,) complex amplitudes of the velocities in the mode.
+        """
 
     @abstractmethod
     def scaled(self, elements: Collection[int], factor: float) -> ModelChange:
-        """Return the change that multiplies elements by a factor."""
+        """Return the change of the model that multiplies the forces of `elements`, by index, by a factor."""
 
     @abstractmethod
     def with_armature(self, state: int, velocity: Array, factor: float) -> tuple[ModelChange, str]:
-        """Add armature to the joint that moves most, see `moving`.
+        """Return the change of the model that adds armature (rotor inertia) to the joint that moves most.
 
         Args:
-            state: number of the state.
-            velocity: complex amplitudes of the velocities (nv,).
+            state: index of the state in `times`.
+            velocity: (nv,) complex amplitudes of the velocities in a mode.
             factor: armature, as a multiple of the joint's apparent inertia.
 
         Returns:
-            The change, and its words, such as 'armature="0.01" of joint 'lift''.
+            The change, and its description, such as 'armature="0.01" of joint 'lift''.
         """

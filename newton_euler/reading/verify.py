@@ -12,10 +12,10 @@ the start and far from it. Springs are deflected and actuators act. The checks a
    limits. A difference is attributed to the element of the file whose force alone explains it best;
 6. the equations of motion: poses, energies and accelerations.
 
-A difference is divided by the largest sum of the magnitudes of its terms at any state. Tolerances are the
-round-off of about a hundred operations times the condition number of the constraints. Tolerances of motions
-include the remaining loop-closure error. They do not include the offset by which rounded digits in the file
-leave a loop open at the start, because scene and reference model keep this offset.
+A difference of two sums is divided by the largest sum of the magnitudes of the terms at any state. Tolerances
+are round-off (`READING_ROUND_OFF`, 1e-12) times the condition number of the constraints. Tolerances of
+motions include the remaining loop-closure error. They do not include the offset by which rounded digits in
+the file leave a loop open at the start, because scene and reference model keep this offset.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def verify(reference: ReferenceModel, system: System) -> Iterator[ReadingCheck]:
     """Compare equations of motion of a scene with the reference model of its file.
 
     The first check that fails is the most informative: later failures may follow from the first one. The
-    comparison ends early if the bodies differ or do not start at the places of the file.
+    comparison ends early if scene and file have different bodies, or bodies with other initial positions.
 
     Args:
         reference: model of the file.
@@ -67,9 +67,10 @@ def verify(reference: ReferenceModel, system: System) -> Iterator[ReadingCheck]:
     Raises:
         NewtonEulerError: for numbers that are not finite, and a scene that the system cannot evaluate.
     """
-    # bodies that only the scene or only the file has, and elements of the file that no one mentions
+    # Bodies that only the scene or only the file has, and elements that neither scene nor report mentions
     unmatched = sorted(set(system.mechanism.body_names[1:]) ^ set(reference.names))
     missing = [*unmatched, *reference.unaccounted]
+    # A tolerance of 0.5 allows no missing element
     yield ReadingCheck("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))
     if unmatched:
         return
@@ -87,7 +88,7 @@ def verify(reference: ReferenceModel, system: System) -> Iterator[ReadingCheck]:
 
 
 def verify_report(report: ImportReport) -> str:
-    """Verify all scenes of a report, with equations of motion in joint coordinates.
+    """Verify all scenes of an import report, with equations of motion in joint coordinates.
 
     Returns:
         A line for the report: number of checks, precision, and what could not be compared.
@@ -101,7 +102,8 @@ def verify_report(report: ImportReport) -> str:
             if not check.agrees:
                 raise VerificationError(*check)
             found.append(check)
-    # precision of the checks at states that can show a wrong motion
+    # Precision: the largest tolerance of motions at the informative states, whose tolerances are small enough
+    # to show mistakes
     nearest = closest_to_failing(found)
     references = [reference for reference, _ in report.references]
     samples = [sample for reference in references for sample in reference.samples]
@@ -121,7 +123,7 @@ def verify_report(report: ImportReport) -> str:
         f"verified against the file's own model {precision} in {len(found)} checks, the closest to "
         f"failing at {percentage:.2g} % of its tolerance: {nearest.quantity}"
     )
-    # limits of the verification
+    # Limits of the verification
     limits = []
     if uninformative := len(samples) - len(informative):
         limits.append(

@@ -1,8 +1,9 @@
 """Wrenches of a scene's force elements and armatures on its bodies, computed from the elements' attributes.
 
 An armature is the inertia of a motor's rotor, which resists the acceleration of a joint coordinate. The
-module does not call the force methods that newton_euler's equations of motion use. The checks of imported
-files and of engines compare with these wrenches, so that the checks also find mistakes in the force methods.
+equations of motion of newton_euler call methods of the force elements, such as `PointSpring.wrenches`; this
+module computes the same forces independently. The checks of imported files and of engines compare with these
+wrenches, so that the checks also find mistakes in the methods.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.wind import CALM, WindLoad
+from newton_euler.model.wind import CALM_SPEED, WindLoad
 from newton_euler.scalars import Array
 
 
@@ -27,7 +28,7 @@ class CoordinateMotion(NamedTuple):
     """A joint coordinate x and its motion at one state of the mechanism.
 
     Attributes:
-        first, second: numbers of the joint's two bodies.
+        first, second: indices of the joint's two bodies.
         jacobian: (12,) with dx/dt = jacobian @ (velocity and angular velocity of the first body, then of the
             second), world frame.
         value: x, rad or m from the initial pose, with full revolutions.
@@ -42,7 +43,7 @@ class CoordinateMotion(NamedTuple):
 
 
 class Wrenches:
-    """Sums of wrenches on the b bodies of a mechanism at one state.
+    """Sums of wrenches on the b bodies of a mechanism at one state; forces are added one after the other.
 
     Attributes:
         mechanism: mechanism of the bodies.
@@ -75,8 +76,8 @@ class Wrenches:
         """Return the vector (3,) from a body's center of mass to a point of the body, m, world frame.
 
         Args:
-            body: number of the body.
-            point: (3,) m, world frame, position of the point in the initial pose.
+            body: index of the body.
+            point: (3,) m, world frame, position of the point at the initial pose.
         """
         offset = point - self.mechanism.bodies[body].pose.position
         return np.asarray(self._rotation_since_start(body) @ offset)
@@ -87,14 +88,15 @@ class Wrenches:
         Args:
             scene: scene with the forces.
             control: force of each element of `scene.joint_forces` (control laws and joint springs), N or N m.
-                Only entries of laws that evaluate a dynamic model of the mechanism are used.
+                Only the entries of laws that use a model of the mechanism (gravity compensation, computed
+                torque) are read, because this class does not compute their forces.
         """
-        # forces along joint coordinates
+        # Forces along joint coordinates
         for k, law in enumerate(scene.joint_forces):
             at = self._coordinate(*law.key)
             is_given = isinstance(law, DeclaredLaw) and law.uses_model
             self._add_along(at, control[k] if is_given else self._joint_force(law, at))
-        # other force elements
+        # Other force elements
         for force in scene.forces:
             match force:
                 case JointSpring():
@@ -120,7 +122,7 @@ class Wrenches:
         Args:
             law: a spring; a sampled controller, whose force is held between samples (`HeldLaw`); or a law of
                 feedforward and proportional-derivative feedback (`DeclaredLaw`).
-            at: the joint coordinate that the force acts along.
+            at: the joint coordinate along which the force acts.
         """
         if isinstance(law, JointSpring):
             return law.stiffness * (law.rest - at.value) - law.damping * at.rate
@@ -135,19 +137,19 @@ class Wrenches:
         return force
 
     def _coordinate(self, joint: str, coordinate: int) -> CoordinateMotion:
-        """Evaluate a coordinate of a joint, given by its number within the joint."""
+        """Evaluate a coordinate of a joint by the joint's name and the coordinate's index in the joint."""
         equations = self.mechanism.joint_equations(joint)
-        # the coordinate is the residual phi of the constraint that would lock it in the initial pose
+        # The coordinate is the residual phi of the constraint that would lock it at the initial pose
         locking = equations.coordinates[coordinate]
         first, second = self.frames[equations.first], self.frames[equations.second]
         jacobian = locking.jacobian(first, second)
         value, rate = locking.phi(first, second)[0], jacobian.rate(first, second)[0]
-        value += self._state.revolutions((joint, coordinate), value)  # rad of full revolutions; 0 for a slide
+        value += self._state.revolutions((joint, coordinate), value)  # multiple of 2 pi; 0 for a slide
         rows = np.concatenate(jacobian, axis=1)
         return CoordinateMotion(equations.first, equations.second, rows[0], value, rate)
 
     def _add_point_spring(self, spring: PointSpring) -> None:
-        """Add the pull of a spring and damper between points of two bodies, along the line between them."""
+        """Add the force of a spring and damper between points of two bodies, along the line between them."""
         bodies = [self.mechanism.body_index(name) for name in (spring.first, spring.second)]
         arms, positions, velocities = [], [], []
         for body, point in zip(bodies, (spring.point_on_first, spring.point_on_second), strict=True):
@@ -160,8 +162,8 @@ class Wrenches:
         along = line / (length or 1.0)  # a spring without rest length and damping may have zero length
         stretch_rate = float(along @ (velocities[1] - velocities[0]))
         tension = spring.stiffness * (length - spring.rest_length) + spring.damping * stretch_rate
-        pull = tension * along
-        for body, arm, force in zip(bodies, arms, (pull, -pull), strict=True):
+        on_first = tension * along
+        for body, arm, force in zip(bodies, arms, (on_first, -on_first), strict=True):
             self._add(body, force, np.cross(arm, force))
 
     def _add_ball_spring(self, spring: BallSpring) -> None:
@@ -171,7 +173,7 @@ class Wrenches:
         equations = self.mechanism.joint_equations(spring.joint)
         first, second = equations.first, equations.second
         rest = Rotation.from_rotvec(spring.rest.copy()).as_matrix()  # SciPy refuses read-only arrays
-        # rotation vector theta from the rest orientation: in the first body's frame, then in the world frame
+        # Rotation vector theta from the rest orientation: in the first body's frame, then in the world frame
         first_rotation = self._rotation_since_start(first)
         between = first_rotation.T @ self._rotation_since_start(second) @ rest.T
         theta = first_rotation @ Rotation.from_matrix(between).as_rotvec()
@@ -181,7 +183,8 @@ class Wrenches:
         self._add(second, np.zeros(3), torque)
 
     def wind(self, load: WindLoad) -> Array:
-        """Compute the normal force and moments of the wind on a plate at time 0, see `wind_on_plate`."""
+        """Compute the normal force (N) of the wind on a plate at time 0 and its two moments (N m), (3,), see
+        `wind_on_plate`."""
         body = self.mechanism.body_index(load.body)
         frame, axes = self.frames[body], self._rotation_since_start(body) @ load.axes
         plate_velocity = frame.velocity + np.cross(frame.angular_velocity, self._lever_arm(body, load.point))
@@ -192,7 +195,7 @@ class Wrenches:
     def _add_wind(self, load: WindLoad) -> None:
         """Add the wind load of a plate to the plate's body."""
         body = self.mechanism.body_index(load.body)
-        # columns of axes: the two sides of the plate and its normal, world frame
+        # Columns of axes: unit vectors along the two sides of the plate and its normal, world frame
         axes, (normal_force, *moments) = self._rotation_since_start(body) @ load.axes, self.wind(load)
         force = normal_force * axes[:, 2]
         torque = axes[:, :2] @ moments + np.cross(self._lever_arm(body, load.point), force)
@@ -210,9 +213,9 @@ class Wrenches:
             equations = self.mechanism.joint_equations(armature.joint)
             i, j = equations.first, equations.second
             if armature.on_ball:
-                # d(omega_j - omega_i)/dt as seen from body j; omega_j x omega_i comes from the moving frame
-                turning = np.cross(self.frames[j].angular_velocity, self.frames[i].angular_velocity)
-                torque = -armature.inertia * (angular[j] - angular[i] + turning)
+                # Rate of omega_j - omega_i as seen from body j; omega_j x omega_i comes from the moving frame
+                of_frame = np.cross(self.frames[j].angular_velocity, self.frames[i].angular_velocity)
+                torque = -armature.inertia * (angular[j] - angular[i] + of_frame)
                 self._add(i, np.zeros(3), -torque)
                 self._add(j, np.zeros(3), torque)
                 continue
@@ -239,14 +242,15 @@ def wind_on_plate(load: WindLoad, relative: Array) -> Array:
         sides, N m.
     """
     x, y, z = relative
-    # a speed CALM (m/s) is added in quadrature, so that the load is smooth at zero wind
-    along, across = np.hypot(np.hypot(x, y), CALM), np.hypot(z, CALM)
+    # The speed CALM_SPEED (m/s) is added in quadrature, so that the load is smooth at zero wind
+    along, across = np.hypot(np.hypot(x, y), CALM_SPEED), np.hypot(z, CALM_SPEED)
     attack = np.arctan2(across, along)
     aspect = max(load.lengths) / min(load.lengths)
-    # normal force coefficient: 1.98 (Khan and Nahon), 0.56 and 0.44 (Hoerner), 0.41 and 17 (Lindenburg)
+    # Normal force coefficient: 1.98 (Khan and Nahon), 0.56 and 0.44 (Hoerner), 0.41 and 17 (Lindenburg). The
+    # constants are repeated here on purpose, independently of newton_euler.model.wind
     span_factor = 1.0 / (0.56 + 0.44 * np.sin(attack)) - 0.41 * (1.0 - np.exp(-17.0 / aspect))
     coefficient = 1.98 * np.sin(attack) * span_factor * z / across
     normal_force = 0.5 * load.air_density * load.area * (along**2 + across**2) * coefficient
-    # center of pressure from the plate's center, m along the two sides: 0.175 lengths towards the wind
+    # Center of pressure from the plate's center, m along the two sides: up to 0.175 lengths against the wind
     pressure_center = -0.175 * (1.0 - 2.0 * attack / np.pi) * load.lengths * np.array([x, y]) / along
     return np.array([normal_force, pressure_center[1] * normal_force, -pressure_center[0] * normal_force])

@@ -145,7 +145,7 @@ def _compiled(
     """
     found = roles(scene, digital=True)
     known = known_scene(scene, found.model)
-    still = tuple(motion.held() for motion in scene.motions)
+    still = tuple(motion.held_at_start() for motion in scene.motions)
     torque, holding = (
         InverseDynamics(each, keys, keys) if keys else None
         for each, keys in ((known, found.torque), (replace(known, motions=still), found.holding))

@@ -354,7 +354,7 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
     match field.allowed:
         case "inertia":
             return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
-        case "joint":
+        case "constructor":
             return np.flatnonzero(np.any(stack != own, axis=1))
         case "direction" | "axis":
             lengths = np.max(np.abs(stack), axis=1)

@@ -13,7 +13,7 @@ import mjcf
 import mjcf.reading.source as source
 import urdf
 from mjcf.reading.source import compile_file
-from newton_euler.limits import VARIABLE, changed, size_in_bytes
+from newton_euler.limits import ENVIRONMENT_VARIABLE, changed, size_in_bytes
 from newton_euler.model.source_file import SourceError
 
 MESH = model(
@@ -44,7 +44,7 @@ def test_a_file_with_assets_may_take_longer(
 ) -> None:
     """Meshes a hundred times as small here, of which each byte counts a hundred times as much."""
     largest = 1_000_000
-    monkeypatch.setenv(VARIABLE, "asset_size=1")
+    monkeypatch.setenv(ENVIRONMENT_VARIABLE, "asset_size=1")
     monkeypatch.setattr(source, "SECONDS_PER_ASSET_BYTE", 100.0 * source.SECONDS_PER_ASSET_BYTE)
     path, mesh = tmp_path / "model.xml", tmp_path / "wedge.obj"
     path.write_text(MESH)

@@ -53,7 +53,7 @@ def test_actuators_of_disabled_groups_and_contact_exclusions_are_counted(tmp_pat
     path.write_text(f'<mujoco><option actuatorgroupdisable="2"/><worldbody>{text}{exclude}</mujoco>')
     entries = {entry.element: entry for entry in read(path).report.entries}
     assert entries["actuator 'm'"].is_off
-    assert entries["1 contact exclusions"].inert
+    assert entries["1 contact exclusions"].moves_nothing
 
 
 @pytest.mark.parametrize("name", ["inf", "nan", "-Infinity"])
@@ -75,5 +75,6 @@ def test_a_motor_of_two_inputs_is_left_out(tmp_path: Path) -> None:
         f"</worldbody><actuator>{motor}</actuator></mujoco>"
     )
     assert (
-        next(entry.element for entry in read(path).report.of("left out") if not entry.inert) == "actuator 'm'"
+        next(entry.element for entry in read(path).report.of("left out") if not entry.moves_nothing)
+        == "actuator 'm'"
     )

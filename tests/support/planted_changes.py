@@ -132,7 +132,7 @@ def _constraints(scene: Scene) -> Iterator[tuple[str, list[Injection]]]:
     loaded |= {key[0] for coupling in mechanism.couplings for key in coupling.factors()}
     for number, joint in enumerate(mechanism.joints):
         if joint.kind != "fixed" and (mechanism.equations[number].count or joint.name in loaded):
-            shifts = SIZE * mechanism.longest * np.eye(3)
+            shifts = SIZE * mechanism.largest_extent * np.eye(3)
             plants = [injection.joint_point(joint.name, shift) for shift in shifts]
             plants += injection.tilted_axes(joint, SIZE).values()
             if isinstance(joint, Compound):

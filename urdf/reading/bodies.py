@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Free
-from newton_euler.model.joint_parts import Part, combined, common_name
+from newton_euler.model.joint_parts import Part, combine_motions, common_name
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
 from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
@@ -131,7 +131,7 @@ class Tree:
             self.joints.append(Free(joint_name, parent, name, pose.translation))
         else:
             driven = bool(motors & set(names))
-            joint, coordinates = combined(joint_name, parent, name, parts, driven)
+            joint, coordinates = combine_motions(joint_name, parent, name, parts, driven)
             self.joints.append(joint)
             self.coordinate_keys |= {part: (joint_name, k) for part, k in coordinates.items()}
         for k in names:

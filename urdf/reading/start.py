@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.equations.loop_closure import FileStart, Units, reach
-from newton_euler.model.mechanism import spread
+from newton_euler.model.mechanism import characteristic_length
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 from urdf.constraints import Closures, power_sums
@@ -186,10 +186,10 @@ class RobotAtStart(FileStart):
     def units(self) -> Units:
         """Return units of velocities (nv,) and of residuals (k,), which make loop closure dimensionless."""
         model, data = self.model, self.data
-        # velocities: 1 rad/s for rotations, the spread of the mechanism for translations
+        # velocities: 1 rad/s for rotations, the size of the mechanism for translations
         points = [*self.centers()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
         is_rotation = np.any(np.reshape(data.J, (6, -1))[3:] != 0.0, axis=0)
-        velocity_units = np.where(is_rotation, 1.0, spread(points))
+        velocity_units = np.where(is_rotation, 1.0, characteristic_length(points))
         # residuals of loop closures: largest motion of one of the two bodies, see `reach`
         row_units = []
         for pair, is_weld in self._closures.pairs:

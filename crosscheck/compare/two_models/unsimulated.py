@@ -95,7 +95,7 @@ def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsim
         for key, entry in own_entries.items():
             required = kind == "URDF" and not same_format and entry.topic in (LIMITS, VELOCITY_LIMITS)
             if key not in other_entries and not required:
-                yield Unsimulated(f"only {where}: {entry}", not entry.inert)
+                yield Unsimulated(f"only {where}: {entry}", not entry.moves_nothing)
     # Elements with different numbers, and numbers that only one file gives
     given = [_numbers(model, names, same_format) for model, names in named]
     yield from _differing_numbers(first, second, aligned, *given)
@@ -142,7 +142,7 @@ def _numbers(model: Model, names: Mapping[str, str], same_format: bool) -> dict[
     """
     found: dict[tuple[str, str], FileNumbers] = {}
     for number, entry in enumerate(model.mapping.entries if model.mapping else ()):
-        for what, values in entry.numbers if same_format or not entry.inert else ():
+        for what, values in entry.numbers if same_format or not entry.moves_nothing else ():
             key = (_renamed(entry.element, names), what)
             found.setdefault(key, FileNumbers(number, entry, what, values))
     return found
@@ -275,8 +275,8 @@ def _unsimulated_entries(
         element = _renamed(entry.element, names)
         if not same_format and entry.topic == CONTACTS:
             element = ""
-        if (entry.fate != "exactly" or entry.inert) and (same_format or not entry.inert):
-            key = (re.sub(r"^\d+ ", "", element), entry.topic, entry.fate, str(entry.inert))
+        if (entry.fate != "exactly" or entry.moves_nothing) and (same_format or not entry.moves_nothing):
+            key = (re.sub(r"^\d+ ", "", element), entry.topic, entry.fate, str(entry.moves_nothing))
             found.setdefault(key, entry)
     return found
 

@@ -58,7 +58,7 @@ class _FaultyRelative(Relative):
         turning = child.angular[:, -1] * v[place]  # axis v
         term = cross(child.frame.angular_velocity - turning, turning)
         # A point on the hinge axis, in the current pose
-        apart = 0.0 if joint.forward else self.tree.joint(joint.joint).apart
+        apart = 0.0 if joint.forward else self.tree.joint(joint.joint).point_gap
         arm = self.mechanism.bodies[joint.child].center_of_mass - (joint.points[-1] - apart)
         point = child.frame.position - child.frame.rotation @ arm
         # Remove the term from the accelerations of all bodies that the hinge carries

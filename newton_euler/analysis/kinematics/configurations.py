@@ -169,7 +169,9 @@ class Chain:
         self.scene, self.keys, self.axis = scene, tuple(keys), axis
         self.goal_count, self.has_axis_goal = goal_count, has_axis_goal
         # the mechanism: motions that are held, and driving constraints for the other chosen coordinates
-        held = tuple(motion.held() for motion in scene.motions if motion.key not in self.keys[:goal_count])
+        held = tuple(
+            motion.held_at_start() for motion in scene.motions if motion.key not in self.keys[:goal_count]
+        )
         values = {motion.key: motion.function.value(0.0) for motion in held}
         chosen = {key: Polynomial((0.0,)) for key in self.keys if key not in values}
         loops = replace(scene.without_forces(), motions=held, initial_state=state)

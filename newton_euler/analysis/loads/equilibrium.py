@@ -33,7 +33,7 @@ def at_rest(scene: Scene) -> Scene:
     """Return the scene with a start at rest and prescribed motions held at their values at time 0."""
     start = initial_state(scene)
     still = np.zeros_like(start.position)
-    motions = tuple(motion.held() for motion in scene.motions)
+    motions = tuple(motion.held_at_start() for motion in scene.motions)
     state = replace(start, linear_velocity=still, angular_velocity=still)
     return replace(scene, motions=motions, initial_state=state)
 

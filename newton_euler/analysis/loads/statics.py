@@ -61,7 +61,7 @@ def statics(
     given = States(scene, initial_state(scene) if states is None else states)
     given.velocities = None
     if scene.motions:
-        still = tuple(motion.held() for motion in scene.motions)
+        still = tuple(motion.held_at_start() for motion in scene.motions)
         scene = replace(scene, motions=still, initial_state=given.state(0))
     keys = tuple(law.key for law in scene.control)
     if actuators is not None:

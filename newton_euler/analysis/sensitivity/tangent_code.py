@@ -211,7 +211,7 @@ class TangentCode(CompiledScene):
         places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
         for force in system.scene.forces:
             if force.may_jump:
-                vector = force.reversing(at).tolist()
+                vector = force.reversing_vector(at).tolist()
                 places[force.element] = len(scalars), len(scalars) + len(vector), (len(vector),)
                 scalars += vector
         self._layouts[SIGN_CHANGES] = places

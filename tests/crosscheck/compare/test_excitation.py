@@ -92,7 +92,7 @@ def test_a_motor_moves_a_joint_by_half_of_the_room_that_its_limits_leave(room: f
     reach = SWING_LENGTH * scene.mechanism.size
     bounds = [Bounds(((("rail", 0), 1.0),), -room * reach, 20.0 * reach, "m")]
     (swing,) = swings(scene, [{("rail", 0): 3.0}], bounds)
-    assert swing.within == pytest.approx(share * swing.amplitude)
+    assert swing.amplitude_within_limits == pytest.approx(share * swing.amplitude)
 
 
 def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_a_joint_that_comes_open_ends_a_run_where_it_does():
     rows = len(found.time)
     assert 1 < rows < len(scene.times)
     assert caught.value.time == scene.times[rows]
-    assert found.constraint_violation.max() <= 1e-2 * max(1.0, scene.mechanism.longest)
+    assert found.constraint_violation.max() <= 1e-2 * max(1.0, scene.mechanism.largest_extent)
     with pytest.raises(IntegrationError) as unasked:  # for its violation
         newton_euler.simulate(
             replace(scene, outputs=frozenset()), "cartesian", "RK4", step=5e-2, stabilization="none"
@@ -184,7 +184,7 @@ def test_steps_of_order_1_stay_on_their_branch(angle, speed, formulation):
 )
 def test_what_is_open_and_what_has_come_open(gaps, stops):
     scene = pendulum()
-    longest = scene.mechanism.longest  # the first residuals of a hinge are lengths
+    longest = scene.mechanism.largest_extent  # the first residuals of a hinge are lengths
     phi = np.zeros((3, 5))
     phi[:, 1] = longest * np.array(gaps) * [1.0, -1.0, 1.0]
     if stops is None:
@@ -199,7 +199,7 @@ def test_the_joint_that_has_come_open_is_named():
     scene = seven_hinges()
     for k, joint in enumerate(scene.mechanism.joint_names):
         phi = np.zeros((2, 35))
-        phi[1, 5 * k] = 0.02 * scene.mechanism.longest
+        phi[1, 5 * k] = 0.02 * scene.mechanism.largest_extent
         with pytest.raises(IntegrationError, match=f"joint '{joint}' drifted by"):
             check_still_closed(scene, np.arange(2.0), phi)
 
@@ -207,7 +207,7 @@ def test_the_joint_that_has_come_open_is_named():
 def test_a_wheel_on_its_axle_is_as_long_as_its_mass_goes():
     wheel = Body("wheel", 1e-9, np.zeros(3), 1e-21 * np.diag([0.25, 0.5, 0.25]))  # a disk of 1e-6 m
     mechanism = Mechanism([Body.ground(), wheel], [Revolute("axle", "ground", "wheel", np.zeros(3), axis=Y)])
-    assert mechanism.longest == pytest.approx(1e-6 / np.sqrt(2.0))  # of its mass, r^2 / 2 on average
+    assert mechanism.largest_extent == pytest.approx(1e-6 / np.sqrt(2.0))  # of its mass, r^2 / 2 on average
     phi = np.array([[0.0] * 5, [2e-8, 0.0, 0.0, 0.0, 0.0]])
     with pytest.raises(IntegrationError, match="joint 'axle' drifted by 2e-08"):
         check_still_closed(Scene("wheel", mechanism, 1.0, 1.0), np.arange(2.0), phi)

@@ -25,7 +25,7 @@ from crosscheck.support import time_limits as limit
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
 from newton_euler.equations.relative import Relative
 from newton_euler.integrators.options import Options
-from newton_euler.limits import VARIABLE
+from newton_euler.limits import ENVIRONMENT_VARIABLE
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, load_arrays
@@ -216,7 +216,7 @@ def test_what_stops_on_other_equations_is_the_odd_one(capsys, monkeypatch, tmp_p
 
 
 def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_path):
-    monkeypatch.setenv(VARIABLE, "time=1")
+    monkeypatch.setenv(ENVIRONMENT_VARIABLE, "time=1")
     monkeypatch.setattr(limit, "CHECK_PERIOD_S", 0.1)
     quick = replace(ENGINES_BY_NAME["mujoco"], simulate=ENGINES_BY_NAME["newton_euler"].simulate)
     monkeypatch.setitem(ENGINES_BY_NAME, "mujoco", quick)

@@ -19,7 +19,7 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Planar, PointOnLine, Revolute, Rod, Spherical
-from newton_euler.model.joint_parts import Part, combined
+from newton_euler.model.joint_parts import Part, combine_motions
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.reading.excitation import random_states
@@ -275,7 +275,7 @@ def test_three_parallel_hinges_in_a_row_are_refused_by_their_names() -> None:
     axis = np.array([0.0, 1.0, 0.0])
     row = [Part(f"j{k}", "hinge", axis, np.array([0.1 * k, 0.0, 0.01 * k])) for k in range(3)]
     with pytest.raises(MechanismError) as caught:
-        combined("knee", "thigh", "shin", row, actuated=False)
+        combine_motions("knee", "thigh", "shin", row, actuated=False)
     assert "'shin'" in str(caught.value)
     assert "3 parallel hinges" in str(caught.value)
     assert "j0, j1, j2" in str(caught.value)

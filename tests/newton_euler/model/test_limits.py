@@ -24,7 +24,7 @@ from crosscheck.recording.log import log_run, recorded
 from crosscheck.recording.mesh_budget import engines_with_meshes
 from mjcf.errors import ModelError
 from newton_euler.errors import OptionError, UnknownNameError, listed
-from newton_euler.limits import LIMITS, VARIABLE, changed, exceeded, limit, too_small
+from newton_euler.limits import ENVIRONMENT_VARIABLE, LIMITS, changed, exceeded, limit, too_small
 
 
 def test_limits_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,15 +45,15 @@ def test_no_limit_has_the_name_of_an_option() -> None:
 
 
 def test_limits_are_changed_for_a_while_and_in_processes_that_are_started() -> None:
-    before = os.environ.get(VARIABLE)
+    before = os.environ.get(ENVIRONMENT_VARIABLE)
     with changed({"velocities": "12.5"}), changed({"time": 3}):
         assert (limit("velocities"), limit("time"), limit("bodies")) == (12.5, 3.0, LIMITS["bodies"].default)
-        assert os.environ[VARIABLE] == "velocities=12.5 time=3"
+        assert os.environ[ENVIRONMENT_VARIABLE] == "velocities=12.5 time=3"
         assert exceeded("velocities", 12.5) == ""
         assert (
             exceeded("velocities", 12.6) == "12.6 velocities, at most 12.5; to allow it: --set velocities=13"
         )
-    assert os.environ.get(VARIABLE) == before
+    assert os.environ.get(ENVIRONMENT_VARIABLE) == before
 
 
 @pytest.mark.parametrize("value", ["", "much", "nan", "inf", "-1", "0", None])

@@ -174,11 +174,14 @@ def test_equations_of_varied_geometry_are_those_of_a_scene_made_with_it(title, f
 def test_what_follows_from_geometry_is_that_of_the_run():
     """Whatever of the scene's own was worked out before."""
     scene, center = load("slider_crank"), np.array([0.3, -0.2, 0.5])
-    own = scene.mechanism.reaction_arms, scene.mechanism.longest
+    own = scene.mechanism.reaction_arms, scene.mechanism.largest_extent
     varied = with_values(scene, {"rod.center_of_mass": center}).mechanism
     expected = remade(replace(scene, initial_state=None), "rod", "center_of_mass", center).mechanism
     for found, needed, before in zip(
-        (varied.reaction_arms, varied.longest), (expected.reaction_arms, expected.longest), own, strict=True
+        (varied.reaction_arms, varied.largest_extent),
+        (expected.reaction_arms, expected.largest_extent),
+        own,
+        strict=True,
     ):
         np.testing.assert_allclose(found, needed, rtol=1e-14, atol=1e-15)  # round-off
         assert not np.allclose(found, before)
