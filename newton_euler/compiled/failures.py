@@ -84,7 +84,7 @@ def failure(
     else:
         reason = _reason(code, options, Status(status), x)
     stopped = UndeterminedStartError if status == Status.UNDETERMINED else IntegrationError
-    return stopped(reached, with_likely_causes(system.scene, state, reason, system.seen(q, v)))
+    return stopped(reached, with_likely_causes(system.scene, state, reason, system.surroundings(q, v)))
 
 
 def _instability(code: CompiledEquations, options: Options, states: Sequence[Array]) -> str:

@@ -1,8 +1,9 @@
 """Applied forces of a scene: sums of wrenches on the bodies, energies and power.
 
-Both forms of the equations of motion use these sums. The functions accept floats, and symbolic scalars when
-the equations are traced for compilation. Each kind of force is a class of `newton_euler.model.forces`. Forces
-on joint coordinates (springs and control laws at joints) are not part of the wrenches; the forms add them.
+Both forms of the equations of motion, in joint coordinates and in Cartesian coordinates, use these sums. The
+functions accept floats, and symbolic scalars when the equations are traced for compilation. Each kind of
+force is a class of `newton_euler.model.forces`. Forces on joint coordinates (springs and control laws at
+joints) are not part of the wrenches; the forms of the equations add these forces.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
 
     Args:
         scene: the scene with the forces.
-        state: poses and velocities of the bodies. Angles include the full revolutions of `State.angles`;
-            an angle without an entry there is between -pi and pi.
+        state: poses and velocities of the bodies. Hinge angles include the full revolutions of
+            `State.angles`; an angle without an entry there is between -pi and pi.
         time: s.
     """
     mechanism, frames = scene.mechanism, state.frames()
@@ -79,6 +80,8 @@ def power(scene: Scene, at: Surroundings) -> Scalar:
 
 def with_likely_causes(scene: Scene, state: State, reason: str, at: Surroundings) -> str:
     """Append the fastest joint and the largest force at a state to the reason of a failure.
+
+    To find the largest force, torques are divided by the mechanism's size.
 
     Args:
         scene: the scene.

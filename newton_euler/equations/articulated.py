@@ -1,21 +1,24 @@
 """Recursive algorithms over a tree of bodies: inverse dynamics, mass matrix M and its factorization.
 
-Each joint velocity of the tree has an axis: the axis of a hinge, the direction of a slide, or one of three
-axes of a ball. Velocities are numbered from the ground to the leaves. Each axis has a point, which lies on
-the axis of a hinge. Spatial vectors are about these points, in the world frame: a wrench (6,) is (force,
-torque), a motion (6,) is (linear, angular). The recursions are those of R. Featherstone, Rigid Body Dynamics
-Algorithms, Springer 2008:
+A tree connects bodies to the ground by joints without loops. Each joint velocity has an axis: the axis of a
+hinge, the direction of a slide, or one of three axes of a ball. Velocities and axes are numbered from the
+ground to the leaves: the axis before an axis, on the path from the ground, has a smaller number. Each axis
+    has
+a point, which lies on the axis of a hinge. Spatial vectors are about these points, in the world frame: a
+wrench (6,) is (force, torque), a motion (6,) is (linear, angular). The recursions are those of R.
+Featherstone, Rigid Body Dynamics Algorithms, Springer 2008:
 
     rnea_backward   wrenches on bodies, projected onto velocities                       section 5.3
     crba            M, by composite rigid bodies                                        section 6.2
     factorize       M = L D L^T, leaves first, by articulated bodies                    section 7.3
 
-The articulated body of an axis consists of all bodies beyond the axis, with all joints between them free to
-move. An axis s whose articulated body has the inertia I has the pivot d = s . U with U = I s. The inertia
-I - U U^T / d is passed to the axis before. L and D are those of an elimination of M in joint coordinates,
-because the factor for an order of elimination is unique; M itself is not computed. The factor takes a
-constant number of operations per axis, and so does each product with L^-1 or L^-T. The operations of an
-elimination of M grow with the square of the number of axes between an axis and the ground.
+The articulated body of an axis consists of all bodies beyond the axis, on the side away from the ground, with
+all joints between them free to move. An axis s whose articulated body has the inertia I has the pivot
+d = s^T U with U = I s. The inertia I - U U^T / d is passed to the axis before. L and D are the same as if M
+was computed and eliminated, because the factor for an order of elimination is unique. By articulated bodies,
+the factor and each product with L^-1 or L^-T take a constant number of operations per axis. The operations of
+an elimination of M grow with the square of the number of axes between an axis and the ground. Near the
+ground, however, eliminating M takes fewer operations, so that `factorize` combines both.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.equations import sparse
-from newton_euler.equations.sparse import SINGULAR, Rows, add, add_symmetric
+from newton_euler.equations.sparse import SINGULAR_PIVOT_RATIO, Rows, add, add_symmetric
 from newton_euler.scalars import Array, Scalar, cross, minimum, symmetric, tilde
 
 MAX_JOINT_SPACE_DEPTH = 6
@@ -43,8 +46,8 @@ class Axis(NamedTuple):
     Attributes:
         direction: (3,) unit vector.
         slides: True for a slide, False for a hinge and for the three axes of a ball.
-        arm: (3,) vector to the point of this axis, m. It begins at the point of the axis before; for a first
-            axis it begins at the ground's center of mass.
+        arm: (3,) vector to the point of this axis, m. It begins at the point of the axis before; for an axis
+            next to the ground it begins at the ground's center of mass.
     """
 
     direction: Array
@@ -57,8 +60,8 @@ class Axis(NamedTuple):
 
     def motion(self, rate: Scalar) -> Array:
         """Compute the motion (6,) that a rate of the axis, m/s or rad/s, gives to the body beyond it."""
-        own, none = self.direction * rate, np.zeros(3)
-        return np.concatenate([own, none] if self.slides else [none, own])
+        velocity, zero = self.direction * rate, np.zeros(3)
+        return np.concatenate([velocity, zero] if self.slides else [zero, velocity])
 
 
 class SpatialInertia(NamedTuple):
@@ -78,7 +81,7 @@ class SpatialInertia(NamedTuple):
 
     @classmethod
     def none(cls) -> SpatialInertia:
-        """Return zero inertia."""
+        """Return the inertia of no body: zeros."""
         return cls(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)))
 
     @classmethod
@@ -88,7 +91,7 @@ class SpatialInertia(NamedTuple):
         Args:
             mass: kg.
             inertia: (3, 3) about the center of mass, world frame, kg m^2.
-            lever: (3,) from the point to the center of mass, world frame, m.
+            lever: (3,) from the point of the result to the center of mass, world frame, m.
         """
         return cls(mass * np.eye(3), np.zeros((3, 3)), inertia).moved(lever)
 
@@ -97,20 +100,25 @@ class SpatialInertia(NamedTuple):
         return SpatialInertia(*(a + b for a, b in zip(self, other, strict=True)))
 
     def moved(self, arm: Array) -> SpatialInertia:
-        """Compute the inertia about another point; the arm (3,), m, leads from there to the present point."""
+        """Compute the inertia about another point, from which the arm (3,), m, leads to the present point."""
         across = tilde(arm)
         coupling = self.coupling + across @ self.mass
         turned = across @ coupling.T - self.coupling @ across
         return SpatialInertia(self.mass, coupling, self.inertia + symmetric(turned))
 
     def momentum(self, axis: Axis) -> Array:
-        """Compute the wrench (6,) for a unit acceleration along an axis through the point: U = I s."""
+        """Compute U = I s (6,) for an axis s through the point: the wrench for a unit acceleration along s.
+
+        U is also the momentum for a unit rate.
+        """
         if axis.slides:
             return np.concatenate([self.mass @ axis.direction, self.coupling @ axis.direction])
         return np.concatenate([self.coupling.T @ axis.direction, self.inertia @ axis.direction])
 
     def released(self, momentum: Array, gain: Array) -> SpatialInertia:
-        """Compute the inertia I - U U^T / d that acts through a free axis on the axis before.
+        """Compute the inertia I - U U^T / d with which an articulated body resists motion of the axis before.
+
+        The body is free to move along its own axis s.
 
         Args:
             momentum: (6,) U = I s.
@@ -150,7 +158,7 @@ def add_rotors(rows: Rows, rotors: Iterable[Rotor]) -> None:
 
 
 def moved_wrench(wrench: Array, arm: Array) -> Array:
-    """Compute a wrench (6,) about another point; the arm (3,), m, leads from there to the present point."""
+    """Compute a wrench (6,) about another point, from which the arm (3,), m, leads to the present point."""
     return np.concatenate([wrench[:3], wrench[3:] + cross(arm, wrench[:3])])
 
 
@@ -160,16 +168,17 @@ class AxisTree:
 
     Attributes:
         axes: (nv,) axes; each one follows the axes between the ground and itself.
-        before: (nv,) number of the axis before each axis on the path to the ground, -1 for a first axis.
+        before: (nv,) number of the axis before each axis on the path from the ground; -1 for an axis next to
+            the ground.
     """
 
     axes: list[Axis]
     before: list[int]
 
-    def on_paths(self, beyond: Iterable[int]) -> list[int]:
-        """Return the numbers of some axes and of all axes between them and the ground, leaves first."""
+    def on_paths(self, axes: Iterable[int]) -> list[int]:
+        """Return the numbers of the given axes and of all axes between them and the ground, leaves first."""
         found: set[int] = set()
-        for k in beyond:
+        for k in axes:
             while k >= 0 and k not in found:
                 found.add(k)
                 k = self.before[k]
@@ -187,8 +196,8 @@ class AxisTree:
         dynamics.
 
         Args:
-            wrenches: (6,) by axis number: sum for the bodies that this axis moves and no later axis moves,
-                about the point of the axis.
+            wrenches: (6,) by axis number: sum of the wrenches on the bodies for which this axis is the last
+                axis that moves them, about the point of the axis.
 
         Returns:
             Force or torque along each axis, N or N m, by axis number.
@@ -203,8 +212,8 @@ class AxisTree:
         """Compute rows and columns of the mass matrix M (nv, nv) by the composite rigid body algorithm.
 
         Args:
-            inertias: (nv,) for each axis: sum for the bodies that this axis moves and no later axis in
-                `order` moves, about the point of the axis.
+            inertias: (nv,) for each axis: sum of the inertias of the bodies for which this axis is the last
+                axis in `order` that moves them, about the point of the axis.
             order: numbers of the axes, leaves first. All axes between them and the ground must be included.
 
         Returns:
@@ -212,13 +221,14 @@ class AxisTree:
         """
         composites, rows = list(inertias), [dict[int, Any]() for _ in self.axes]
         for k in order:
-            # wrench for a unit acceleration of axis k: its components along all axes to the ground
-            axis, place = self.axes[k], k
+            # wrench for a unit acceleration of axis k; its components along the axes to the ground are
+            # elements of M
+            axis, other = self.axes[k], k
             wrench = composites[k].momentum(axis)
             add_symmetric(rows, k, k, axis.component(wrench))
-            while (before := self.before[place]) >= 0:
-                wrench, place = moved_wrench(wrench, self.axes[place].arm), before
-                add_symmetric(rows, k, place, self.axes[place].component(wrench))
+            while (before := self.before[other]) >= 0:
+                wrench, other = moved_wrench(wrench, self.axes[other].arm), before
+                add_symmetric(rows, k, other, self.axes[other].component(wrench))
             # pass the composite inertia to the axis before
             if (before := self.before[k]) >= 0:
                 composites[before] = composites[before].joined(composites[k].moved(axis.arm))
@@ -227,18 +237,18 @@ class AxisTree:
     def factorize(
         self, inertias: Sequence[SpatialInertia], rotors: Sequence[Rotor], scales: Sequence[float] | None
     ) -> TreeFactor:
-        """Factorize M, leaves first.
+        """Factorize M = L D L^T, leaves first.
 
-        Articulated bodies eliminate the axes deeper than `MAX_JOINT_SPACE_DEPTH`. The axes near the ground,
-        where joint coordinates take fewer operations, and the axes that a rotor couples are eliminated in
-        joint coordinates.
+        Axes deeper than `MAX_JOINT_SPACE_DEPTH` are eliminated by articulated bodies. Two other kinds of axes
+        are eliminated in joint coordinates, from elements of M: axes near the ground, because this takes
+        fewer operations, and axes whose velocities a rotor couples to each other.
 
         Args:
-            inertias: (nv,) for each axis: sum for the bodies that this axis moves and no later axis moves,
-                about the point of the axis.
+            inertias: (nv,) for each axis: sum of the inertias of the bodies for which this axis is the last
+                axis that moves them, about the point of the axis.
             rotors: rotors of all armatures.
-            scales: (nv,) usual magnitudes of the pivots. If None, the pivots of articulated bodies are not
-                part of the pivot ratio.
+            scales: (nv,) reference magnitudes of the pivots, see `newton_euler.equations.sparse`. If None,
+                the pivots of articulated bodies are not part of the pivot ratio.
         """
         # which axes are eliminated in joint coordinates, and which by articulated bodies
         depths = list[int]()
@@ -249,7 +259,7 @@ class AxisTree:
         in_joint_space = self.on_paths([*near, *coupled])
         deep = sorted(set(range(len(depths))).difference(in_joint_space), reverse=True)
 
-        # articulated bodies; a rotor of a deep axis turns with this axis only, and adds to its pivot
+        # articulated bodies; the rotor of a deep axis depends on this axis alone, and adds to its pivot
         armature: dict[int, Scalar] = {}
         for rotor in rotors:
             for k, x in rotor.jacobian.items():
@@ -262,7 +272,7 @@ class AxisTree:
             gains[k] = momentum * (1.0 / pivots[k])
             bodies[before] = bodies[before].joined(bodies[k].released(momentum, gains[k]).moved(axis.arm))
 
-        # joint coordinates; the deeper bodies count as articulated bodies
+        # joint coordinates, with the articulated bodies of the deeper axes in place of composite bodies
         rows = self.crba(bodies, in_joint_space)
         add_rotors(rows, [rotor for rotor in rotors if not deep or not pivots.keys() & rotor.jacobian])
         factor = sparse.factorize(rows, in_joint_space, scales)
@@ -270,7 +280,7 @@ class AxisTree:
         for k, pivot in pivots.items():
             factor.pivots[k], factor.inverse_pivots[k] = pivot, 1.0 / pivot
             if scales is not None:
-                pivot_ratio = minimum(pivot_ratio, pivot / scales[k] - SINGULAR)
+                pivot_ratio = minimum(pivot_ratio, pivot / scales[k] - SINGULAR_PIVOT_RATIO)
         return TreeFactor(self, gains, factor, pivot_ratio)
 
 
@@ -284,7 +294,8 @@ class TreeFactor:
         tree: the axes.
         gains: U / d (6,) of each axis that is eliminated by articulated bodies, by axis number.
         factor: D of all axes, and L of the axes that are eliminated in joint coordinates.
-        pivot_ratio: smallest ratio of a pivot to its usual magnitude, not positive if M is singular.
+        pivot_ratio: smallest ratio of a pivot to its reference magnitude, minus `SINGULAR_PIVOT_RATIO`; not
+            positive if M is singular.
     """
 
     tree: AxisTree
@@ -298,22 +309,22 @@ class TreeFactor:
         return self.factor.pivots
 
     def lower(self, right: dict[int, Any], wrenches: Mapping[int, Array] | None = None) -> dict[int, Any]:
-        """Compute L^-1 b, or L^-1 (b - tau) with the projection tau of wrenches on axes.
+        """Compute L^-1 b, or L^-1 (b - tau) with the projection tau of given wrenches onto the axes.
 
-        The wrench on each axis is passed to the axis before, together with the wrench that accelerates the
-        articulated body of the axis.
+        Leaves first, the wrench on each axis is passed to the axis before. For an axis with an articulated
+        body, x U / d is added: the wrench of the articulated body if the axis accelerates by x / d.
 
         Args:
             right: sparse vector b.
             wrenches: (6,) by axis number, see `AxisTree.rnea_backward`.
         """
-        x, carried = dict(right), dict(wrenches or {})
+        x, carried = dict(right), dict(wrenches or {})  # `carried`: wrench (6,) on each axis
         for k in self.tree.on_paths([*carried, *(k for k in x if k in self.gains)]):
             if k in carried:
                 add(x, k, -self.tree.axes[k].component(carried[k]))
             if k in self.gains and k in x:
-                push = self.gains[k] * x[k]
-                carried[k] = carried[k] + push if k in carried else push
+                wrench = self.gains[k] * x[k]
+                carried[k] = carried[k] + wrench if k in carried else wrench
             if k in carried:
                 self.tree.pass_on(carried, k)
         return self.factor.lower(x)
@@ -324,16 +335,17 @@ class TreeFactor:
 
     def upper(self, right: dict[int, Any]) -> dict[int, Any]:
         """Compute L^-T b for a sparse vector b, passing accelerations from the ground to the leaves."""
-        x, moving = self.factor.upper(right), dict[int, Array]()
+        x, motions = self.factor.upper(right), dict[int, Array]()  # motion (6,) of the body beyond each axis
         for k, (axis, before) in enumerate(zip(self.tree.axes, self.tree.before, strict=True)):
-            motions = list[Array]()
-            if before in moving:
-                linear, angular = moving[before][:3], moving[before][3:]
-                motions.append(np.concatenate([linear + cross(angular, axis.arm), angular]))
+            terms = list[Array]()
+            if before in motions:
+                # the motion of the axis before, at the point of this axis
+                linear, angular = motions[before][:3], motions[before][3:]
+                terms.append(np.concatenate([linear + cross(angular, axis.arm), angular]))
                 if k in self.gains:
-                    add(x, k, -(self.gains[k] @ motions[0]))
+                    add(x, k, -(self.gains[k] @ terms[0]))
             if k in x:
-                motions.append(axis.motion(x[k]))
-            if motions:
-                moving[k] = sum(motions[1:], start=motions[0])
+                terms.append(axis.motion(x[k]))
+            if terms:
+                motions[k] = sum(terms[1:], start=terms[0])
         return x

@@ -2,8 +2,9 @@
 
 In a singular configuration, such as a flat four-bar, several motions (branches) cross. The constraint
 Jacobian J loses rank, so that more velocities v satisfy J v = 0 than are tangent to a branch. A motion exists
-only if some acceleration a satisfies J a + dJ/dt v = 0. Each combination w of rows with w J = 0 therefore
-demands w dJ/dt v = 0. This equation is of second degree in v; its solutions are the tangents of the branches.
+only if some acceleration a satisfies J a + dJ/dt v = 0. Each combination w of rows with w J = 0 (a vector of
+coefficients) therefore demands w dJ/dt v = 0. This equation is of second degree in v; its solutions are the
+tangents of the branches.
 
 Source: A. Mueller, Local kinematic analysis of closed-loop linkages: mobility, singularities, and shakiness,
 Journal of Mechanisms and Robotics 8, 2016.
@@ -19,12 +20,15 @@ from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.scalars import Array
 
 DEPENDENT_ROW_RATIO = 1e-6
-"""Ratio of a singular value to the largest one below which constraint rows are dependent."""
+"""Singular value of the dimensionless J below which rows count as dependent, divided by the largest singular
+value or 1, whichever is larger."""
 
 MAX_CONTRADICTION = 1e-3
-"""Largest |w dJ/dt v| of velocities on a branch, divided by the squared norm of the dimensionless velocities.
+"""Largest |w dJ/dt v| for which velocities v count as tangent to a branch, divided by the squared norm of the
+dimensionless velocities.
 
-Velocities that a file gives with four digits reach 1e-4; velocities between two branches are of order 1."""
+Tangent velocities that a file gives with four digits reach 1e-4; velocities between two branches reach values
+of order 1."""
 
 DIFFERENCE_ANGLE = 1e-4
 """Step of the central difference for dJ/dt, rad, or a length divided by the mechanism's size."""
@@ -41,19 +45,19 @@ def joint_between_branches(system: Formulation, q: Array, v: Array) -> str:
         v: (nv,) initial velocities, which satisfy the constraints.
 
     Returns:
-        Name of the joint; empty if the velocities are tangent to a branch.
+        Name of the joint or coupling; empty if the velocities are tangent to a branch.
     """
-    # left null space of J: combinations w of rows, one per column of `dependent`
     speed = float(np.linalg.norm(v / system.velocity_units))
     if system.scene.motions or speed == 0.0 or not len(system.phi_units):
         return ""
-    rows, values, _ = singular_values(dimensionless_jacobian(system, q), full=True)
-    values = np.pad(values, (0, len(rows) - len(values)))
-    dependent = rows[:, values < DEPENDENT_ROW_RATIO * max(values[0], 1.0)]
+    # left null space of J: combinations w of rows, one in each column of `null`
+    left, values, _ = singular_values(dimensionless_jacobian(system, q), full=True)
+    values = np.pad(values, (0, len(left) - len(values)))
+    null = left[:, values < DEPENDENT_ROW_RATIO * max(values[0], 1.0)]
     # w dJ/dt v, by a central difference along the velocity
     step = DIFFERENCE_ANGLE / speed
     before, after = (system.phi_jacobian(system.retract(q, at * v)) @ v for at in (-step, step))
-    needed = dependent.T @ ((after - before) / (2.0 * step) / system.phi_units) / speed**2
-    if not np.abs(needed).max(initial=0.0) > MAX_CONTRADICTION:
+    contradictions = null.T @ ((after - before) / (2.0 * step) / system.phi_units) / speed**2
+    if not np.abs(contradictions).max(initial=0.0) > MAX_CONTRADICTION:
         return ""
-    return largest_share(system.row_owners, dependent @ needed)
+    return largest_share(system.row_owners, null @ contradictions)

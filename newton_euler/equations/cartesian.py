@@ -10,9 +10,12 @@ x, y, z). Equation (21) without the ground is
     |            | |        | =
     | Phi_q  0   | | -lambda| | gamma - K_D (Phi_q qdot) - K_P Phi(q)     |
 
-with the multipliers lambda, and Baumgarte's gains K_D and K_P. Each other symbol is the method of that name
-in `newton_euler.equations.cartesian_terms`. Two errata change the printed equation: the rows of the Euler
-parameters are stabilized like the others (erratum 11), and the ground has no coordinates (erratum 4).
+with the multipliers lambda, and the gains K_D and K_P of Baumgarte's stabilization. Each other symbol is the
+method of that name in `newton_euler.equations.cartesian_terms`: M is the mass matrix, Phi are the constraint
+residuals, g the applied forces, and the rows P keep the quaternions at norm 1. For n moving bodies qddot has
+7 n elements, and the upper rows are 6 n force and torque balances. Two errata change the printed equation:
+the rows of the Euler parameters are stabilized like the others (erratum 11), and the ground has no
+coordinates (erratum 4).
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from newton_euler.equations import dense, sparse
 from newton_euler.equations.cartesian_terms import CartesianTerms
 from newton_euler.equations.reactions import at_joint_points, constraint_wrenches
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, with_zero_rows
-from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, spread, to_array
+from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, add_block, to_array
 from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
 from newton_euler.model.constraints import Frame
@@ -66,10 +69,12 @@ class Cartesian(CartesianTerms):
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Compute M (6 n, 7 n) and g - b (6 n,) of equation (21), armatures (rotor inertias) included."""
         M, force = self.M(q), self.g(q, v) - self.b(q, v)
+        # an armature of inertia a exerts the force -a (Phi_q qddot - gamma) on its joint coordinate; B^T
+        # gives the forces on the bodies
         for inertia, on_q, on_b, gamma in zip(*self.rotors(q, v), strict=True):
-            push = inertia * to_array([on_b], len(force))[0]  # -a (Phi_q qddot - gamma) on the coordinate
-            M = M + np.outer(push, to_array([on_q], self.nv)[0])
-            force = force + gamma * push
+            column = inertia * to_array([on_b], len(force))[0]
+            M = M + np.outer(column, to_array([on_q], self.nv)[0])
+            force = force + gamma * column
         return M, force
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -81,13 +86,20 @@ class Cartesian(CartesianTerms):
             SingularityError: if qddot is not unique, naming the joint with dependent constraints.
         """
         matrix, right = self.equation_21(q, v)
-        n, unused = self.nv, rows_left_out(self)
-        matrix[n:], right[n:] = with_zero_rows(matrix[n:], unused), with_zero_rows(right[n:], unused)
-        force_units = np.concatenate([self.force_units, np.ones(len(self.bodies))])
-        units = self.phi_units[: self.rows], self.velocity_units, force_units
+        # constraint rows begin after the 6 n rows of the bodies and the n rows of the quaternions' norms;
+        # rows that are almost redundant are replaced by zeros
+        start, left_out = self.nv, rows_left_out(self)
+        matrix[start:] = with_zero_rows(matrix[start:], left_out)
+        right[start:] = with_zero_rows(right[start:], left_out)
         try:
-            max_rank = constraint_rank(self) - len(self.bodies)  # without the rows of the quaternions' norms
-            qddot, multipliers = dense.solve_augmented(matrix, right, *units, max_rank)
+            qddot, multipliers = dense.solve_augmented(
+                matrix,
+                right,
+                row_units=self.phi_units[: self.rows],
+                column_units=self.velocity_units,
+                force_units=np.concatenate([self.force_units, np.ones(len(self.bodies))]),
+                max_rank=constraint_rank(self) - len(self.bodies),  # without rows of the quaternions' norms
+            )
         except np.linalg.LinAlgError as error:
             raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
         if not np.isfinite(qddot).all():
@@ -96,10 +108,10 @@ class Cartesian(CartesianTerms):
         return qddot, multipliers
 
     def _weakest_joint(self, q: Array) -> str:
-        """Find the joint with the largest share in the dependent combination of constraint rows."""
-        rows = self.Phi_q_and_B(q, np.zeros(self.nv))[1]
-        left = dense.singular_values(to_array(rows, 6 * len(self.bodies)))[0][:, -1]
-        return dense.largest_share(self.row_owners[: self.rows], left)
+        """Find the joint with the largest share in the combination of constraint rows closest to zero."""
+        _, b_rows = self.Phi_q_and_B(q, np.zeros(self.nv))
+        combinations, _, _ = dense.singular_values(to_array(b_rows, 6 * len(self.bodies)))
+        return dense.largest_share(self.row_owners[: self.rows], combinations[:, -1])
 
     # Equation (21), solved by sparse elimination
 
@@ -107,35 +119,44 @@ class Cartesian(CartesianTerms):
         """Compute the linear equations for (rddot, omegadot' / p^T p) of each body.
 
         omegadot' = 2 L pddot, equation (11), is the angular acceleration in the body frame. With these
-        unknowns in place of qddot, M is block diagonal, and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
+        unknowns in place of qddot, M is block diagonal, and
+        Phi_p pddot = Phi_theta R omegadot' / (p^T p). The Jacobian of the constraints is then B.
         """
         _, B = self.Phi_q_and_B(q, v)
         right = self.right_side(q, v)
         force = self._applied(q, v)
-        # mass matrix: m_i and J'_i of each body, the latter multiplied by p^T p after the factorization
+        # mass matrix: m_i and p^T p J'_i of each body; p^T p enters after the factorization
         mass: Rows = [{} for _ in force]
-        scales = []
+        squared_norms = []
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
-            scales.append(p @ p)
-            spread(mass[linear], linear.start, body.mass * np.eye(3))  # N_i
-            spread(mass[angular], angular.start, body.inertia)  # J'_i
+            squared_norms.append(p @ p)
+            add_block(mass[linear], linear.start, body.mass * np.eye(3))  # N_i
+            add_block(mass[angular], angular.start, body.inertia)  # J'_i
         factor = sparse.factorize(mass, range(len(mass)))
-        for k, scale in enumerate(scales):
+        for k, squared_norm in enumerate(squared_norms):
             for i in range(6 * k + 3, 6 * k + 6):
-                factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
-        # rows in use, without those of the quaternions' norms, which these unknowns keep at 1
+                factor.inverse_pivots[i] = factor.inverse_pivots[i] / squared_norm
+        # selected rows, without those of the quaternions' norms: these unknowns do not contain d2|p|/dt2
         count = sum(number < self.rows for number in rows.numbers)
-        # an armature of inertia a on a coordinate x is a soft constraint: x'' + lambda / a = 0
-        inertias, _, of_rotors, gammas = self.rotors(q, v)
-        soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
-        usual = rows.scales and rows.scales[: count + len(soft)]
-        used = RowsInUse([*rows.numbers[:count], *soft], usual, flags=rows.flags)
-        free, right = factor.lower(sparse.sparse_vector(force)), np.concatenate([right, gammas])
-        return Equations(factor, free, [*B, *of_rotors], right, used, refine=True, softness=soft)
+        # an armature of inertia a on a coordinate x is an additional row, the soft constraint
+        # d2x/dt2 + lambda / a = 0; its multiplier is the armature's force -a d2x/dt2
+        inertias, _, rotor_rows, gammas = self.rotors(q, v)
+        softness = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
+        scales = rows.scales and rows.scales[: count + len(softness)]
+        selected = RowsInUse([*rows.numbers[:count], *softness], scales, flags=rows.flags)
+        return Equations(
+            factor,
+            reduced_force=factor.lower(sparse.sparse_vector(force)),
+            jacobian=[*B, *rotor_rows],
+            gamma=np.concatenate([right, gammas]),
+            rows=selected,
+            refine=True,
+            softness=softness,
+        )
 
     def _applied(self, q: Array, v: Array) -> Array:
-        """Compute g - b (6 n,) of equation (21): applied forces minus velocity terms."""
+        """Compute g - b (6 n,) of equation (21), without array b: applied forces minus gyroscopic torques."""
         force = self.g(q, v)
         parts = zip(self.bodies, self.split(q), self.split(v), strict=True)
         for k, (body, (_, p), (_, pdot)) in enumerate(parts):
@@ -146,39 +167,42 @@ class Cartesian(CartesianTerms):
     def sparse_residuals(
         self, q: Array, v: Array, rows: RowsInUse, accelerations: Array, multipliers: Array
     ) -> tuple[Array, Array]:
-        """Compute the residuals of accelerations and multipliers constraint by constraint, without B.
+        """Compute the residuals of accelerations and multipliers, without B for joints.
 
-        See `newton_euler.equations.formulation.Formulation.sparse_residuals`.
+        See `newton_euler.equations.formulation.Formulation.sparse_residuals` for arguments and results.
         """
         equations, frames = self.sparse_equations(q, v, rows), self.frames(q, v)
-        # bodies: accelerations minus applied forces
+        # bodies: mass times acceleration minus applied forces
         force, right = -self._applied(q, v), -equations.gamma.astype(object)
-        moving = frames[:1]  # frames with accelerations in place of velocities
+        accelerated = frames[:1]  # frames with accelerations in place of velocities, to use `Jacobian.rate`
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
-            spin = accelerations[angular]
+            angular_acceleration = accelerations[angular]  # omegadot' / p^T p, body frame
             force[linear] = force[linear] + body.mass * accelerations[linear]
-            force[angular] = force[angular] + (p @ p) * (body.inertia @ spin)
+            force[angular] = force[angular] + (p @ p) * (body.inertia @ angular_acceleration)
             r, rotation = frames[k + 1][:2]
-            moving.append(Frame(r, rotation, accelerations[linear], rotation @ spin))
+            accelerated.append(Frame(r, rotation, accelerations[linear], rotation @ angular_acceleration))
         # joints: relative accelerations, and the wrenches of their multipliers
-        given, start = sparse.sparse_vector(accelerations), 0
+        start = 0
         for e in self.equations:
-            own = slice(start, start + e.count)
+            own_rows = slice(start, start + e.count)
             blocks = e.jacobian(frames[e.first], frames[e.second])
-            right[own] = right[own] + blocks.rate(moving[e.first], moving[e.second])
+            right[own_rows] = right[own_rows] + blocks.rate(accelerated[e.first], accelerated[e.second])
             start += e.count
-        of_joints = multipliers[: self.rows].copy()
-        of_joints[start:] = 0.0
-        for push in constraint_wrenches(self, frames, self.measured(q, v), of_joints):
-            for k, wrench in ((push.first, push.on_first), (push.second, push.on_second)):
+        joint_multipliers = multipliers[: self.rows].copy()
+        joint_multipliers[start:] = 0.0
+        for pair in constraint_wrenches(self, frames, self.measured(q, v), joint_multipliers):
+            for k, wrench in ((pair.first, pair.on_first), (pair.second, pair.on_second)):
                 if k > 0:
-                    turned = np.concatenate([wrench[:3], frames[k].rotation.T @ wrench[3:]])
-                    force[6 * k - 6 : 6 * k] = force[6 * k - 6 : 6 * k] - turned
+                    # the torque in the body frame, as in the rows of `force`
+                    in_body = np.concatenate([wrench[:3], frames[k].rotation.T @ wrench[3:]])
+                    force[6 * k - 6 : 6 * k] = force[6 * k - 6 : 6 * k] - in_body
         # couplings, prescribed motions and armatures
+        sparse_accelerations = sparse.sparse_vector(accelerations)
         for i in range(start, len(equations.jacobian)):
-            soft = (equations.softness or {}).get(i, 0.0)
-            right[i] = right[i] + sparse.dot(equations.jacobian[i], given) + soft * multipliers[i]
+            softness = (equations.softness or {}).get(i, 0.0)
+            j_a = sparse.dot(equations.jacobian[i], sparse_accelerations)
+            right[i] = right[i] + j_a + softness * multipliers[i]
             for k, entry in equations.jacobian[i].items():
                 force[k] = force[k] - entry * multipliers[i]
         return force, right
@@ -194,22 +218,26 @@ class Cartesian(CartesianTerms):
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute qddot (7 n,) from a sparse solution.
 
-        pddot follows from 2 L pddot = omegadot' and from equation (2), p^T pddot = -c, with stabilization.
+        pddot follows from 2 L pddot = omegadot' and from equation (2), p^T pddot = -c, whose right side
+        `along_p` includes Baumgarte's stabilization of the norm.
         """
         qddot = []
         for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(v), strict=True)):
             rddot = [solution.acceleration.get(6 * k + i, 0.0) for i in range(3)]
-            spin = np.array([solution.acceleration.get(6 * k + 3 + i, 0.0) for i in range(3)])
-            minus_c = -(pdot @ pdot) - self.K_D * (p @ pdot) - self.K_P * (0.5 * (p @ p - 1.0))
-            qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ spin + p * (minus_c / (p @ p)))])
+            # omegadot' / p^T p, because L L^T = p^T p
+            angular = np.array([solution.acceleration.get(6 * k + 3 + i, 0.0) for i in range(3)])
+            along_p = -(pdot @ pdot) - self.K_D * (p @ pdot) - self.K_P * (0.5 * (p @ p - 1.0))
+            qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ angular + p * (along_p / (p @ p)))])
         return np.array(qddot)
 
     def mass_rows(self, q: Array) -> Rows:
         """Compute the sparse mass matrix (7 n, 7 n) of the kinetic energy: m and 4 L^T J' L of each body."""
         rows: Rows = [{} for _ in range(self.nv)]
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
-            spread(rows[7 * k : 7 * k + 3], 7 * k, body.mass * np.eye(3))
-            spread(rows[7 * k + 3 : 7 * k + 7], 7 * k + 3, 4.0 * matrix_l(p).T @ body.inertia @ matrix_l(p))
+            add_block(rows[7 * k : 7 * k + 3], 7 * k, body.mass * np.eye(3))
+            add_block(
+                rows[7 * k + 3 : 7 * k + 7], 7 * k + 3, 4.0 * matrix_l(p).T @ body.inertia @ matrix_l(p)
+            )
         rotors = self.rotors(q, np.zeros(self.nv))
         for inertia, row in zip(rotors.inertias, rotors.on_q, strict=True):
             for i, x in row.items():
@@ -245,17 +273,21 @@ class Cartesian(CartesianTerms):
 
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
         """Compute Phi(q), then 1/2 (p^T p - 1) of each body, and the sparse rows of their Jacobian."""
-        rest = np.zeros(self.nv)
-        jacobian = [*self.Phi_q_and_B(q, rest)[0], *self.P(q)]
-        return np.concatenate([self.Phi(q, rest), self.norms(q)]), jacobian
+        at_rest = np.zeros(self.nv)
+        jacobian = [*self.Phi_q_and_B(q, at_rest)[0], *self.P(q)]
+        return np.concatenate([self.Phi(q, at_rest), self.norms(q)]), jacobian
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
-        """Translate row numbers of the joint-coordinate form; see `Formulation.rows_of`."""
+        """Translate row numbers of the joint-coordinate form; see `Formulation.rows_of`.
+
+        Rows of loop-closing joints and couplings that are not in `relative` are left out.
+        """
         left_out = set(np.delete(self.closing_rows(), list(relative)).tolist())
         return [row for row in range(len(self.phi_units)) if row not in left_out]
 
     def closing_rows(self) -> list[int]:
         """List the rows of loop-closing joints (cuts of the spanning tree), then those of couplings."""
+        # row numbers of each joint, then of all couplings
         rows = np.split(np.arange(self.rows), np.cumsum([equations.count for equations in self.equations]))
         of_cuts = [rows[joint] for joint in SpanningTree(self.mechanism).cuts]
         closing: list[int] = np.concatenate([*of_cuts, rows[-1]]).tolist()
@@ -270,7 +302,10 @@ class Cartesian(CartesianTerms):
         return rows
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
-        """Compute rddot and omegadot = 2 G pddot of all bodies, (b, 3) each; Gdot pdot is zero."""
+        """Compute rddot and omegadot of all bodies, (b, 3) each, world frame.
+
+        omegadot is 2 G pddot, because Gdot pdot = 0.
+        """
         linear, angular = [np.zeros(3)], [np.zeros(3)]
         for (_, p), (rddot, pddot) in zip(self.split(q), self.split(vdot), strict=True):
             linear.append(rddot)

@@ -1,11 +1,13 @@
 """Terms of the equations of motion in Cartesian coordinates, each a method named by its symbol in the paper.
 
-The coordinates are q = (r, p) of each of n moving bodies: center of mass r and Euler parameters p, a unit
-quaternion (w, x, y, z). `newton_euler.equations.cartesian` has the equations and their solution, and
-`docs/explanation/errata.md` names the paper and lists its errata. Matrices of the paper: R rotation,
-G and L with R = G L^T, omega = 2 G pdot (world frame), omega' = 2 L pdot (body frame), J' inertia in the body
-frame. Phi_r and Phi_theta are derivatives of Phi for displacements and small rotations (world frame) of a
-body. Couplings (gears) and prescribed motions are further rows of Phi and B. The last section adds armatures.
+The paper is S. Srang, S. Ath, M. Yamakita, Advances in Science, Technology and Engineering Systems Journal
+5(5), 709-716, 2020; `docs/explanation/errata.md` lists its errata. `newton_euler.equations.cartesian` has the
+equations and their solution. The coordinates are q = (r, p) of each of n moving bodies: center of mass r and
+Euler parameters p, a unit quaternion (w, x, y, z). Matrices of the paper: R rotation, G and L with R = G L^T,
+omega = 2 G pdot (world frame), omega' = 2 L pdot (body frame), J' inertia in the body frame. Phi are the
+constraint residuals; Phi_r and Phi_theta are their derivatives for displacements and small rotations (world
+frame) of a body. Couplings (gears) and prescribed motions are further rows of Phi and B. The last section
+adds armatures (rotor inertias), which the paper does not have.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from newton_euler.equations.applied_forces import applied_wrenches
 from newton_euler.equations.couplings import Measured
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import model_control
-from newton_euler.equations.sparse import Rows, add, spread
+from newton_euler.equations.sparse import Rows, add, add_block
 from newton_euler.model import balls
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
@@ -30,15 +32,15 @@ from newton_euler.scalars import Array, Scalar, cross, zeros
 
 
 class Rotors(NamedTuple):
-    """Sparse rows of the joint coordinates x on which armatures (rotor inertias) act.
+    """Sparse rows of the r joint coordinates x on which armatures act: d2x/dt2 = Phi_q qddot - gamma.
 
-    d2x/dt2 = Phi_q qddot - gamma, and a force on x acts on the bodies through B^T.
+    A force on x acts on the bodies through B^T. An armature on a ball joint has three rows.
 
     Attributes:
-        inertias: kg m^2 or kg.
-        on_q: rows of Phi_q.
-        on_b: rows of B.
-        gammas: m/s^2 or rad/s^2.
+        inertias: (r,) kg m^2 or kg.
+        on_q: r rows of Phi_q.
+        on_b: r rows of B.
+        gammas: (r,) m/s^2 or rad/s^2.
     """
 
     inertias: list[Scalar]
@@ -63,12 +65,21 @@ class CartesianTerms(Formulation):
 
         Args:
             scene: the scene.
-            alpha: 1/s, gives Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 (paper, Appendix B); 0 for none.
+            alpha: 1/s, gives Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 (paper, Appendix B); 0 for no
+                stabilization.
         """
         mechanism = scene.mechanism
         self.bodies = mechanism.bodies[1:]
         n, poses = len(self.bodies), [body.pose for body in mechanism.bodies]
-        super().__init__(scene, alpha, poses, mechanism.equations, mechanism.equations, 7 * n, 7 * n)
+        super().__init__(
+            scene,
+            alpha,
+            poses,
+            equations=mechanism.equations,
+            constrained=mechanism.equations,
+            nq=7 * n,
+            nv=7 * n,
+        )
         self.inertias = [body.inertia for body in mechanism.bodies]
         self.phi_units = np.concatenate([self.phi_units, np.ones(n)])
         self.row_owners = (*self.row_owners, *(body.name for body in self.bodies))
@@ -77,7 +88,7 @@ class CartesianTerms(Formulation):
         self.velocity_units = self.coordinate_units = np.tile([size] * 3 + [1.0] * 4, n)
         self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, n)
 
-    # Section 2: coordinates
+    # Section 2 of the paper: coordinates
 
     def split(self, q: Array) -> list[tuple[Array, Array]]:
         """Split q (7 n,) into (r, p) of each moving body, or qdot into their rates."""
@@ -107,7 +118,7 @@ class CartesianTerms(Formulation):
         """Compute the sparse matrix P (n, 7 n), eqs (15) and (20): p_i^T of each body."""
         rows: Rows = [{} for _ in self.bodies]
         for k, (_, p) in enumerate(self.split(q)):
-            spread(rows[k : k + 1], 7 * k + 3, p[None])
+            add_block(rows[k : k + 1], 7 * k + 3, p[None])
         return rows
 
     # Section 2: constraints. Those of a joint are in `newton_euler.model.joint_kinds`, eqs (25) to (28).
@@ -142,12 +153,12 @@ class CartesianTerms(Formulation):
         # couplings: sums over their joint coordinates
         measured = self.measured(q, qdot)
         for coupling in self.couplings:
-            totals: Rows = [{}, {}]
-            for key, slope in coupling.seen_slopes(measured).items():
+            totals: Rows = [{}, {}]  # the row of Phi_q and the row of B
+            for key, slope in coupling.measured_slopes(measured).items():
                 first, second = self.between[key].first, self.between[key].second
                 blocks = Jacobian(*(slope * block for block in measured[key].jacobian))
-                for total, (share,) in zip(totals, self._rows(q, frames, first, second, blocks), strict=True):
-                    for k, entry in share.items():
+                for total, (row,) in zip(totals, self._rows(q, frames, first, second, blocks), strict=True):
+                    for k, entry in row.items():
                         add(total, k, entry)
             phi_q.append(totals[0])
             b.append(totals[1])
@@ -176,14 +187,14 @@ class CartesianTerms(Formulation):
         on_b: Rows = [{} for _ in r_i]
         for body, phi_r, phi_theta in ((first, r_i, theta_i), (second, r_j, theta_j)):
             if body == 0:
-                continue
+                continue  # the ground has no coordinates
             k = body - 1
             p = q[7 * k + 3 : 7 * k + 7]
-            spread(on_q, 7 * k, np.hstack([phi_r, 2.0 * phi_theta @ matrix_g(p)]))
-            spread(on_b, 6 * k, np.hstack([phi_r, phi_theta @ frames[body].rotation]))
+            add_block(on_q, 7 * k, np.hstack([phi_r, 2.0 * phi_theta @ matrix_g(p)]))
+            add_block(on_b, 6 * k, np.hstack([phi_r, phi_theta @ frames[body].rotation]))
         return on_q, on_b
 
-    # Section 3: bodies
+    # Section 3 of the paper: bodies
 
     def M(self, q: Array) -> Array:
         """Compute M (6 n, 7 n), eq. (20): N_i = m_i I and 2 J'_i L_i on its diagonal, eqs (10) to (15)."""
@@ -217,17 +228,18 @@ class CartesianTerms(Formulation):
         """
         # gravity and forces on bodies
         frames = self.frames(q, qdot)
-        applied = applied_wrenches(self.scene, self.seen(q, qdot))
+        applied = applied_wrenches(self.scene, self.surroundings(q, qdot))
         wrenches = [
             wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
             for body, wrench in zip(self.mechanism.bodies, applied, strict=True)
         ]
         # forces on joint coordinates
         measured = self.measured(q, qdot)
-        for law, u in zip(self.scene.joint_forces, self.joint_forces(q, qdot), strict=True):
-            (r_i, theta_i, r_j, theta_j), driven = measured[law.key].jacobian, self.between[law.key]
-            for body, r, theta in ((driven.first, r_i, theta_i), (driven.second, r_j, theta_j)):
+        for element, u in zip(self.scene.joint_forces, self.joint_forces(q, qdot), strict=True):
+            (r_i, theta_i, r_j, theta_j), bodies = measured[element.key].jacobian, self.between[element.key]
+            for body, r, theta in ((bodies.first, r_i, theta_i), (bodies.second, r_j, theta_j)):
                 wrenches[body] = wrenches[body] + u * np.concatenate([r[0], theta[0]])
+        # torques in the body frame
         parts = [np.zeros(0)]
         for wrench, frame in zip(wrenches[1:], frames[1:], strict=True):
             parts += [wrench[:3], frame.rotation.T @ wrench[3:]]
@@ -240,17 +252,18 @@ class CartesianTerms(Formulation):
     # Extension: armatures
 
     def rotors(self, q: Array, qdot: Array) -> Rotors:
-        """Compute the rows of all armatures: one for a hinge or slide, three for a ball joint."""
+        """Compute the rows of all armatures: one for each hinge or slide, three for each ball joint."""
         frames, measured = self.frames(q, qdot), self.measured(q, qdot)
         found = Rotors([], [], [], [])
         for armature in self.scene.armatures:
             if armature.on_ball:
+                # rates x: components of the relative angular velocity, world frame
                 first, second = balls.ends(self.mechanism, armature.joint)
                 jacobian, gammas = balls.SPIN, balls.spin_gamma(frames[first], frames[second])
             else:
                 first, second = self.between[armature.key].first, self.between[armature.key].second
-                seen = measured[armature.key]
-                jacobian, gammas = seen.jacobian, np.array([seen.gamma])
+                coordinate = measured[armature.key]
+                jacobian, gammas = coordinate.jacobian, np.array([coordinate.gamma])
             on_q, on_b = self._rows(q, frames, first, second, jacobian)
             found.inertias.extend([armature.inertia] * len(gammas))
             found.on_q.extend(on_q)
@@ -259,6 +272,9 @@ class CartesianTerms(Formulation):
         return found
 
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
-        """Measure the joint coordinates that forces, couplings and armatures depend on, by key."""
+        """Measure the joint coordinates that forces, couplings and armatures depend on, by key.
+
+        A key is (joint, number). Their Jacobians are blocks (1, 3) between two bodies.
+        """
         frames = self.frames(q, v)
         return {key: coordinate.measure(q, frames) for key, coordinate in self.between.items()}

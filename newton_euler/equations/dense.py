@@ -2,8 +2,9 @@
 
 Ranks are decided on dimensionless matrices. Rows in meters and velocities in m/s are divided by the
 mechanism's size. Entries of a constraint Jacobian are then of order 1, whatever the size of the mechanism,
-and round-off is clearly smaller. Rows that are almost redundant are removed before
-(`newton_euler.equations.redundancy`). The remaining rows have full rank except in singular configurations.
+and round-off is clearly smaller. Before these functions are called, rows that are almost redundant have been
+replaced by zeros (`newton_euler.equations.redundancy`). The rank of the other rows is then clear, and drops
+in singular configurations only.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ CLEAR_RANK = 1e-4
 J is the constraint Jacobian and L the Cholesky factor of the mass matrix."""
 
 RANK_TOLERANCE = 1e-9
-"""Singular value below which it counts as zero; also the ratio to the largest one if that exceeds 1."""
+"""Singular value of a dimensionless matrix below which the value counts as zero.
+
+If the largest singular value exceeds 1, the limit is multiplied by this largest value."""
 
 
 def largest(residuals: Array) -> float:
-    """Return the largest magnitude of an array of residuals, 0 for an empty array."""
+    """Return the largest absolute value in an array of residuals, 0 for an empty array."""
     return float(np.max(np.abs(residuals), initial=0.0))
 
 
@@ -44,16 +47,18 @@ def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Ar
     return u, s, vt
 
 
-def numerical_rank(singular_values: Array) -> int:
+def numerical_rank(values: Array) -> int:
     """Count the singular values of a dimensionless matrix that are larger than round-off."""
-    return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
+    return int(np.sum(values > RANK_TOLERANCE * max(1.0, np.max(values, initial=0.0))))
 
 
 def largest_share(owners: Sequence[str], combination: Array) -> str:
     """Find the owner, such as a joint, of the rows with the largest coefficients in a combination of rows.
 
+    Owners are compared by the sum of squares of the coefficients of their rows.
+
     Args:
-        owners: (k,) name that each row belongs to.
+        owners: (k,) name of the owner of each row.
         combination: (k,) coefficients.
     """
     weights: dict[str, float] = {}
@@ -91,16 +96,17 @@ def minimum_norm(
 def independent_rows(
     jacobian: Array, row_units: Array, column_units: Array, max_rank: int | None = None
 ) -> Array:
-    """Compute independent combinations of the rows of a Jacobian that span all of its rows.
+    """Compute independent combinations C (k, r) of the rows of a Jacobian J that span all of its rows.
 
-    With the result C (k, r), constraints J a = gamma become C^T J a = C^T gamma. Their multipliers mu give
-    lambda = C mu, which is the minimum-norm choice of all equivalent multipliers in dimensionless form.
+    Constraints J a = gamma become C^T J a = C^T gamma. Their multipliers mu give the multipliers
+    lambda = C mu of J. If redundant rows make lambda non-unique, this is the solution of minimum norm in
+    dimensionless form.
 
     Args:
         jacobian: (k, n) matrix J.
         row_units: (k,) divisors that make the rows dimensionless.
         column_units: (n,) divisors that make a dimensionless.
-        max_rank: largest r; None for no limit. A limit is needed at states whose loops are slightly open,
+        max_rank: largest r; None for no limit. A limit is needed at states whose loops are not quite closed,
             as in difference quotients and Newton iterations: there redundant rows seem independent.
     """
     u, s, _ = singular_values(jacobian * column_units / row_units[:, None])
@@ -123,7 +129,7 @@ def solve_constrained(
 
         L^T a = L^-1 f + U (S^-1 V^T gamma - U^T L^-1 f).
 
-    This form does not square J, and so keeps more digits than J M^-1 J^T.
+    This form does not square J, and so keeps more digits than the Schur complement J M^-1 J^T.
 
     Args:
         mass: (n, n) mass matrix M.
@@ -133,7 +139,7 @@ def solve_constrained(
         row_units, column_units, max_rank: see `independent_rows`.
 
     Raises:
-        numpy.linalg.LinAlgError: for an indefinite M, and for numbers that are not finite.
+        numpy.linalg.LinAlgError: for an M that is not positive definite, and for numbers that are not finite.
     """
     # columns multiplied by L^-1: the force f, and J^T with dimensionless rows
     if not (np.isfinite(force).all() and np.isfinite(gamma).all()):
@@ -142,19 +148,21 @@ def solve_constrained(
     if not jacobian.size:
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
     columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T / row_units]))
-    free, responses = columns[:, 0], columns[:, 1:]
-    # rank: if the singular values leave a doubt, the Jacobian decides alone, without the masses
-    u, s, vt = singular_values(responses)
+    reduced_force, reduced_jacobian_t = columns[:, 0], columns[:, 1:]
+    # rank: if the singular values do not show it clearly, the rank of J alone decides, because very different
+    # masses scatter the singular values of L^-1 J^T
+    u, s, vt = singular_values(reduced_jacobian_t)
     rank = len(gamma) if max_rank is None else min(len(gamma), max_rank)
     clear = 0 < rank <= len(s) and s[rank - 1] > CLEAR_RANK * s[0]
     if not clear or np.any(s[rank:] > RANK_TOLERANCE * s[0]):
         combine = row_units[:, None] * independent_rows(jacobian, row_units, column_units, max_rank)
-        u, s, vt = singular_values(responses @ combine)
+        u, s, vt = singular_values(reduced_jacobian_t @ combine)
         rank, vt = len(s), vt @ combine.T
-    # accelerations and multipliers
+    # accelerations and multipliers, from the constraint forces in the basis U
     u, s, vt = u[:, :rank], s[:rank], vt[:rank]
-    push = vt @ (gamma / row_units) / s - u.T @ free
-    return np.linalg.solve(lower.T, free + u @ push), vt.T @ (push / s) / row_units
+    constraint_force = vt @ (gamma / row_units) / s - u.T @ reduced_force
+    acceleration = np.linalg.solve(lower.T, reduced_force + u @ constraint_force)
+    return acceleration, vt.T @ (constraint_force / s) / row_units
 
 
 def solve_augmented(
@@ -181,17 +189,19 @@ def solve_augmented(
     Raises:
         numpy.linalg.LinAlgError: for a singular matrix, and for a Jacobian that is not finite.
     """
+    # dimensionless system [[A, B^T C], [C^T J, 0]] with the combinations C of rows
     n = len(column_units)
     jacobian = matrix[n:, :n]
     combine = independent_rows(jacobian, row_units, column_units, max_rank)
     left = np.zeros((n + combine.shape[1],) * 2)
     left[:n, :n] = matrix[:n, :n] * column_units / force_units[:, None]
     left[n:, :n] = combine.T @ jacobian * column_units
-    push = matrix[:n, n:] @ combine / force_units[:, None]
-    share = np.max(np.abs(push), axis=0, initial=1e-300)  # scale of each multiplier's column
-    left[:n, n:] = push / share
+    of_multipliers = matrix[:n, n:] @ combine / force_units[:, None]
+    # each column of a multiplier is divided by its largest element; 1e-300 avoids a division by zero
+    scales = np.max(np.abs(of_multipliers), axis=0, initial=1e-300)
+    left[:n, n:] = of_multipliers / scales
     unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_units, combine.T @ right[n:]]))
-    return column_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
+    return column_units * unknowns[:n], -(combine @ (unknowns[n:] / scales))
 
 
 def orthonormal_range(matrix: Array) -> Array:
@@ -203,7 +213,9 @@ def orthonormal_range(matrix: Array) -> Array:
 def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
     """Compute orthonormal columns that span the null space of a dimensionless matrix.
 
-    `rank` is the rank of the matrix; None for the numerical rank.
+    Args:
+        matrix: (k, n).
+        rank: rank of the matrix; None for the numerical rank.
     """
     if not matrix.size:
         return np.eye(matrix.shape[1])

@@ -23,9 +23,9 @@ class DrivenMechanism(NamedTuple):
     """A scene without forces whose chosen joint coordinates are driven; see `driven`.
 
     Attributes:
-        scene: the scene; the driving motions follow its other prescribed motions.
-        functions: for each driven joint coordinate, the parameter name of the function of time that drives
-            the coordinate.
+        scene: the scene; the driving motions are the last ones of its prescribed motions.
+        functions: for each driven joint coordinate, by key (joint, number), the parameter name of the
+            function of time that drives the coordinate (`newton_euler.equations.parameters`).
     """
 
     scene: Scene
@@ -37,6 +37,7 @@ class DrivenMechanism(NamedTuple):
         Args:
             system: equations of `scene`.
         """
+        # rows of joints, then of couplings, which begin with the prescribed motions
         end = system.rows - len(system.couplings) + len(self.scene.motions)
         return range(end - len(self.functions), end)
 
@@ -51,8 +52,8 @@ def driven(
 
     Args:
         scene: the mechanism; its control laws and forces are removed.
-        functions: function of time for each driven coordinate (joint, number), m or rad from the initial
-            pose.
+        functions: function of time for each driven coordinate, by key (joint, number), m or rad from the
+            initial pose.
         motions: prescribed motions of other coordinates; those of the scene if None.
         changes: new values of other fields of the scene, such as `initial_state`.
     """

@@ -2,8 +2,12 @@
 
 The class `Formulation` has what both forms share: couplings between joint coordinates, prescribed motions,
 angles whose revolutions are counted (`newton_euler.equations.couplings`), work, energies and inverse
-dynamics. The subclasses compute frames, mass matrix and constraint Jacobian. All methods accept floats, or
-symbolic scalars when the equations are traced for compilation.
+dynamics. The subclasses `newton_euler.equations.relative.Relative` and
+`newton_euler.equations.cartesian.Cartesian` compute frames, mass matrix and constraint Jacobian. All methods
+accept floats, or symbolic scalars when the equations are traced for compilation.
+
+A key (joint, number) names a joint coordinate: a hinge angle or a slide displacement. Constraint residuals
+are called Phi, their Jacobian Phi_q; gamma is the right side of Phi_q dv/dt = gamma.
 """
 
 from __future__ import annotations
@@ -20,8 +24,8 @@ from newton_euler.equations.couplings import (
     Measured,
     carried_angles,
     carried_rates,
-    coordinates,
     couplings,
+    measured_coordinates,
     needed_coordinates,
     revolutions,
     row_owners,
@@ -38,21 +42,22 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, minimum
 
 T = TypeVar("T")
-REMEMBERED = 64
+MAX_REMEMBERED_STATES = 64
 """Number of most recent states whose kinematics a formulation keeps, so that they are computed once."""
 
 
 class Servos(NamedTuple):
     """Data of inverse dynamics: joint coordinates with desired accelerations, and the actuators.
 
-    A key (joint, number) names a joint coordinate.
+    `newton_euler.equations.servos.servos_of` checks that the actuators can cause any accelerations.
 
     Attributes:
         coordinates: (d,) keys of the coordinates z with desired accelerations, independent of each other.
         actuators: (a,) keys of the coordinates on which actuators act: z itself, or at least d others. In
             the second case z must determine the whole motion.
-        rows: constraint rows in use.
-        scales: usual magnitude of the pivot of each of these rows, then of each coordinate; None if unknown.
+        rows: independent constraint rows, which the solution uses.
+        scales: reference magnitudes of the pivots in the elimination of these rows, then of the additional
+            rows that prescribe the accelerations of z; None if unknown. See `newton_euler.equations.sparse`.
     """
 
     coordinates: tuple[Key, ...]
@@ -61,40 +66,49 @@ class Servos(NamedTuple):
     scales: list[float] | None = None
 
     def with_flags(self, flags: Mapping[int, Scalar] | None) -> Servos:
-        """Return a copy with given flags of constraint rows (1 for a row left out); itself without flags."""
+        """Return a copy with flags by constraint row, 1 to omit the row; the same data if flags is None."""
         return self._replace(rows=self.rows._replace(flags=flags)) if flags else self
 
 
 class Formulation(System):
     """A form of the equations of motion of a scene, over floats or symbolic scalars.
 
-    q (nq,) holds the form's own coordinates, then the carried angles, then the work if the scene tracks it.
-    The own coordinates are those of a spanning tree or the poses of all bodies. A carried angle is the
-    integral of an angle's rate, which counts revolutions. v (nv,) holds the velocities of the own
+    q (nq,) holds the form's own coordinates, then the carried angles, then the work of forces if the scene
+    tracks it. The own coordinates are those of a spanning tree or the poses of all bodies. A carried angle is
+    the integral of an angle's rate, which counts revolutions. v (nv,) holds the velocities of the own
     coordinates.
 
     Attributes:
-        K_D, K_P: Baumgarte's gains, 1/s and 1/s^2.
+        name: "relative" for joint coordinates, "cartesian" for Cartesian coordinates.
+        scene, mechanism: the scene and its mechanism.
+        nq, nv: lengths of q and v.
+        K_D, K_P: gains of Baumgarte's stabilization, 1/s and 1/s^2, which is in gamma; 0 without it.
         time: time of prescribed motions, s.
         poses: reference pose of each body, ground first, which defines the body frame.
         equations: constraint equations of all joints, in the body frames of `poses`.
-        constrained: those of the joints that have Lagrange multipliers in this form.
-        couplings: gears, screws and prescribed motions.
+        constrained: constraint equations of the joints that have Lagrange multipliers in this form.
+        couplings: gears, screws and prescribed motions as constraint equations.
         rows: number of equations of `constrained` and of the couplings.
-        places: index in q and v of each joint coordinate that forces and couplings depend on, by key; None
-            for a coordinate that is measured between two bodies.
-        between: those joint coordinates that are measured between two bodies.
+        places: indices in q and in v of each joint coordinate that forces, couplings and armatures depend on,
+            by key; None for a coordinate that is not one of the own coordinates.
+        between: joint coordinates without indices in `places`, which are measured between two bodies.
         angles: index in q of each angle whose revolutions are counted, by key.
         carried, work: slices of q with the carried angles and the work.
-        in_use: constraint rows that imply all others, over symbolic scalars; None over floats.
-        omitted: rows of `phi` to leave out; None for those that `newton_euler.equations.redundancy` selects.
-        phi_units: (k,) divisors that make the rows of `phi` dimensionless.
+        in_use: constraint rows in use while the equations are evaluated over symbolic scalars; all other rows
+            follow from them. None over floats.
+        omitted: numbers of the rows of `phi` that solvers omit as redundant; None for the rows that
+            `newton_euler.equations.redundancy.rows_left_out` selects.
+        phi_units: (k,) divisors that make the rows of `phi` dimensionless: the mechanism's size, m, for a row
+            in meters, else 1.
         row_owners: (k,) name of the joint, coupling or body that each row of `phi` belongs to.
         inertias: (3, 3) of each body about its center of mass, in its body frame, kg m^2.
-        velocity_units: (nv,) divisors that make v dimensionless but for time.
+        velocity_units: (nv,) divisors that give all elements of v the unit 1/s: the mechanism's size, m, for
+            linear velocities, else 1.
         coordinate_units: divisors that make the own coordinates dimensionless: the mechanism's size, m, for
             lengths, else 1.
         quaternions: slices of q with quaternions (w, x, y, z).
+        model_control: at most one `newton_euler.equations.model_control.ModelControl`, which computes the
+            forces of control laws that use a model of the mechanism; empty until it is needed.
     """
 
     name: str
@@ -123,7 +137,8 @@ class Formulation(System):
         """
         # scene, Baumgarte's gains, constraint rows
         self.scene, self.mechanism = scene, scene.mechanism
-        self.K_D, self.K_P = 2.0 * alpha, alpha * alpha  # Appendix B, eqs (30) and (31) with zeta = 1
+        # eqs (30) and (31) with zeta = 1 of the paper cited in `newton_euler.equations.cartesian`
+        self.K_D, self.K_P = 2.0 * alpha, alpha * alpha
         self.poses, self.equations, self.constrained = poses, equations, constrained
         self.time: Scalar = 0.0
         self.in_use: RowsInUse | None = None
@@ -132,19 +147,20 @@ class Formulation(System):
         self.rows = sum(e.count for e in constrained) + len(self.couplings)
         self.phi_units = row_units(constrained, self.couplings, self.mechanism.size)
         self.row_owners = row_owners(constrained, self.couplings)
-        # joint coordinates that forces, couplings and armatures (rotor inertias) depend on
-        counted = needed_coordinates(scene, self.couplings)
+        # joint coordinates that forces, couplings and armatures (rotor inertias) depend on; armatures do not
+        # depend on the number of revolutions
+        needed = needed_coordinates(scene, self.couplings)
         rotors = (armature.key for armature in scene.armatures if not armature.on_ball)
-        self.places = {key: self.place(key) for key in [*counted, *rotors]}
-        cut = {
+        self.places = {key: self.place(key) for key in [*needed, *rotors]}
+        not_own = {
             key: equations[self.mechanism.joint_index(key[0])]
             for key, place in self.places.items()
             if place is None
         }
-        self.between = coordinates(cut, nq, counted)
+        self.between = measured_coordinates(not_own, first_index=nq, counted=needed)
         # counted angles are own coordinates, or carried angles behind the own coordinates
         self.angles: dict[Key, int] = {}
-        for key in counted:
+        for key in needed:
             place = self.places[key]
             on_q = self.between[key].carried if place is None else place[0]
             if on_q is not None and not self.mechanism.is_slide(*key):
@@ -155,7 +171,7 @@ class Formulation(System):
         self.work = slice(nq + carried, nq + carried + int(scene.tracks_work))
         self.nq, self.nv = self.work.stop, nv
         self._states: dict[Any, tuple[tuple[Array, Array], Any]] = {}
-        self.model_control: list[Any] = []  # one `newton_euler.equations.model_control.ModelControl` at most
+        self.model_control: list[Any] = []
 
     def unit(self, key: Key) -> float:
         """Return the unit of a joint coordinate: the mechanism's size, m, for a slide, 1 for an angle."""
@@ -163,13 +179,13 @@ class Formulation(System):
 
     @property
     def uncounted_angles(self) -> list[int]:
-        """Indices in q of angles whose full revolutions have no effect."""
+        """Indices in q of own hinge angles whose full revolutions have no effect; none by default."""
         return []
 
     # Methods that the two forms implement
 
     def place(self, key: Key) -> tuple[int, int] | None:
-        """Return the indices of a joint coordinate in q and in v; None if it is not one of the own ones."""
+        """Return the indices of a joint coordinate in q and in v; None if it is no own coordinate."""
         return None
 
     def frames(self, q: Array, v: Array) -> list[Frame]:
@@ -211,7 +227,12 @@ class Formulation(System):
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Translate row numbers of the joint-coordinate form into row numbers of `phi` of this form.
 
-        The result also contains all rows of joints that have no rows in the joint-coordinate form.
+        Args:
+            relative: numbers of rows of loop-closing joints and couplings.
+
+        Returns:
+            Row numbers, ascending: the given rows, and all rows without a counterpart in the joint-coordinate
+            form, such as those of the tree's joints.
         """
         raise NotImplementedError
 
@@ -244,8 +265,12 @@ class Formulation(System):
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
         """Compute sparse rows and gamma (k,) of d2x/dt2 = rows @ accelerations - gamma.
 
-        x are joint coordinates, which must be among those of `measured`. The accelerations are the unknowns
-        of `sparse_equations`.
+        Args:
+            q, v: (nq,) and (nv,), the state.
+            keys: keys of the k joint coordinates x, which must be keys of `measured`.
+
+        Returns:
+            Rows over the accelerations that are the unknowns of `sparse_equations`; gamma.
         """
         raise NotImplementedError
 
@@ -275,13 +300,13 @@ class Formulation(System):
     # Coordinates
 
     def remembered(self, q: Array, v: Array, compute: Callable[[Array, Array], T]) -> T:
-        """Return compute(q, v), or the result of an earlier call for one of the last `REMEMBERED` states."""
+        """Return compute(q, v), or the result of an earlier call for one of the most recent states."""
         # the bytes of an array of symbolic scalars are the identities of these objects; the copies of q and v
         # keep the objects alive, so that no identity is used again
         state = (q.dtype, q.tobytes(), v.dtype, v.tobytes())
         known = self._states  # never changed but replaced, because other threads may be reading
         if state not in known:
-            last = list(known.items())[1 - REMEMBERED :]
+            last = list(known.items())[1 - MAX_REMEMBERED_STATES :]
             self._states = known = dict([*last, (state, ((q.copy(), v.copy()), compute(q, v)))])
         found: T = known[state][1]
         return found
@@ -297,29 +322,32 @@ class Formulation(System):
             return q, v
         q = np.concatenate([q, np.zeros(self.nq - len(q))])
         q[self.carried] = carried_angles(self.between, self.frames(q, v))
-        x = {key: seen.x for key, seen in self.measured(q, v).items()}
-        turned = revolutions(self.couplings, x, self.angles, self.time, state.angles)
-        for key, angle in turned.items():
+        # add full revolutions to angles between -pi and pi
+        x = {key: coordinate.x for key, coordinate in self.measured(q, v).items()}
+        multiples = revolutions(self.couplings, x, self.angles, self.time, state.angles)
+        for key, angle in multiples.items():
             q[self.angles[key]] += angle
         return q, v
 
     def coordinates_from(self, other: Formulation, q: Array) -> Array:
         """Convert coordinates of another scene of the same mechanism, in the same form, to this scene.
 
+        The scenes may have different forces and couplings, and may therefore carry different angles.
+
         Args:
             other: equations of the other scene.
             q: coordinates of the other scene.
 
         Returns:
-            q (nq,) of this scene, with zero work. Angles that the other scene does not count are between -pi
-            and pi.
+            q (nq,) of this scene, with zero work. Carried angles that the other scene does not count are 0,
+            so that they are measured between -pi and pi.
         """
-        counted = [key for key, coordinate in self.between.items() if coordinate.carried is not None]
-        angles = [q[other.angles[key]] if key in other.angles else 0.0 for key in counted]
+        carried = [key for key, coordinate in self.between.items() if coordinate.carried is not None]
+        angles = [q[other.angles[key]] if key in other.angles else 0.0 for key in carried]
         return np.concatenate([q[: self.carried.start], angles, np.zeros(self.nq - self.work.start)])
 
     def rate(self, q: Array, v: Array) -> Array:
-        """Compute dq/dt (nq,): rates of the own coordinates and of the carried angles, and the power."""
+        """Compute dq/dt (nq,): rates of the own coordinates and of the carried angles, then the power, W."""
         own = self.own_rate(q, v)
         if self.nq == self.carried.start:
             return own
@@ -327,7 +355,10 @@ class Formulation(System):
         return np.concatenate([own, carried_rates(self.between, self.frames(q, v)), work])
 
     def retract(self, q: Array, step: Array) -> Array:
-        """Return q moved by a small step (nv,), with quaternions of norm 1 and the carried angles updated."""
+        """Return q moved by a small step (nv,), in the units of v times s; the work does not change.
+
+        Quaternions keep norm 1. Carried angles change by their linear approximation.
+        """
         own = self.own_retract(q, step)
         if self.nq == self.carried.start:
             return own
@@ -346,7 +377,7 @@ class Formulation(System):
         )
 
     def counted(self, q: Array, frames: Sequence[Frame]) -> dict[Key, Scalar]:
-        """Compute the angles with counted revolutions, rad, by key, at q and the frames of the bodies."""
+        """Compute the angles whose revolutions are counted, rad, by key, at q and frames of all bodies."""
         found = {}
         for key, place in self.angles.items():
             angle = q[place] if self.places[key] is not None else self.between[key].value(q, frames)
@@ -373,9 +404,10 @@ class Formulation(System):
 
     def phi_t(self) -> Array:
         """Compute the partial derivative of `phi` with respect to time (k,); 0 without prescribed motions."""
-        prescribed = [coupling.phi_t(self.time) for coupling in self.couplings]
-        before, after = self.rows - len(prescribed), len(self.phi_units) - self.rows
-        return np.concatenate([np.zeros(before), prescribed, np.zeros(after)])
+        # `phi` has the rows of joints, then of couplings, then of other constraints: quaternion norms
+        of_couplings = [coupling.phi_t(self.time) for coupling in self.couplings]
+        joint_rows, other_rows = self.rows - len(of_couplings), len(self.phi_units) - self.rows
+        return np.concatenate([np.zeros(joint_rows), of_couplings, np.zeros(other_rows)])
 
     def joint_phi(self, q: Array) -> Array:
         """Compute the residuals of all joints, tree joints included, then of all couplings, m or rad."""
@@ -409,11 +441,11 @@ class Formulation(System):
 
     def joint_forces(self, q: Array, v: Array) -> Iterator[Scalar]:
         """Yield the force of each control law and each spring on a joint coordinate, N or N m."""
-        at = self.seen(q, v)
-        for law in self.scene.joint_forces:
-            yield law.at_joint(at)
+        at = self.surroundings(q, v)
+        for force in self.scene.joint_forces:
+            yield force.at_joint(at)
 
-    def seen(self, q: Array, v: Array) -> Surroundings:
+    def surroundings(self, q: Array, v: Array) -> Surroundings:
         """Compute the quantities that forces depend on: frames, joint coordinates, time."""
         frames, measured, model = self.frames(q, v), self.measured(q, v), partial(self.model_forces, q, v)
         return Surroundings(self.mechanism, self.poses, frames, measured, self.time, model)
@@ -429,7 +461,7 @@ class Formulation(System):
 
         The power of prescribed motions is -lambda . Phi_t, with the Lagrange multipliers lambda.
         """
-        total = power(self.scene, self.seen(q, v))
+        total = power(self.scene, self.surroundings(q, v))
         if not self.scene.motions:
             return total
         if self.in_use is None:
@@ -444,7 +476,7 @@ class Formulation(System):
 
         Args:
             q, v: (nq,) and (nv,), the state.
-            rows: constraint rows to use; all other rows must follow from them.
+            rows: constraint rows to use; all other rows follow from them.
         """
         return sparse.solve_constrained(self.sparse_equations(q, v, rows))
 
@@ -455,8 +487,9 @@ class Formulation(System):
 
         Additional constraints J_z vdot = zddot + gamma_z prescribe the accelerations. Their multipliers tau
         are the required forces on z. If the actuators act on other coordinates x, their forces u must do the
-        same work: (dx/dz)^T u = tau, with dx/dz = J_x T from J T = 0 and J_z T = I. If several u do, the
-        shortest is chosen, in N m; forces on slides are multiplied by the mechanism's size.
+        same work: (dx/dz)^T u = tau. Here dx/dz = J_x T, with the velocities T for unit rates of z: J T = 0
+        and J_z T = I. If several u satisfy this, the one of least norm is chosen; for the norm, forces on
+        slides are multiplied by the mechanism's size.
 
         Args:
             q, v: (nq,) and (nv,), the state.
@@ -465,32 +498,33 @@ class Formulation(System):
             accelerations: (d,) zddot, m/s^2 or rad/s^2.
 
         Returns:
-            Forces (a,), N or N m, and the pivot ratio of the elimination: not positive if the coordinates do
-            not determine the motion, or if the actuators cannot cause it.
+            Forces (a,), N or N m, and the pivot ratio of the elimination
+            (`newton_euler.equations.sparse.Factor`): not positive if the constraints on z depend on the other
+            constraints, or if the actuators cannot cause the motion.
         """
         # equations of motion with the additional constraints
         coordinates, actuators = servos.coordinates, servos.actuators
         equations = self.sparse_equations(q, v, servos.rows)
-        wanted, gamma = self.sparse_coordinates(q, v, coordinates)
-        gamma = np.concatenate([equations.gamma, gamma + np.array(accelerations)])
-        equations = equations.extended(wanted, gamma, servos.scales)
-        places = range(len(gamma) - len(wanted), len(gamma))
+        z_rows, gamma_z = self.sparse_coordinates(q, v, coordinates)
+        gamma = np.concatenate([equations.gamma, gamma_z + np.array(accelerations)])
+        equations = equations.extended(z_rows, gamma, servos.scales)
+        numbers = range(len(gamma) - len(z_rows), len(gamma))  # of the additional rows
         solution = sparse.solve_constrained(equations)
-        forces = np.array([solution.multipliers.get(place, 0.0) for place in places])
+        tau = np.array([solution.multipliers.get(number, 0.0) for number in numbers])
         if actuators == coordinates:
-            return forces, solution.pivot_ratio
-        # dimensionless dx/dz, one row for each coordinate z: solutions without force for a unit rate of z
-        acting, _ = self.sparse_coordinates(q, v, actuators)
-        units, on = (np.array([self.unit(key) for key in keys]) for keys in (coordinates, actuators))
-        shares: Rows = []
-        for place, unit in zip(places, units, strict=True):
-            only = np.zeros(len(equations.gamma))
-            only[place] = unit
-            tangent = sparse.solve_constrained(equations._replace(free={}, gamma=only)).acceleration
-            shares.append(sparse_vector([dot(row, tangent) / on[k] for k, row in enumerate(acting)]))
-        # shortest forces of the actuators that do the same work
-        found, pivot_ratio = sparse.least_squares(shares, forces * units)
-        forces = np.array([found.get(k, 0.0) / unit for k, unit in enumerate(on)])
+            return tau, solution.pivot_ratio
+        # dimensionless (dx/dz)^T, row by row: solve without forces for a unit rate of one coordinate z
+        x_rows, _ = self.sparse_coordinates(q, v, actuators)
+        z_units, x_units = (np.array([self.unit(key) for key in keys]) for keys in (coordinates, actuators))
+        dx_dz: Rows = []
+        for number, unit in zip(numbers, z_units, strict=True):
+            rates = np.zeros(len(equations.gamma))
+            rates[number] = unit
+            tangent = sparse.solve_constrained(equations._replace(reduced_force={}, gamma=rates)).acceleration
+            dx_dz.append(sparse_vector([dot(row, tangent) / x_units[k] for k, row in enumerate(x_rows)]))
+        # actuator forces of least norm that do the same work
+        scaled_forces, pivot_ratio = sparse.least_squares(dx_dz, tau * z_units)
+        forces = np.array([scaled_forces.get(k, 0.0) / unit for k, unit in enumerate(x_units)])
         return forces, minimum(solution.pivot_ratio, pivot_ratio)
 
     def acceleration(self, q: Array, v: Array) -> Array:
@@ -498,13 +532,16 @@ class Formulation(System):
         return self.solve(q, v)[0]
 
     def sparse_acceleration(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
-        """Compute dv/dt (nv,) and the pivot ratio (1 far from singular states) by sparse elimination."""
+        """Compute dv/dt (nv,) and the pivot ratio by sparse elimination.
+
+        The pivot ratio is of order 1 far from singular states, and not positive at them.
+        """
         solution = self.sparse_solution(q, v, rows)
         return self.sparse_vdot(q, v, solution), solution.pivot_ratio
 
     def observe(self, q: Array, v: Array) -> Observation:
         """Compute the poses, velocities and energies at a state."""
-        kinetic, potential = self.energies(self.seen(q, v))
+        kinetic, potential = self.energies(self.surroundings(q, v))
         return Observation(
             state=self.state(q, v),
             kinetic_energy=kinetic,
@@ -524,7 +561,7 @@ class Formulation(System):
         return self._evaluation(q, v, vdot, multipliers), solution.pivot_ratio
 
     def _evaluation(self, q: Array, v: Array, vdot: Array, multipliers: Array) -> Evaluation:
-        """Collect the evaluation of a state from dv/dt (nv,) and the multipliers (rows,)."""
+        """Compute the evaluation of a state from its dv/dt (nv,) and multipliers (rows,)."""
         bodies = self.body_accelerations(q, v, vdot)
         forces, torques = self.reactions(q, v, vdot, bodies, multipliers)
         return Evaluation(
@@ -533,5 +570,6 @@ class Formulation(System):
             angular_acceleration=bodies[1],
             reaction_force=forces,
             reaction_torque=torques,
+            # the first joint forces are those of the control laws
             actuator_force=np.array(list(self.joint_forces(q, v))[: len(self.scene.control)]),
         )

@@ -1,9 +1,10 @@
 """Selection of independent rows of a sparse dimensionless matrix, such as a constraint Jacobian.
 
 The independent part of a row is the length of its component orthogonal to the selected rows. A row counts as
-dependent if its independent part is below a tolerance, and also several times below that of the weakest
-selected row. The forms of the equations, other engines and the readers of model files all use this decision.
-A sparse row is a dictionary from column to number; there may be thousands of rows.
+dependent if its independent part is below a tolerance, and also `MIN_GAP_RATIO` times below that of the
+weakest selected row. The forms of the equations, other engines and the readers of model files all use this
+decision. A sparse row is a dictionary from column to number; there may be thousands of rows. The rows have
+length about 1, so that all limits are absolute.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from newton_euler.equations.sparse import (
 from newton_euler.scalars import Array
 
 ROW_ROUND_OFF = 1e-10
-"""Independent part below which a row is dependent up to round-off, whatever the tolerance."""
+"""Independent part below which a row counts as dependent, also with tolerance 0: it is round-off."""
 
 MIN_INEXACT = 1e-13
-"""Independent part above which a dependent row is not exactly redundant."""
+"""Independent part above which a dependent row is not exactly redundant; smaller ones are round-off."""
 
 CERTAIN_PIVOT = 1e-4
 """Pivot of the Gram matrix above which a row is certainly independent.
@@ -45,8 +46,8 @@ class Independent(NamedTuple):
 
     Attributes:
         factor: factor of the Gram matrix (inner products) of the selected rows.
-        weak: independent parts of selected rows that are not certainly independent, by row number, in
-            descending order.
+        weak: independent parts, by row number, of the selected rows whose independent part is so small that
+            the row may have been dependent by design; in descending order.
         strong: smallest independent part of the other selected rows.
         noise: largest independent part of a row that is not selected.
     """
@@ -85,12 +86,13 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
     least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
-    # the other rows one by one, the largest independent part first
+    # the doubtful rows one by one, the largest independent part first. Before each search for the largest
+    # part, one random sum of all doubtful rows shows cheaply whether any of them is independent
     weak, strong = dict[int, float](), least
-    # a random sum of all doubtful rows shows first if any of them is independent
-    while doubtful and (new := _independent_part_of_sum(rows, factor, doubtful)) > MIN_INEXACT:
-        if new <= ROW_ROUND_OFF or MIN_GAP_RATIO * new <= min(tolerance, least / MIN_GAP_RATIO):
-            noise = max(noise, new)
+    while doubtful and (of_sum := _independent_part_of_sum(rows, factor, doubtful)) > MIN_INEXACT:
+        # the sum may hide a part a few times as large, hence the additional factor `MIN_GAP_RATIO`
+        if of_sum <= ROW_ROUND_OFF or MIN_GAP_RATIO * of_sum <= min(tolerance, least / MIN_GAP_RATIO):
+            noise = max(noise, of_sum)
             break
         parts = {i: remainder(rows, factor, rows[i]) for i in doubtful}
         best = max(parts, key=lambda i: parts[i])
@@ -98,6 +100,7 @@ def independent(rows: Rows, tolerance: float) -> Independent:
         if part <= ROW_ROUND_OFF or (part <= tolerance and MIN_GAP_RATIO * part <= least):
             noise = max(noise, part)
             break
+        # select the row
         least = min(least, part)
         if part < np.sqrt(CERTAIN_PIVOT):
             weak[best] = part
@@ -116,24 +119,24 @@ def length(row: dict[int, float]) -> float:
 def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
     """Compute the independent part of a row: its distance from the span of the selected rows.
 
-    The Gram matrix loses digits; a second solution for the remaining vector recovers them.
+    Solving with the Gram matrix loses digits; a second solution for the remaining vector recovers them.
 
     Args:
         rows: sparse rows of the matrix.
         factor: factor of the Gram matrix of the selected rows.
         row: the examined sparse row.
     """
-    left = dict(row)
+    remaining = dict(row)
     for _ in range(2):
-        right = {j: dot(rows[j], left) for j in factor.order}
+        right = {j: dot(rows[j], remaining) for j in factor.order}
         for j, share in factor.solve({j: x for j, x in right.items() if x != 0.0}).items():
             for k, x in rows[j].items() if share != 0.0 else ():
-                left[k] = left.get(k, 0.0) - share * x
-    return length(left)
+                remaining[k] = remaining.get(k, 0.0) - share * x
+    return length(remaining)
 
 
 def shares(rows: Rows, used: Sequence[int], others: Sequence[int]) -> Rows:
-    """Express dependent rows as combinations of independent rows: others = X @ used.
+    """Express dependent rows as combinations of independent rows: (dependent rows) = X @ (independent rows).
 
     The coefficients X are called shares. A second solution recovers the digits that the Gram matrix loses.
 
@@ -149,14 +152,14 @@ def shares(rows: Rows, used: Sequence[int], others: Sequence[int]) -> Rows:
     factor = factorize(products, minimum_degree(products))
     found: Rows = []
     for other in others:
-        left, total = dict(rows[other]), dict[int, float]()
+        remaining, total_shares = dict(rows[other]), dict[int, float]()
         for _ in range(2):
-            right = {n: dot(rows[i], left) for n, i in enumerate(used)}
+            right = {n: dot(rows[i], remaining) for n, i in enumerate(used)}
             for n, share in factor.solve({n: x for n, x in right.items() if x != 0.0}).items():
-                add(total, used[n], share)
+                add(total_shares, used[n], share)
                 for k, x in rows[used[n]].items():
-                    add(left, k, -share * x)
-        found.append(total)
+                    add(remaining, k, -share * x)
+        found.append(total_shares)
     return found
 
 
@@ -182,7 +185,7 @@ def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:
 
 
 def _independent_part_of_sum(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
-    """Compute the independent part of a random sum of rows: round-off if each of the rows is dependent."""
+    """Compute the independent part of a random sum of rows: round-off if all rows are exactly dependent."""
     weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
     total: dict[int, float] = {}
     for i, weight in zip(doubtful, weights, strict=True):

@@ -2,8 +2,11 @@
 
 A spanning tree connects all bodies by joints without loops; the remaining joints close loops and are called
 cut. The poses, velocities and accelerations of the bodies are computed from the ground to the leaves. Then
-follow the residuals Phi of the loop-closing joints and their Jacobian. Body frames are parallel to the world
-at the initial pose. All functions accept floats, or symbolic scalars when the equations are traced.
+follow the residuals Phi of the loop-closing joints and their Jacobian. The coordinates q and velocities v are
+those of the tree's joints. A joint is a series of elementary motions (hinges, slides, a ball); a ball has a
+quaternion in q, and the relative angular velocity in v. Each element of v has an axis. Body frames are
+parallel to the world at the initial pose. All functions accept floats, or symbolic scalars when the equations
+are traced for compilation.
 """
 
 from __future__ import annotations
@@ -37,10 +40,11 @@ class Link:
         frame: pose and velocity of the center of mass and of the body frame, in the world frame.
         acceleration: (3,) of the center of mass, m/s^2, for the joint accelerations given to `tree_links`.
         angular_acceleration: (3,) rad/s^2, for the same joint accelerations.
-        path: indices in v of the joint velocities that move the body, ground first.
-        axes: axes of these velocities.
+        path: indices in v of the joint velocities that move the body, from the ground to the body.
+        axes: axes of these velocities, in the same order.
         lever: (3,) from the point of the last axis to the center of mass, world frame, m.
-        orientation: (4,) the rotation as a quaternion (w, x, y, z), continuous in the joint coordinates.
+        orientation: (4,) rotation since the initial pose as a quaternion (w, x, y, z), continuous in the
+            joint coordinates.
     """
 
     frame: Frame
@@ -57,7 +61,7 @@ class Link:
         columns, lever = list[Array](), self.lever
         for axis in reversed(self.axes):
             columns.append(axis.direction if axis.slides else cross(axis.direction, lever))
-            lever = axis.arm + lever
+            lever = axis.arm + lever  # from the point of the axis before to the center of mass
         return np.array(columns[::-1]).T if columns else np.zeros((3, 0))
 
     @cached_property
@@ -68,7 +72,7 @@ class Link:
 
 
 def rotation_about(axis: Array, angle: Array) -> Array:
-    """Compute the rotation matrix (3, 3) for an angle, rad, about a unit axis (3,), by Rodrigues' formula."""
+    """Compute the rotation matrix (3, 3) of an angle, rad, about a unit axis (3,), by Rodrigues' formula."""
     k = tilde(axis)
     return np.eye(3) + sin(angle) * k + (1.0 - cos(angle)) * (k @ k)
 
@@ -86,7 +90,15 @@ def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array, vdo
     ground = mechanism.bodies[0]
     zero = np.zeros(3)
     frame = Frame(ground.center_of_mass, np.eye(3), zero, zero)
-    root = Link(frame, zero, zero, [], [], zero, np.array([1.0, 0.0, 0.0, 0.0]))
+    root = Link(
+        frame=frame,
+        acceleration=zero,
+        angular_acceleration=zero,
+        path=[],
+        axes=[],
+        lever=zero,
+        orientation=np.array([1.0, 0.0, 0.0, 0.0]),
+    )
     links: dict[int, Link] = {0: root}
     for joint in tree.joints:
         motion = q[joint.q], v[joint.v], vdot[joint.v]
@@ -99,41 +111,44 @@ def _child(
 ) -> Link:
     """Compute the kinematics of a joint's child from those of its parent.
 
-    A joint is a series of motions (hinges, slides, a ball). A point and a frame travel from the parent's
-    center of mass through all motions to the child's center of mass.
+    A point and a frame travel from the parent's center of mass through all elementary motions of the joint to
+    the child's center of mass. Their position, velocity and acceleration are updated on the way.
 
     Args:
-        mechanism, tree, joint: the joint of the tree.
+        mechanism, tree: the bodies and the spanning tree.
+        joint: the joint of the tree, with its elementary motions and the point of each.
         parent: kinematics of the parent.
         q, v, vdot: coordinates of this joint, their velocities and accelerations.
     """
-    r, a, velocity, omega = parent.frame  # position, rotation, velocity, angular velocity
+    # of the traveling point r and frame a: position, rotation, velocity, angular velocity, accelerations
+    r, a, velocity, omega = parent.frame
     acceleration, alpha = parent.acceleration, parent.angular_acceleration
     orientation = parent.orientation
-    # vectors from the last axis before the joint to its first motion, from each motion to the next, and to
-    # the child's center of mass
-    way = [parent.lever]
+    # sections of the path of the point, world frame: from the last axis before the joint to its first motion,
+    # from each motion to the next, and from the last motion to the child's center of mass
+    sections = [parent.lever]
 
     def move(s: Array) -> None:
         """Move the point by a vector s (3,), world frame, that is fixed in the present frame."""
         nonlocal r, velocity, acceleration
-        turning = cross(omega, s)
-        r, way[-1] = r + s, way[-1] + s
-        velocity = velocity + turning
-        acceleration = acceleration + cross(alpha, s) + cross(omega, turning)
+        velocity_change = cross(omega, s)
+        r, sections[-1] = r + s, sections[-1] + s
+        velocity = velocity + velocity_change
+        acceleration = acceleration + cross(alpha, s) + cross(omega, velocity_change)
 
-    # from the parent's center of mass to the first motion's point
-    here = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
-    apart = tree.joint(joint.joint).point_gap  # the points are those of the joint's second body
-    move(a @ (here - (apart if joint.forward else 0.0) - mechanism.bodies[joint.parent].center_of_mass))
-    # motion by motion
-    directions: list[tuple[Array, bool]] = []
+    # from the parent's center of mass to the first motion's point. Points are in the world at the initial
+    # pose; they are those of the joint's second body, `gap` from those of its first body
+    reached = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
+    gap = tree.joint(joint.joint).point_gap
+    move(a @ (reached - (gap if joint.forward else 0.0) - mechanism.bodies[joint.parent].center_of_mass))
+    # motion by motion; iq and iv are the indices of the motion in q and v of this joint
+    directions: list[tuple[Array, bool]] = []  # (direction, True for a slide) of each axis
     iq = iv = 0
     for motion, point in zip(joint.motions, joint.points, strict=True):
-        if np.any(point != here):
-            move(a @ (point - here))
-            here = point
-        way.append(np.zeros(3))
+        if np.any(point != reached):
+            move(a @ (point - reached))
+            reached = point
+        sections.append(np.zeros(3))
         if motion.kind == "slide":
             axis = a @ motion.axis
             coriolis = 2.0 * cross(omega, axis * v[iv])
@@ -157,25 +172,34 @@ def _child(
             relative = a @ v[iv : iv + 3]
             alpha = alpha + cross(omega, relative) + a @ vdot[iv : iv + 3]
             omega = omega + relative
+            # three axes through one point: those of the child's frame, in which v is given
             directions.extend((a[:, k], False) for k in range(3))
-            way.extend([np.zeros(3), np.zeros(3)])
+            sections.extend([np.zeros(3), np.zeros(3)])
             iq, iv = iq + 4, iv + 3
         else:
             assert_never(motion.kind)
     # from the last motion's point to the child's center of mass
-    move(a @ (mechanism.bodies[joint.child].center_of_mass - (here - (0.0 if joint.forward else apart))))
+    move(a @ (mechanism.bodies[joint.child].center_of_mass - (reached - (0.0 if joint.forward else gap))))
 
-    # arms from each axis to the next, leaves first; the point of a slide can be chosen freely, and is that of
-    # the next axis or the center of mass
-    arms, ahead = list[Array](), way[-1]
-    for (_, slides), step in zip(reversed(directions), reversed(way[:-1]), strict=True):
-        arms.append(np.zeros(3) if slides else ahead)
-        ahead = step + ahead if slides else step
-    arms = [*arms, ahead][::-1]
-    own = [Axis(*direction, arm) for direction, arm in zip(directions, arms[:-1], strict=True)]
+    # arms: vectors from the point of each axis to the next, and from the last one to the center of mass. The
+    # point of a slide is free; it is chosen at the point of the next axis or at the center of mass, so that
+    # the arm to a slide includes the section after the slide. `arms` is filled from the child to the parent
+    arms, arm = list[Array](), sections[-1]
+    for (_, slides), section in zip(reversed(directions), reversed(sections[:-1]), strict=True):
+        arms.append(np.zeros(3) if slides else arm)
+        arm = section + arm if slides else section
+    arms = [*arms, arm][::-1]
+    axes = [Axis(*direction, arm) for direction, arm in zip(directions, arms[:-1], strict=True)]
     path = parent.path + list(range(joint.v.start, joint.v.stop))
-    frame = Frame(r, a, velocity, omega)
-    return Link(frame, acceleration, alpha, path, parent.axes + own, arms[-1], orientation)
+    return Link(
+        frame=Frame(r, a, velocity, omega),
+        acceleration=acceleration,
+        angular_acceleration=alpha,
+        path=path,
+        axes=parent.axes + axes,
+        lever=arms[-1],
+        orientation=orientation,
+    )
 
 
 def drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
@@ -186,8 +210,8 @@ def drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
         first, second: kinematics of the bodies.
 
     Returns:
-        Phi_r a + Phi_theta alpha (k,). For links at zero joint accelerations, this is the velocity-dependent
-        part.
+        Phi_r a + Phi_theta alpha (k,), with the accelerations a and alpha of the links. For links at zero
+        joint accelerations, this is the velocity-dependent part.
     """
     return np.asarray(
         jacobian.r_first @ first.acceleration
@@ -205,7 +229,7 @@ class TreeKinematics(Formulation):
     """
 
     def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
-        """Build the spanning tree of a scene.
+        """Build the spanning tree of a scene, with the loop-closing joints as constraints.
 
         Args:
             scene: the scene.
@@ -214,7 +238,8 @@ class TreeKinematics(Formulation):
         self.tree = tree = SpanningTree(scene.mechanism)
         equations = [tree.equations(k) for k in range(len(scene.mechanism.joints))]
         closures = [equations[k] for k in tree.cuts]
-        super().__init__(scene, alpha, tree.poses, equations, closures, tree.nq, tree.nv)
+        super().__init__(scene, alpha, tree.poses, equations, constrained=closures, nq=tree.nq, nv=tree.nv)
+        # inertias in the tree's body frames, which are parallel to the world at the initial pose
         self.inertias = [
             a0 @ body.inertia @ a0.T
             for a0, body in zip(tree.initial_rotations, self.mechanism.bodies, strict=True)
@@ -232,9 +257,12 @@ class TreeKinematics(Formulation):
     # Bodies
 
     def links(self, q: Array, v: Array) -> list[Link]:
-        """Compute the kinematics of all bodies, ground first."""
-        at_rest = np.zeros(self.nv)
-        return self.remembered(q, v, lambda q, v: tree_links(self.mechanism, self.tree, q, v, at_rest))
+        """Compute the kinematics of all bodies, ground first, at zero joint accelerations.
+
+        Results for recent states are kept.
+        """
+        vdot = np.zeros(self.nv)
+        return self.remembered(q, v, lambda q, v: tree_links(self.mechanism, self.tree, q, v, vdot))
 
     def frames(self, q: Array, v: Array) -> list[Frame]:
         """Compute pose and velocity of all bodies, ground first."""
@@ -257,8 +285,9 @@ class TreeKinematics(Formulation):
         """Convert a Jacobian between two bodies to sparse rows over joint velocities: Phi_r V + Phi_theta W.
 
         V and W are the matrices from joint velocities to velocities and angular velocities of the bodies. A
-        joint that moves both bodies turns them as one. It has an entry only if the constraint then changes,
-        as the world components of an open ball joint do.
+        joint that moves both bodies moves them as one rigid body. Its entry is nonzero only if the residual
+        depends on the orientation of this body. For example, the residual of a ball joint whose points do not
+        coincide has world components, which turn.
 
         Args:
             jacobian: Jacobian blocks (k, 3) of constraints between the bodies.
@@ -266,11 +295,12 @@ class TreeKinematics(Formulation):
         """
         r_i, theta_i, r_j, theta_j = jacobian
         rows: Rows = [{} for _ in r_i]
+        # joints that move both bodies are at the beginning of both paths
         shared = sum(i == j for i, j in zip(first.path, second.path, strict=False))
-        turned = theta_i + theta_j - r_j @ tilde(second.frame.position - first.frame.position)
+        as_one = theta_i + theta_j - r_j @ tilde(second.frame.position - first.frame.position)
         own = slice(shared, None)
         for path, block in (
-            (first.path[:shared], turned @ first.angular[:, :shared]),
+            (first.path[:shared], as_one @ first.angular[:, :shared]),
             (first.path[own], r_i @ first.linear[:, own] + theta_i @ first.angular[:, own]),
             (second.path[own], r_j @ second.linear[:, own] + theta_j @ second.angular[:, own]),
         ):
@@ -298,9 +328,11 @@ class TreeKinematics(Formulation):
         return self.tree.retract(q, step)
 
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
-        """Compute the joint coordinates that forces, couplings and armatures depend on, by key.
+        """Compute the joint coordinates that forces, couplings and armatures (rotor inertias) depend on.
 
-        Their Jacobians are sparse rows over v.
+        Returns:
+            By key: coordinate, rate, sparse row of the Jacobian over v, and gamma. Coordinates of the tree
+            are elements of q; those of loop-closing joints are measured between two bodies.
         """
         links, frames = self.links(q, v), self.frames(q, v)
         found = {}
@@ -335,7 +367,7 @@ class TreeKinematics(Formulation):
     def coupled_row(self, coupling: Coupling, measured: Mapping[Key, Measured]) -> dict[int, Any]:
         """Compute the sparse row of the constraint Jacobian that belongs to a coupling."""
         row: dict[int, Any] = {}
-        for key, slope in coupling.seen_slopes(measured).items():
+        for key, slope in coupling.measured_slopes(measured).items():
             for k, entry in measured[key].jacobian.items():
                 add(row, k, slope * entry)
         return row
@@ -352,9 +384,10 @@ class TreeKinematics(Formulation):
         """Compute the natural magnitude (k,) of each dimensionless row of the Jacobian, for rank decisions.
 
         A row of a loop is the difference of the motions of two bodies. Its magnitude is the largest motion
-        that one joint gives to one of these bodies. A row in which the two motions cancel is then small
-        relative to its magnitude. The magnitude of a coupling's row is the root of the sum of squares of its
-        coordinates' magnitudes times their slopes. A row without any motion has magnitude 1.
+        that one joint gives to one of these bodies. A row in which the two motions cancel, as redundant rows
+        do, is then small relative to its magnitude. The magnitude of a coupling's row is the root of the sum
+        of squares of its coordinates' magnitudes times their slopes (derivatives of the coupling with respect
+        to the coordinates). A row without any motion has magnitude 1.
         """
         links = self.links(q, np.zeros(self.nv))
         scales: list[float] = []
@@ -366,7 +399,7 @@ class TreeKinematics(Formulation):
         for coupling, unit in zip(self.couplings, self.phi_units[len(scales) :], strict=True):
             parts = [
                 slope * self._coordinate_reach(key, links) / unit
-                for key, slope in coupling.seen_slopes(measured).items()
+                for key, slope in coupling.measured_slopes(measured).items()
             ]
             scales.append(float(np.linalg.norm(parts)) or 1.0)
         return np.array(scales)
@@ -383,12 +416,13 @@ class TreeKinematics(Formulation):
         r_i, theta_i, r_j, theta_j = (np.linalg.norm(block, axis=1) for block in blocks)
         largest = np.zeros(len(r_i))
         for link, other, r, theta in ((first, second, r_i, theta_i), (second, first, r_j, theta_j)):
-            own = [n for n, k in enumerate(link.path) if k not in other.path]
-            units = self.velocity_units[[link.path[n] for n in own]]
-            linear = np.linalg.norm(link.linear[:, own], axis=0) * units
-            angular = np.linalg.norm(link.angular[:, own], axis=0) * units
-            share = np.outer(r, linear) + np.outer(theta, angular)
-            largest = np.maximum(largest, np.max(share, axis=1, initial=0.0))
+            # places in the path of the joint velocities that move this body only
+            only = [n for n, k in enumerate(link.path) if k not in other.path]
+            units = self.velocity_units[[link.path[n] for n in only]]
+            linear = np.linalg.norm(link.linear[:, only], axis=0) * units
+            angular = np.linalg.norm(link.angular[:, only], axis=0) * units
+            rates = np.outer(r, linear) + np.outer(theta, angular)  # (k, joint velocities)
+            largest = np.maximum(largest, np.max(rates, axis=1, initial=0.0))
         return largest
 
     def _coordinate_reach(self, key: Key, links: Sequence[Link]) -> float:

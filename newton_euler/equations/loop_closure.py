@@ -3,9 +3,12 @@
 A file rounds its numbers, so that constraints that are redundant by design contradict each other slightly.
 The independent constraints are closed to round-off by Newton's method. The residuals of the other constraints
 remain as a constant offset. Rank decisions use dimensionless quantities
-(`newton_euler.equations.redundancy`). Lengths of steps are divided by the spread, a typical length of the
-mechanism. The residual of a loop is divided by its reach, the largest motion that one unit velocity gives to
-the bodies of the loop.
+(`newton_euler.equations.redundancy`). Displacements in a step are divided by the spread of the mechanism, a
+typical length. The residual of a loop is divided by its reach, the largest motion that one unit velocity
+gives to the bodies of the loop.
+
+`close` is the algorithm. `FileStart` is the base class of the readers' descriptions of a file's loops (MJCF
+and URDF), and reports what closing them changes.
 """
 
 from __future__ import annotations
@@ -27,13 +30,14 @@ from newton_euler.model.source_file import SourceError
 from newton_euler.scalars import Array
 
 MAX_CLOSED_RESIDUAL = 1e-12
-"""Largest dimensionless residual of loops that count as closed in the file and are not moved."""
+"""Largest dimensionless residual of loops at which a file counts as closed and nothing is moved."""
 
 MAX_CLOSING_STEPS = 60
 """Largest number of Newton steps."""
 
 MAX_STEP_LENGTH = 0.2
-"""Largest component of a step, rad, or a length divided by the spread; keeps the assembly on its branch."""
+"""Largest component of a Newton step, rad, or a length divided by the spread. Longer steps could assemble the
+mechanism in another of its possible configurations."""
 
 
 class Units(NamedTuple):
@@ -56,11 +60,11 @@ class Closure(NamedTuple):
     """A configuration in which the loops of a file are closed as well as possible.
 
     Attributes:
-        q: the configuration.
-        residuals: (k,) m or rad.
-        noise: largest residual, dimensionless.
+        q: the configuration, in the coordinates of the file's reader.
+        residuals: (k,) of all constraints, m or rad.
+        noise: largest residual of all constraints, dimensionless.
         independent: largest residual of the independent constraints, dimensionless.
-        tolerance: dimensionless size below which constraints count as redundant.
+        tolerance: dimensionless independent part below which constraints count as redundant.
     """
 
     q: Array
@@ -72,7 +76,7 @@ class Closure(NamedTuple):
     @property
     def is_closed(self) -> bool:
         """True if the residuals are so small that rounding of the file's numbers explains them."""
-        # rounding may exceed a small tolerance of the scene; no motion can remove such residuals
+        # residuals that no motion can remove may come from rounding, even if they exceed a small tolerance
         loose = loose_tolerance(max(self.tolerance, REDUNDANCY_TOLERANCE))
         return self.independent <= CLOSURE_TOLERANCE and self.noise <= loose
 
@@ -96,7 +100,7 @@ def close(
         evaluate: computes residuals (k,), m or rad, and their Jacobian (k, nv) at a configuration.
         move: returns a configuration moved by a step (nv,).
         units: divisors that make residuals and steps dimensionless.
-        tolerance: dimensionless size below which constraints count as redundant, see
+        tolerance: dimensionless independent part below which constraints count as redundant, see
             `newton_euler.Scene.redundancy_tolerance`.
 
     Returns:
@@ -109,14 +113,20 @@ def close(
         scaled, matrix = phi / units.rows, units.jacobian(jacobian)
         rank = len(independent([sparse_vector(row) for row in matrix], tolerance).rows)
         u, s, vt = singular_values(matrix)
-        shares = u[:, :rank].T @ scaled
-        found = Closure(q, phi, largest(scaled), largest(u[:, :rank] @ shares), tolerance)
+        components = u[:, :rank].T @ scaled  # of the residuals in the range of the independent constraints
+        found = Closure(
+            q,
+            residuals=phi,
+            noise=largest(scaled),
+            independent=largest(u[:, :rank] @ components),
+            tolerance=tolerance,
+        )
         if best is None or found.independent < best.independent:
             best = found
         elif best.independent < CLOSURE_TOLERANCE:
             break
         # shortest step that closes the independent constraints in first order
-        step = vt[:rank].T @ (shares / s[:rank])
+        step = vt[:rank].T @ (components / s[:rank])
         step *= min(1.0, MAX_STEP_LENGTH / max(largest(step), 1e-300))
         q = move(q, -units.velocities * step)
     assert best is not None
@@ -126,26 +136,27 @@ def close(
 def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) -> tuple[float, float]:
     """Compute the largest motion that one unit velocity gives to the point where two bodies close a loop.
 
-    The motions of the two bodies are examined separately. A constraint row in which they cancel is then small
-    relative to the reach, and counts as noise
+    The motions of the two bodies are examined separately. A constraint row in which the two motions cancel is
+    then small relative to the reach, and counts as noise
     (`newton_euler.equations.kinematics.TreeKinematics.row_scales`). A velocity that moves both bodies is
     ignored.
 
     Args:
         motions: (6, nv) for each body: velocity of its center of mass, and its angular velocity.
-        levers: distance of each center of mass from the point, m.
-        velocities: (nv,) divisors of the velocities.
+        levers: for each body, distance of its center of mass from the point, m.
+        velocities: (nv,) divisors that make velocities dimensionless but for time, see `Units`.
 
     Returns:
-        Largest motion, m, and largest rotation, rad; 1 in place of 0.
+        Largest motion, m, and largest rotation, rad, for a unit dimensionless velocity; 1 in place of 0.
     """
     rotations, moves = np.zeros(len(velocities)), np.zeros(len(velocities))
-    first, second = (np.any(motion != 0.0, axis=0) for motion in motions)
-    own = first != second
+    moves_first, moves_second = (np.any(motion != 0.0, axis=0) for motion in motions)
+    moves_one = moves_first != moves_second  # velocities that move exactly one of the bodies
     for motion, lever in zip(motions, levers, strict=True):
-        turning = np.linalg.norm(motion[3:], axis=0) * velocities * own
-        rotations = np.maximum(rotations, turning)
-        moves = np.maximum(moves, np.linalg.norm(motion[:3], axis=0) * velocities * own + lever * turning)
+        rotation = np.linalg.norm(motion[3:], axis=0) * velocities * moves_one
+        rotations = np.maximum(rotations, rotation)
+        move = np.linalg.norm(motion[:3], axis=0) * velocities * moves_one + lever * rotation
+        moves = np.maximum(moves, move)
     return float(np.max(moves, initial=0.0)) or 1.0, float(np.max(rotations, initial=0.0)) or 1.0
 
 
@@ -155,7 +166,7 @@ class MovedStart:
 
     Attributes:
         open: largest loop-closure error at the initial state of the file, m or rad.
-        loop: element of the file with this error.
+        loop: element of the file that has this error.
         body: name of the body whose center of mass moves farthest.
         displacement: distance by which this body moves, m.
         joint: name of the joint that moves most.
@@ -172,6 +183,8 @@ class MovedStart:
 
 class FileStart(ABC):
     """Initial state of a model file; subclasses compute its loops in the coordinates of a file format.
+
+    A configuration q is a vector of these coordinates; a step (nv,) changes it.
 
     Attributes:
         path: path of the file, for error messages.
@@ -217,7 +230,7 @@ class FileStart(ABC):
         Args:
             q: the configuration.
             called: name of the configuration in messages.
-            tolerance: dimensionless size below which constraints count as redundant, see
+            tolerance: dimensionless independent part below which constraints count as redundant, see
                 `newton_euler.Scene.redundancy_tolerance`.
 
         Returns:
@@ -225,7 +238,7 @@ class FileStart(ABC):
             are closed already.
 
         Raises:
-            SourceError: of the class `error`, naming the element that stays open the most.
+            SourceError: of the class `error`, naming the element with the largest remaining residual.
         """
         # files without loops, or with closed loops
         before, _ = self.residuals(q)
@@ -246,22 +259,22 @@ class FileStart(ABC):
                 f"and by {found.offset:.3g} (m or rad) at best",
             )
         # report the loops that were open, and the joint and the body that moved most
-        opened: dict[str, float] = {}
-        for owner, gap in zip(owners, np.abs(before).tolist(), strict=True):
-            opened[owner] = max(opened.get(owner, 0.0), gap)
+        errors: dict[str, float] = {}  # largest loop-closure error of each element, m or rad
+        for owner, error in zip(owners, np.abs(before).tolist(), strict=True):
+            errors[owner] = max(errors.get(owner, 0.0), error)
         moved = self.difference(q, found.q)
         dof, distances = int(np.argmax(np.abs(moved))), np.linalg.norm(self.centers() - centers, axis=1)
-        farthest, widest = int(np.argmax(distances)), max(opened, key=lambda owner: opened[owner])
+        farthest, worst_owner = int(np.argmax(distances)), max(errors, key=lambda owner: errors[owner])
         change = MovedStart(
-            opened[widest],
-            widest,
-            self.center_names()[farthest],
-            float(distances[farthest]),
-            self.joint_of(dof),
-            float(moved[dof]),
+            open=errors[worst_owner],
+            loop=worst_owner,
+            body=self.center_names()[farthest],
+            displacement=float(distances[farthest]),
+            joint=self.joint_of(dof),
+            joint_motion=float(moved[dof]),
         )
         elements = "; ".join(
-            f"{owner} {gap:.3g}" for owner, gap in opened.items() if gap > MAX_CLOSED_RESIDUAL
+            f"{owner} {error:.3g}" for owner, error in errors.items() if error > MAX_CLOSED_RESIDUAL
         )
         lines = [
             f"open at {called}, in m or rad: {elements}",

@@ -3,9 +3,12 @@
 Both laws use inverse dynamics of the controller's model
 (`newton_euler.equations.formulation.Formulation.servo_forces`). The controller's model is the scene without
 control laws and without wind, because a controller cannot know the wind. Its parameters may differ from those
-of the scene. Computed torque solves for the accelerations that the law commands. Gravity compensation solves
-at rest for zero accelerations. Other engines solve the same problem with their own mass matrices and
+of the scene. Computed torque computes the forces for the accelerations that the law commands. Gravity
+compensation computes the forces at rest for zero accelerations. `ModelControl` does this for the equations of
+this package, `EngineControl` and `servo_forces` for other engines, which have their own mass matrices and
 Jacobians. A key (joint, number) names a joint coordinate.
+
+Equations may be evaluated over floats, or over symbolic scalars when they are traced for compilation.
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ class Roles(NamedTuple):
     Attributes:
         torque: keys of the coordinates with computed torque.
         holding: keys of the coordinates with gravity compensation.
-        model: values, by name, of the parameters in which the controller's model differs from the scene.
+        model: values, by parameter name, in which the controller's model differs from the scene.
     """
 
     torque: tuple[Key, ...]
@@ -70,8 +73,8 @@ def roles(scene: Scene, digital: bool = False) -> Roles:
 
     Args:
         scene: the scene with the laws.
-        digital: True to find laws that a computer executes at sampling instants (`Digital`), False to find
-            laws in continuous time.
+        digital: True to find only laws that a computer executes at sampling instants (`Digital`), False to
+            find only laws in continuous time.
 
     Raises:
         MechanismError: for computed-torque laws with different models, because all such laws solve one
@@ -97,10 +100,15 @@ def roles(scene: Scene, digital: bool = False) -> Roles:
 def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
     """Return the controller's model: the scene with other parameter values, without wind.
 
+    Args:
+        scene: the scene.
+        model: values of the model by parameter name.
+
     Raises:
         NewtonEulerError: for an unknown parameter, a parameter of wind or of a control law, or a value that
             the scene cannot have.
     """
+    # the model must have the geometry of the scene, so that both have the same coordinates
     check_dynamic(scene, model, "the model of control laws")
     values = checked(scene, model)
     for name, place in places(scene, model).items():
@@ -108,8 +116,8 @@ def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
         if isinstance(element, WindLoad | ControlLaw):
             problem = f"has {name!r} of {element.element}, which it is without"
             raise MechanismError("model of control laws", problem, "parameters of bodies and other forces")
-    numbers = {name: value if value.ndim else float(value) for name, value in values.items()}
-    return without_wind(with_values(scene, numbers))
+    given = {name: value if value.ndim else float(value) for name, value in values.items()}
+    return without_wind(with_values(scene, given))
 
 
 def without_wind(scene: Scene) -> Scene:
@@ -118,7 +126,7 @@ def without_wind(scene: Scene) -> Scene:
     if len(calm) == len(scene.forces):
         return scene
     changed = altered(scene, forces=calm)
-    inherit_mobility(changed, scene)
+    inherit_mobility(changed, scene)  # the copy has the same redundant constraints
     return changed
 
 
@@ -140,13 +148,16 @@ class ModelControl:
                 Its rank decisions and checks are reused, because they need floats.
         """
         self.roles: Roles = known.roles if known else roles(system.scene)
+        # equations of the controller's model for computed torque and for gravity compensation, without
+        # stabilization
         form: Any = type(system)
         if known:
             scene = without_wind(with_values(system.scene, self.roles.model))
         else:
             scene = known_scene(system.scene, self.roles.model)
         self._moving, self._resting = (
-            form(measuring(scene, keys), 0.0) if keys else None for keys in self.roles[:2]
+            form(measuring(scene, keys), 0.0) if keys else None
+            for keys in (self.roles.torque, self.roles.holding)
         )
         # gravity compensation is at rest: prescribed motions stand still
         if self._resting:
@@ -154,6 +165,7 @@ class ModelControl:
             self._resting.couplings = still
         self.torque: Servos | None = known.torque if known else _servos(self._moving, self.roles.torque)
         self.holding: Servos | None = known.holding if known else _servos(self._resting, self.roles.holding)
+        # the last state, objects that keep its identities alive, and the forces in this state
         self._last: tuple[Any, Any, dict[Key, Scalar]] = (None, None, {})
 
     def forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
@@ -166,36 +178,39 @@ class ModelControl:
         Raises:
             SingularityError: over floats, at a state where the coordinates do not determine the motion.
         """
-        # the bytes of an array of symbolic scalars are identities of objects; the copies keep them alive
+        # the bytes of an array of symbolic scalars are the identities of these objects; the copies keep the
+        # objects alive, so that no identity is used again
         state = q.dtype, q.tobytes(), v.tobytes(), id(system.time), id(system.scene)
         last = self._last  # other threads may replace it
         if last[0] != state:
-            kept = q.copy(), v.copy(), system.time, system.scene
-            self._last = last = state, kept, self._forces(system, q, v)
+            kept_alive = q.copy(), v.copy(), system.time, system.scene
+            self._last = last = state, kept_alive, self._forces(system, q, v)
         return last[2]
 
     def _forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
         """Compute the forces of the laws, N or N m, by key."""
         readings, time = system.measured(q, v), system.time
-        torque = [law for law in system.scene.control if isinstance(law, ComputedTorque)]
-        wanted = [law.command(law.references(time), readings) for law in torque]
-        moving = _solve(system, self._moving, self.torque, q, v, wanted)
-        at_rest = np.zeros(len(v)), [0.0] * len(self.roles.holding)
-        return _solve(system, self._resting, self.holding, q, *at_rest) | moving
+        laws = [law for law in system.scene.control if isinstance(law, ComputedTorque)]
+        commands = [law.command(law.references(time), readings) for law in laws]
+        moving = _solve(system, self._moving, self.torque, q, v, commands)
+        no_motion, no_accelerations = np.zeros(len(v)), [0.0] * len(self.roles.holding)
+        resting = _solve(system, self._resting, self.holding, q, no_motion, no_accelerations)
+        return resting | moving
 
 
 def _servos(model: Formulation | None, keys: tuple[Key, ...]) -> Servos | None:
-    """Return inverse dynamics data for a model with actuators at the given keys; None without a model."""
+    """Return inverse dynamics data for a model with actuators on given coordinates; None without a model."""
     if model is None:
         return None
     return scaled(Servos(keys, keys, rows_in_use(model)), model)
 
 
 def scaled(servos: Servos, system: Formulation) -> Servos:
-    """Return inverse dynamics data for a form of the equations, with usual magnitudes of the pivots.
+    """Return inverse dynamics data for a form of the equations, with reference magnitudes of the pivots.
 
-    The magnitudes come from the states that the mobility analysis examined. They are None if all of these
-    states are singular.
+    The reference magnitude of a pivot is its largest value in the elimination at the states that the mobility
+    analysis has examined (`newton_euler.equations.redundancy`). The magnitudes are None if the elimination
+    fails at all of these states.
 
     Args:
         servos: coordinates and actuators.
@@ -204,10 +219,11 @@ def scaled(servos: Servos, system: Formulation) -> Servos:
     exchangeable = exchangeable_rows(system)
     used, pivots = rows_in_use(system, exchangeable=exchangeable), []
     for state, rows in regular_choices(system, exchangeable=exchangeable):
-        q, rest = system.coordinates(state)[0], np.zeros(system.nv)
-        equations = system.sparse_equations(q, rest, rows)
-        wanted, gamma = system.sparse_coordinates(q, rest, servos.coordinates)
-        extended = equations.extended(wanted, np.concatenate([equations.gamma, gamma]), None)
+        q, at_rest = system.coordinates(state)[0], np.zeros(system.nv)
+        equations = system.sparse_equations(q, at_rest, rows)
+        coordinate_rows, gamma = system.sparse_coordinates(q, at_rest, servos.coordinates)
+        all_gamma = np.concatenate([equations.gamma, gamma])
+        extended = equations.extended(coordinate_rows, all_gamma, scales=None)
         with suppress(ZeroDivisionError), np.errstate(all="ignore"):
             solution = solve_constrained(extended)
             if solution.pivot_ratio > 0.0:
@@ -227,7 +243,8 @@ def _solve(
     """Compute the actuator forces that cause given accelerations, N or N m, by key.
 
     Args:
-        system: equations of the scene with the control laws, which give time and constraint rows.
+        system: equations of the scene with the control laws, which give the time and the flags of constraint
+            rows.
         model: equations of the controller's model; without a model there are no forces.
         servos: coordinates and actuators.
         q: (nq,) coordinates of the system.
@@ -236,10 +253,10 @@ def _solve(
     """
     if model is None or servos is None:
         return {}
-    now = at_time(model, system.time)
+    model = at_time(model, system.time)
     if system.in_use is not None:
         servos = servos.with_flags(system.in_use.flags)
-    forces, pivot_ratio = now.servo_forces(now.coordinates_from(system, q), v, servos, accelerations)
+    forces, pivot_ratio = model.servo_forces(model.coordinates_from(system, q), v, servos, accelerations)
     if isinstance(pivot_ratio, float) and not pivot_ratio > 0.0:
         joint = servos.coordinates[0][0]
         raise SingularityError(joint, "control laws cannot choose the accelerations there")
@@ -247,7 +264,7 @@ def _solve(
 
 
 def model_control(system: Formulation) -> ModelControl:
-    """Return the inverse dynamics for the laws of a system, built once for all copies of the system."""
+    """Return the inverse dynamics for the control laws of a system, built once for all of its copies."""
     if not system.model_control:
         system.model_control.append(ModelControl(system))
     found: ModelControl = system.model_control[0]
@@ -255,7 +272,9 @@ def model_control(system: Formulation) -> ModelControl:
 
 
 def share_model_control(system: Formulation, floats: Formulation) -> None:
-    """Give a system over symbolic scalars the decisions that need floats, such as constraint rows in use.
+    """Build the inverse dynamics of a system over symbolic scalars from decisions that need floats.
+
+    Such decisions are the choice of constraint rows and the reference magnitudes of pivots.
 
     Args:
         system: receives the inverse dynamics of its control laws.
@@ -291,9 +310,9 @@ class EngineControl:
             build: returns the engine's model of a scene.
         """
         self._torque, self._holding, values = roles(scene)
-        known = known_scene(scene, values)
-        self._moving = build(measuring(known, self._torque)) if self._torque else None
-        self._resting = build(measuring(known, self._holding)) if self._holding else None
+        model_scene = known_scene(scene, values)
+        self._moving = build(measuring(model_scene, self._torque)) if self._torque else None
+        self._resting = build(measuring(model_scene, self._holding)) if self._holding else None
         # gravity compensation is at rest: prescribed motions stand still
         if self._resting:
             coupled = self._resting.couplings
@@ -312,12 +331,15 @@ class EngineControl:
         state = q.tobytes(), v.tobytes(), time, tuple(accelerations)
         if self._last[0] != state:
             found: dict[Key, float] = {}
-            wanted = np.zeros(len(self._holding)), np.array(accelerations)
-            keys, models = (self._holding, self._torque), (self._resting, self._moving)
-            for model, on, values, rates in zip(models, keys, wanted, (np.zeros(len(v)), v), strict=True):
-                if model:
-                    model.time = time
-                    found |= dict(zip(on, model.servo_forces(q, rates, on, values).tolist(), strict=True))
+            if self._resting:
+                self._resting.time = time
+                no_motion, no_accelerations = np.zeros(len(v)), np.zeros(len(self._holding))
+                forces = self._resting.servo_forces(q, no_motion, self._holding, no_accelerations)
+                found |= dict(zip(self._holding, forces.tolist(), strict=True))
+            if self._moving:
+                self._moving.time = time
+                forces = self._moving.servo_forces(q, v, self._torque, np.array(accelerations))
+                found |= dict(zip(self._torque, forces.tolist(), strict=True))
             self._last = state, found
         return self._last[1]
 
@@ -332,7 +354,8 @@ def servo_forces(
 ) -> Array:
     """Compute the forces on joint coordinates for given accelerations of them, from an engine's matrices.
 
-    The accelerations are additional constraints; the forces, N or N m, are their Lagrange multipliers.
+    The accelerations are prescribed by additional constraints, whose Lagrange multipliers are the forces, N
+    or N m.
 
     Args:
         system: the engine's equations of motion.
@@ -345,19 +368,21 @@ def servo_forces(
     Raises:
         SingularityError: in a state in which the coordinates do not determine the motion.
     """
+    # rows of the additional constraints: one element of vdot each
     rows = np.zeros((len(keys), system.nv))
-    places = [tree.place(*key) for key in keys]
+    places = [tree.place(*key) for key in keys]  # (index in q, index in v) of each coordinate
     rows[np.arange(len(keys)), [place[1] for place in places if place]] = 1.0
     units = [system.mechanism.size if system.mechanism.is_slide(*key) else 1.0 for key in keys]
-    unused = rows_left_out(system)
-    jacobian, gamma = (with_zero_rows(each, unused) for each in jacobian_and_gamma)
+    # rows that are almost redundant are replaced by zeros
+    left_out = rows_left_out(system)
+    jacobian, gamma = (with_zero_rows(each, left_out) for each in jacobian_and_gamma)
     try:
         _, multipliers = dense.solve_constrained(
             *mass_and_force,
             np.concatenate([jacobian, rows]),
             np.concatenate([gamma, accelerations]),
-            np.concatenate([system.phi_units, units]),
-            system.velocity_units,
+            row_units=np.concatenate([system.phi_units, units]),
+            column_units=system.velocity_units,
         )
     except np.linalg.LinAlgError as error:
         raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there") from error

@@ -6,8 +6,8 @@ value of the same shape as in the scene:
 
 - `gravity`, `BODY.mass`, `BODY.inertia` about the center of mass, in the body's frame;
 - `BODY.center_of_mass`, in the world at the initial pose: the center moves in the body, and joint points stay
-  where they are on the body; `BODY.quaternion` of the body's frame at the initial pose, of any length: the
-  inertia turns with the frame;
+  where they are on the body; `BODY.quaternion` (w, x, y, z) of the body's frame at the initial pose, of any
+  length: the inertia turns with the frame;
 - `JOINT.point`, a displacement of the joint on both bodies, in the world at the initial pose, m;
   `JOINT.point_on_first` and `JOINT.point_on_second` displace the point on one body alone, such as a hole that
   is not where the drawing has the hole. Displacements add up, and the scene's own value is 0;
@@ -37,27 +37,28 @@ value of the same shape as in the scene:
 
 If an attribute is a function of time, the parameter's value is all numbers in which the function is
 linear, one after the other: coefficients of polynomials, amplitude and offset of sines, values of splines
-and steps. Names such as `JOINT.target.angular_frequency` and `NAME.speed.phase` are the frequencies and
-phases of the sines; the value is a number if there is one sine. Sample times, indices, counts, shapes of
-bodies, settings of a run and a controller's model of the mechanism do not vary: their names are refused
-with the reason.
+and steps at their knots (breakpoints). Names such as `JOINT.target.angular_frequency` and
+`NAME.speed.phase` are the frequencies and phases of the sines; the value is a number if there is one sine.
+Sample times, indices, counts, shapes of bodies, settings of a run and a controller's model of the mechanism
+do not vary: their names are refused with the reason.
 
 In batches, sweeps, sensitivities and fits, joint coordinates are zero at the orientations of the scene's
 initial pose. The two points of each joint are then as far apart as in the scene. `with_parameters` with
 `point_on_first`, `point_on_second` or `length` returns a scene with another initial pose, at which joint
 coordinates are zero. Parameters of bodies' centers and frames, joints, couplings and motions change the
-closed configurations. `newton_euler.runs.starts` therefore assembles a start for each run; initial joint
-coordinates are additional parameters there. The choice of independent constraints is that of the scene's own
-values. If constraints are redundant at these values, other values may open a loop that all constraints
-together would lock.
+configurations in which loops are closed. `newton_euler.runs.starts` therefore assembles a start for each
+run; initial joint coordinates are additional parameters there. All runs use the independent constraints
+that are chosen at the scene's own values. If constraints are redundant at these values, other values may
+open a loop that all constraints together would lock.
 
 A name may end in one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy` (the same
 as `yx`), `JOINT.point.z`; other values are indexed from 0, as in `JOINT.target.0` and `JOINT.gains.1.0`.
 
 A name that stands for two parameters is rejected. Numbered names distinguish them: `bodies[2].mass`,
 `joints[3].point`, `couplings[0].ratio`, `control[0].target`, `forces[1].stiffness`, `armatures[0].inertia`
-and `motions[0].function`. The distance to singular configurations is judged at the scene's own values. Masses
-that differ from them by orders of magnitude make runs slower, not wrong.
+and `motions[0].function`. The reference magnitudes that detect singular configurations
+(`newton_euler.equations.sparse`) are those of the scene's own values. Masses that differ from the scene's by
+orders of magnitude make runs slower, not wrong.
 
 Classes of elements declare the numbers that vary (`newton_euler.model.fields`). Compiled code has two more
 kinds of parameters: `JOINT.held`, the force that a sampled controller holds, and the polynomial piece of a
@@ -86,13 +87,13 @@ from newton_euler.model.variable import altered, functions_of
 from newton_euler.scalars import NUMBERS, Array
 
 PIECE = ".piece"
-"""Suffix of the name of a parameter that holds a function of time between two of its knots."""
+"""Suffix of the name of a parameter that holds the polynomial of a function of time between two knots."""
 
 
 Owner = tuple[str, int, str]
-"""An attribute with parameters: field of the scene or mechanism, number of the element there, attribute name.
+"""The attribute that owns the numbers of a parameter, such as ("bodies", 2, "mass").
 
-An example is ("bodies", 2, "mass")."""
+The tuple is (field of the scene or mechanism, number of the element in this field, name of the attribute)."""
 
 MECHANICAL = ("bodies", "joints", "couplings")
 """Fields with elements that belong to the mechanism; the other fields belong to the scene."""
@@ -107,7 +108,7 @@ class Place(NamedTuple):
     Attributes:
         owner: the attribute with these numbers.
         component: index of one number in the attribute's value; None if the parameter is the whole value.
-        field: declaration of the attribute.
+        field: declaration of the attribute: unit, shape, bounds, and what a change affects.
     """
 
     owner: Owner
@@ -116,7 +117,10 @@ class Place(NamedTuple):
 
 
 def _elements(scene: Scene) -> dict[str, list[Any]]:
-    """Return all elements that may have parameters, by the field of the scene or mechanism."""
+    """Return all elements that may have parameters, by the field of the scene or mechanism.
+
+    The scene itself is the only element of the field "scene".
+    """
     return {
         "scene": [scene],
         "bodies": list(scene.mechanism.bodies),
@@ -146,6 +150,7 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
                     (what, k, attribute)
                 )
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
+    # functions of time with knots; `piece_size` is the count of numbers of a piece, 0 without knots
     with_pieces = (
         owner for owner, functions in scene.functions.items() if any(f.piece_size for f in functions)
     )
@@ -164,18 +169,22 @@ def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
         MechanismError: for a parameter of geometry, couplings or prescribed motions.
     """
     for name, place in places(scene, names).items():
-        if place.field.moves_loops:
+        if place.field.moves_loops:  # a change moves the configurations in which loops are closed
             needed = "one that leaves the closed configurations where they are"
             raise MechanismError(where, f"has the parameter {name!r}", needed)
 
 
 def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
-    """Return the current polynomial piece of each function of time with knots, by parameter name.
+    """Return the polynomial piece around a time of each function of time with knots, by parameter name.
 
     Args:
         scene: the scene with the functions.
         time: s; a piece is valid between the two knots around this time.
-        smooth: True for all functions, False for functions with jumps only.
+        smooth: True to include functions without jumps (splines), False for functions with jumps only.
+
+    Returns:
+        Numbers of each piece: its start, s, then coefficients in ascending powers of the time since the
+        start.
     """
     found = {}
     for owner, functions in scene.functions.items():
@@ -198,9 +207,10 @@ def pieces_along(
     Returns:
         (k, p) for each piece of k numbers, by parameter name.
     """
-    here = pieces(scene_at(x), time)
+    # the difference for a whole direction is exact, because pieces are linear
+    at_x = pieces(scene_at(x), time)
     moved = [pieces(scene_at(x + direction), time) for direction in directions.T]
-    return {name: np.array([each[name] - piece for each in moved]).T for name, piece in here.items()}
+    return {name: np.array([each[name] - piece for each in moved]).T for name, piece in at_x.items()}
 
 
 def numbered(what: str, k: int, attribute: str) -> str:
@@ -216,7 +226,7 @@ def unambiguous(scene: Scene, name: str) -> str:
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two.
+        MechanismError: for a name that stands for two parameters.
     """
     (place,) = places(scene, [name]).values()
     base, _ = _split_name(_elements(scene), _owners(scene), name)
@@ -228,22 +238,22 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two, and for two that stand for one number.
+        MechanismError: for a name that stands for two parameters, and for two names of the same number.
     """
-    parts, owners = _elements(scene), _owners(scene)
+    elements, owners = _elements(scene), _owners(scene)
     found: dict[str, Place] = {}
-    given: dict[Owner, list[tuple[int, ...] | None]] = {}
+    named: dict[Owner, list[tuple[int, ...] | None]] = {}  # components that have been named
     for name in names:
-        base, component = _split_name(parts, owners, name)
+        base, component = _split_name(elements, owners, name)
         if len(owners[base]) > 1:
             needed = " or ".join(numbered(*owner) for owner in owners[base])
             raise MechanismError(f"parameter {name!r}", "stands for two values", needed)
         what, k, attribute = owners[base][0]
-        field = parts[what][k].field_of(attribute)
+        field = elements[what][k].field_of(attribute)
         found[name] = place = Place(owners[base][0], component, field)
         if name.endswith(PIECE):
             continue  # samples of the same function may be parameters as well
-        others = given.setdefault(place.owner, [])
+        others = named.setdefault(place.owner, [])
         if others and (component is None or None in others or component in others):
             raise MechanismError(f"parameter {name!r}", "has another value by another name", "one of them")
         others.append(component)
@@ -251,36 +261,41 @@ def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
 
 
 def _split_name(
-    parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: str
+    elements: dict[str, list[Any]], owners: dict[str, list[Owner]], name: str
 ) -> tuple[str, tuple[int, ...] | None]:
-    """Split a parameter name into the name of the attribute and the index of the component.
+    """Split a parameter name into the name of the whole parameter and the index of the component.
 
     Args:
-        parts: elements of the scene by field.
-        owners: attributes by name.
-        name: the parameter name.
+        elements: elements of the scene by field, see `_elements`.
+        owners: attributes by parameter name, see `_owners`.
+        name: the parameter name, such as `gravity.z`.
 
     Returns:
-        Name of the attribute; index of the component, None for the whole value.
+        Name of the whole parameter; index of the component, None for the whole value.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter.
+        MechanismError: for the name of a number that cannot vary.
     """
     if name in owners:
         return name, None
+    # a component has one or two parts at the end of the name: .z, .xy, .0 or .1.0
     for dots in (1, 2) if isinstance(name, str) else ():
         base, *ending = name.rsplit(".", dots)
         if base in owners:
-            shape = _own_value(parts, owners[base][0]).shape
+            shape = _own_value(elements, owners[base][0]).shape
             component = _component_index(shape, ending)
             if component is not None:
                 return base, component
-    _check_constant(parts, name)
-    near = _names_of_numbers(parts, owners, name) or _similar_names(owners, name)
+    _check_constant(elements, name)
+    near = _names_of_numbers(elements, owners, name) or _similar_names(owners, name)
     raise UnknownNameError("parameter", name, near, proposed=True)
 
 
-def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
+def _check_constant(elements: dict[str, list[Any]], name: str) -> None:
     """Raise `MechanismError`, with the reason, for the name of a number that cannot vary between runs."""
-    for what, elements in parts.items():
-        for k, element in enumerate(elements):
+    for what, of_field in elements.items():
+        for k, element in enumerate(of_field):
             prefixes = (f"{_name_prefix(what, element)}.", numbered(what, k, ""))
             for attribute, reason in element.constants.items():
                 if name in {(prefix if what != "scene" else "") + attribute for prefix in prefixes}:
@@ -289,7 +304,7 @@ def _check_constant(parts: dict[str, list[Any]], name: str) -> None:
 
 
 def _name_prefix(what: str, element: Any) -> str:
-    """Return the beginning of the parameter names of an element, such as the name of a body."""
+    """Return the beginning of an element's parameter names, such as the name of a body or `hinge.spring`."""
     return element.name if what in ("scene", *MECHANICAL) else element.prefix
 
 
@@ -313,7 +328,7 @@ def _component_index(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ..
 
 
 def _names_of_numbers(
-    parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: object
+    elements: dict[str, list[Any]], owners: dict[str, list[Owner]], name: object
 ) -> tuple[str, ...]:
     """Return the valid names for a misnamed number of a function of time.
 
@@ -322,34 +337,37 @@ def _names_of_numbers(
     base, _, wanted = str(name).rpartition(".")
     found = list[str]()
     for what, k, attribute in owners.get(base, ()):
-        function = getattr(parts[what][k], attribute, None)
-        place = 0
+        function = getattr(elements[what][k], attribute, None)
+        index = 0
         for term in terms(function) if isinstance(function, TimeFunction) else ():
-            for field in term.parts[""]:
+            for field in term.parts[""]:  # fields with the numbers in which the term is linear, in order
                 count = np.size(getattr(term, field))
-                found += [f"{base}.{place + i}" for i in range(count) if field == wanted]
-                place += count
+                found += [f"{base}.{index + i}" for i in range(count) if field == wanted]
+                index += count
     return tuple(found[:MAX_PROPOSED_NAMES])
 
 
 def _similar_names(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
-    """Return the most similar names for an unknown name, of the same element if that exists."""
+    """Return the parameter names that are most similar to an unknown name.
+
+    If the name begins with the name of an element, only parameters of this element are compared.
+    """
     element, _, _ = str(name).partition(".")
     of_element = [each for each in owners if each.startswith(f"{element}.")]
-    known = of_element or [each for each in owners if "[" not in each]
+    known = of_element or [each for each in owners if "[" not in each]  # without numbered names
     return nearest(name, known)
 
 
-def _own_value(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
-    """Return the scene's own value of an attribute.
+def _own_value(elements: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
+    """Return the value that an attribute has in the scene, as an array of floats.
 
     The value of a function of time is the vector of its numbers; with `piece`, the numbers of its polynomial
     piece at time 0.
     """
     what, k, attribute = owner
     if piece:
-        return piece_numbers(functions_of(getattr(parts[what][k], attribute)), 0.0)
-    return parts[what][k].number(attribute)
+        return piece_numbers(functions_of(getattr(elements[what][k], attribute)), 0.0)
+    return elements[what][k].number(attribute)
 
 
 def parameter_names(scene: Scene) -> list[str]:
@@ -376,13 +394,13 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two, and for two that stand for one number.
+        MechanismError: for a name that stands for two parameters, and for two names of the same number.
     """
-    parts = _elements(scene)
+    elements = _elements(scene)
     values: dict[str, Array] = {}
     for name, place in places(scene, parameter_names(scene) if names is None else names).items():
-        own = _own_value(parts, place.owner, name.endswith(PIECE))
-        values[name] = own if place.component is None else np.asarray(own[place.component])
+        whole = _own_value(elements, place.owner, piece=name.endswith(PIECE))
+        values[name] = whole if place.component is None else np.asarray(whole[place.component])
     return values
 
 
@@ -399,6 +417,7 @@ def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
         what, _, attribute = owner
         if not field.displaces:
             continue
+        # a joint has no attribute `point_on_first`: its `point` is the point on the first body
         of_joint = what == "joints" and attribute == "point_on_first"
         point = np.asarray(getattr(element_of(scene, owner), "point" if of_joint else attribute), dtype=float)
         found[name] = point if component is None else np.asarray(point[component])
@@ -406,7 +425,7 @@ def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
 
 
 def parameter_layout(scene: Scene, names: Iterable[str]) -> tuple[tuple[object, ...], ...]:
-    """Return what compiled code depends on if parameters are its inputs: all but their values.
+    """Describe parameters without their values: compiled code with these inputs depends on this alone.
 
     Returns:
         For each parameter: name, shape and, for a function of time, the count of numbers of each term.
@@ -414,8 +433,10 @@ def parameter_layout(scene: Scene, names: Iterable[str]) -> tuple[tuple[object, 
     names, functions = list(names), scene.functions
     values, found = parameter_values(scene, names), []
     for name, (owner, *_) in places(scene, names).items():
-        own = () if name.endswith(PIECE) else functions.get(owner, ())  # all pieces have the same size
-        counts = tuple(len(term.part("")) for function in own for term in terms(function))
+        # pieces need no counts, because all pieces of a function have the same size
+        of_owner = () if name.endswith(PIECE) else functions.get(owner, ())
+        # part "" of a term: the numbers in which the term is linear
+        counts = tuple(len(term.part("")) for function in of_owner for term in terms(function))
         found.append((name, values[name].shape, counts))
     return tuple(found)
 
@@ -425,20 +446,20 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two, and for a value that the scene cannot have.
+        MechanismError: for a name that stands for two parameters, and for an invalid value.
     """
-    own = parameter_values(scene, values)
+    present = parameter_values(scene, values)
     arrays = {}
     for name, value in values.items():
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError):
-            array = np.full(1, np.nan)
-        if array.shape != own[name].shape or not np.all(np.isfinite(array)):
-            needed = f"finite numbers of shape {own[name].shape}"
+            array = np.full(1, np.nan)  # refused below
+        if array.shape != present[name].shape or not np.all(np.isfinite(array)):
+            needed = f"finite numbers of shape {present[name].shape}"
             raise MechanismError(f"parameter {name!r}", f"is {value!r:.200}", needed)
         arrays[name] = array
-    _substituted(scene, arrays, places(scene, arrays), checked=True)
+    _substituted(scene, arrays, places(scene, arrays), check=True)
     return arrays
 
 
@@ -449,7 +470,7 @@ def element_of(scene: Scene, owner: Owner) -> Any:
 
 
 def own_value(scene: Scene, owner: Owner) -> Array:
-    """Return the scene's own value of an attribute."""
+    """Return the value that an attribute has in the scene, as an array of floats."""
     return _own_value(_elements(scene), owner)
 
 
@@ -465,10 +486,10 @@ def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | Non
 
 def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """Construct a scene with other values of some parameters, by name, with all checks."""
-    parts = _substituted(scene, values, places(scene, values), checked=True)
-    (changed,) = parts.pop("scene")
-    mechanism = Mechanism(*(parts.pop(field) for field in MECHANICAL))
-    return replace(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
+    elements = _substituted(scene, values, places(scene, values), check=True)
+    (changed,) = elements.pop("scene")
+    mechanism = Mechanism(*(elements.pop(field) for field in MECHANICAL))
+    return replace(changed, mechanism=mechanism, **{what: tuple(each) for what, each in elements.items()})
 
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
@@ -476,20 +497,20 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
     The values may be symbolic scalars, when the equations of the scene are traced for compilation.
     """
-    parts = _substituted(scene, values, places(scene, values), checked=False)
-    (changed,) = parts.pop("scene")
-    size = scene.mechanism.size  # the size of the scene itself makes residuals dimensionless
-    elements = {field: tuple(parts.pop(field)) for field in MECHANICAL}
-    mechanism = altered(scene.mechanism, size=size, **elements)
-    changed = altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
-    inherit_mobility(changed, scene)
+    elements = _substituted(scene, values, places(scene, values), check=False)
+    (changed,) = elements.pop("scene")
+    size = scene.mechanism.size  # the size of the given scene makes residuals dimensionless
+    mechanical = {field: tuple(elements.pop(field)) for field in MECHANICAL}
+    mechanism = altered(scene.mechanism, size=size, **mechanical)
+    changed = altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in elements.items()})
+    inherit_mobility(changed, scene)  # the copy has the same redundant constraints
     return changed
 
 
 def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
     """Copy a scene with other control laws and without outputs, not checked; for equations of motion only."""
     changed = altered(scene, control=tuple(laws), outputs=frozenset())
-    inherit_mobility(changed, scene)
+    inherit_mobility(changed, scene)  # the copy has the same redundant constraints
     return changed
 
 
@@ -506,39 +527,39 @@ def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
 
 
 def _substituted(
-    scene: Scene, values: Mapping[str, Any], found: Mapping[str, Place], checked: bool
+    scene: Scene, values: Mapping[str, Any], places: Mapping[str, Place], check: bool
 ) -> dict[str, list[Any]]:
     """Return the elements of `_elements` with other values of parameters.
 
     Args:
         scene: the scene.
         values: new values by parameter name.
-        found: where these parameters are in the scene, by name.
-        checked: True to construct changed elements with all checks, False to copy them without checks.
+        places: where these parameters are in the scene, by name.
+        check: True to construct changed elements with all checks, False to copy them without checks.
     """
     # whole attributes and their components
-    parts = _elements(scene)
-    fields: dict[tuple[str, int], dict[str, Any]] = {}
-    for (what, k, attribute), value in _assigned(parts, values, found).items():
-        fields.setdefault((what, k), {})[attribute] = value
-    for (what, k), attributes in fields.items():
-        element = parts[what][k]
-        parts[what][k] = element.rebuilt(attributes) if checked else element.varied(attributes)
+    elements = _elements(scene)
+    changes: dict[tuple[str, int], dict[str, Any]] = {}
+    for (what, k, attribute), value in _assigned(elements, values, places).items():
+        changes.setdefault((what, k), {})[attribute] = value
+    for (what, k), attributes in changes.items():
+        element = elements[what][k]
+        elements[what][k] = element.rebuilt(attributes) if check else element.varied(attributes)
     # polynomial pieces replace functions of time
     for name in values:
         if name.endswith(PIECE):
-            what, k, attribute = found[name].owner
-            value = on_piece(getattr(parts[what][k], attribute), list(values[name]))
-            parts[what][k] = altered(parts[what][k], **{attribute: value})
-    return parts
+            what, k, attribute = places[name].owner
+            value = on_piece(getattr(elements[what][k], attribute), list(values[name]))
+            elements[what][k] = altered(elements[what][k], **{attribute: value})
+    return elements
 
 
 def _assigned(
-    parts: dict[str, list[Any]], values: Mapping[str, Any], places: Mapping[str, Place]
+    elements: dict[str, list[Any]], values: Mapping[str, Any], places: Mapping[str, Place]
 ) -> dict[Owner, Any]:
     """Return the new value of each changed attribute, without polynomial pieces of functions.
 
-    New components replace components of the scene's own value.
+    New components replace components of the value that the attribute has in the scene.
     """
     found: dict[Owner, Any] = {}
     for name, (owner, component, _) in places.items():
@@ -548,9 +569,9 @@ def _assigned(
             found[owner] = values[name]
             continue
         if owner not in found:
-            found[owner] = np.array(_own_value(parts, owner).tolist(), dtype=object)
+            found[owner] = np.array(_own_value(elements, owner).tolist(), dtype=object)
         found[owner][component] = _number(values[name])
-        if found[owner].shape == (3, 3):
+        if found[owner].shape == (3, 3):  # an inertia is symmetric
             found[owner][component[::-1]] = found[owner][component]
     return {owner: _as_floats(value) for owner, value in found.items()}
 

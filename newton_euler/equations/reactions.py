@@ -25,11 +25,11 @@ from newton_euler.scalars import Array, Scalar, cross
 
 
 class ConstraintWrench(NamedTuple):
-    """Wrenches of a constraint on its two bodies.
+    """Wrenches of one or more constraint equations on the two bodies that they connect.
 
     Attributes:
-        joint: number of the joint.
-        first, second: numbers of the bodies.
+        joint: number of the joint to which the constraint belongs.
+        first, second: numbers of the bodies, 0 for the ground.
         on_first, on_second: (6,) force, N, and torque about the center of mass, N m, world frame.
     """
 
@@ -40,10 +40,15 @@ class ConstraintWrench(NamedTuple):
     on_second: Array
 
 
-def _push(joint: int, first: int, second: int, jacobian: Jacobian, multipliers: Array) -> ConstraintWrench:
-    """Compute the wrenches Phi_q^T lambda of multipliers (k,), from the Jacobian between two bodies.
+def _wrench(joint: int, first: int, second: int, jacobian: Jacobian, multipliers: Array) -> ConstraintWrench:
+    """Compute the wrenches Phi_q^T lambda of multipliers lambda (k,) on two bodies.
 
     This is equation (17) of the paper cited in `newton_euler.equations.cartesian`.
+
+    Args:
+        joint, first, second: see `ConstraintWrench`.
+        jacobian: Jacobian blocks (k, 3) of the constraints between the bodies.
+        multipliers: (k,) lambda.
     """
     r_i, theta_i, r_j, theta_j = (block.T @ multipliers for block in jacobian)
     return ConstraintWrench(
@@ -59,22 +64,24 @@ def constraint_wrenches(
     Args:
         system: the equations of motion.
         frames: pose and velocity of each body.
-        measured: joint coordinates that couplings act on.
+        measured: the measured joint coordinates by key (joint, number), for the slopes of couplings.
         multipliers: (rows,) Lagrange multipliers of joints and couplings.
     """
     row, index = 0, system.mechanism.joint_index
     for e in system.constrained:
-        share = multipliers[row : row + e.count]
+        own_multipliers = multipliers[row : row + e.count]
         row += e.count
         blocks = e.jacobian(frames[e.first], frames[e.second])
-        yield _push(index(e.joint.name), e.first, e.second, blocks, share)
+        yield _wrench(index(e.joint.name), e.first, e.second, blocks, own_multipliers)
+    # a coupling acts on each of its coordinates with the multiplier times its slope; coordinates that are
+    # elements of q (joints of a tree) have no wrench here
     for number, coupling in enumerate(system.couplings, start=row):
-        for key, slope in coupling.seen_slopes(measured).items():
+        for key, slope in coupling.measured_slopes(measured).items():
             if key in system.between:
                 between = system.between[key]
                 blocks = between.constraint.jacobian(frames[between.first], frames[between.second])
-                share = np.array([slope * multipliers[number]])
-                yield _push(index(key[0]), between.first, between.second, blocks, share)
+                force = np.array([slope * multipliers[number]])
+                yield _wrench(index(key[0]), between.first, between.second, blocks, force)
 
 
 def _arms(system: Formulation, frames: Sequence[Frame]) -> list[Array]:
@@ -86,14 +93,14 @@ def _arms(system: Formulation, frames: Sequence[Frame]) -> list[Array]:
 
 
 def at_joint_points(
-    system: Formulation, frames: Sequence[Frame], found: Iterable[ConstraintWrench]
+    system: Formulation, frames: Sequence[Frame], wrenches: Iterable[ConstraintWrench]
 ) -> tuple[Array, Array]:
     """Sum wrenches by joint and refer them to the joint points.
 
     Args:
         system: the equations of motion.
         frames: pose and velocity of each body.
-        found: wrenches of constraints.
+        wrenches: wrenches of constraints.
 
     Returns:
         Forces, N, and torques, N m, on the second bodies at the joint points, (j, 3) each, world frame.
@@ -101,10 +108,10 @@ def at_joint_points(
     arms = _arms(system, frames)
     forces: list[Array] = [np.zeros(3)] * len(arms)
     torques = list(forces)
-    for push in found:
-        force = push.on_second[:3]
-        forces[push.joint] = forces[push.joint] + force
-        torques[push.joint] = torques[push.joint] + push.on_second[3:] - cross(arms[push.joint], force)
+    for pair in wrenches:
+        force = pair.on_second[:3]
+        forces[pair.joint] = forces[pair.joint] + force
+        torques[pair.joint] = torques[pair.joint] + pair.on_second[3:] - cross(arms[pair.joint], force)
     return np.array(forces), np.array(torques)
 
 
@@ -119,13 +126,13 @@ def tree_reactions(
 ) -> tuple[Array, Array]:
     """Compute the reactions of all joints in the joint-coordinate form.
 
-    Loop-closing joints have multipliers. The reactions of the tree's joints follow from the Newton-Euler
-    equations of the bodies, from the leaves to the ground.
+    Loop-closing joints have multipliers. The reactions of the joints in the spanning tree, which connects all
+    bodies without loops, follow from the Newton-Euler equations of the bodies, from the leaves to the ground.
 
     Args:
         system: the equations of motion.
         frames: pose and velocity of each body.
-        measured: joint coordinates that couplings act on.
+        measured: the measured joint coordinates by key (joint, number), for the slopes of couplings.
         needed: (6,) for each body: force, N, and torque about the center of mass, N m, world frame, that
             joints, joint forces and armatures must supply together.
         multipliers: (k,) Lagrange multipliers of loop closures and couplings.
@@ -139,32 +146,33 @@ def tree_reactions(
     """
     # wrenches of multipliers, joint forces and armatures reduce what the tree's joints must supply
     mechanism, tree, need = system.mechanism, system.tree, list(needed)
-    found = list(constraint_wrenches(system, frames, measured, multipliers))
-    for push in found:
-        need[push.first] = need[push.first] - push.on_first
-        need[push.second] = need[push.second] - push.on_second
-    forces, torques = (list(rows) for rows in at_joint_points(system, frames, found))
+    wrenches = list(constraint_wrenches(system, frames, measured, multipliers))
+    for pair in wrenches:
+        need[pair.first] = need[pair.first] - pair.on_first
+        need[pair.second] = need[pair.second] - pair.on_second
+    forces, torques = (list(rows) for rows in at_joint_points(system, frames, wrenches))
     for (name, coordinate), u in joint_forces:
         number = mechanism.joint_index(name)
         e = system.equations[number]
         blocks = e.coordinates[coordinate].jacobian(frames[e.first], frames[e.second])
-        push = _push(number, e.first, e.second, blocks, np.array([u]))
-        need[push.first] = need[push.first] - push.on_first
-        need[push.second] = need[push.second] - push.on_second
+        pair = _wrench(number, e.first, e.second, blocks, np.array([u]))
+        need[pair.first] = need[pair.first] - pair.on_first
+        need[pair.second] = need[pair.second] - pair.on_second
     for (first, second), torque in couples:
         couple = np.concatenate([np.zeros(3), torque])
         need[first], need[second] = need[first] + couple, need[second] - couple
-    # from the leaves to the ground: each joint carries what its child needs
+    # from the leaves to the ground: each joint exerts what its child needs, and the opposite on its parent
     arms = _arms(system, frames)
-    for kept in reversed(tree.joints):
-        force, torque = need[kept.child][:3], need[kept.child][3:]
-        center = frames[kept.child].position
-        carried = torque + cross(center - frames[kept.parent].position, force)
-        need[kept.parent] = need[kept.parent] + np.concatenate([force, carried])
-        if kept.joint >= len(mechanism.joints):
-            continue  # a body that floats
-        sign = 1.0 if kept.forward else -1.0
-        point = frames[tree.equations(kept.joint).second].position + arms[kept.joint]
-        forces[kept.joint] = sign * force
-        torques[kept.joint] = sign * (torque - cross(point - center, force))
+    for joint in reversed(tree.joints):  # `joint.joint` is the number of the joint
+        force, torque = need[joint.child][:3], need[joint.child][3:]
+        center = frames[joint.child].position
+        at_parent = torque + cross(center - frames[joint.parent].position, force)
+        need[joint.parent] = need[joint.parent] + np.concatenate([force, at_parent])
+        if joint.joint >= len(mechanism.joints):
+            continue  # an additional free joint of a body that only rods hold, which has no reaction
+        # the reaction acts on the joint's second body, which is the child only if the joint is `forward`
+        sign = 1.0 if joint.forward else -1.0
+        point = frames[tree.equations(joint.joint).second].position + arms[joint.joint]
+        forces[joint.joint] = sign * force
+        torques[joint.joint] = sign * (torque - cross(point - center, force))
     return np.array(forces), np.array(torques)

@@ -1,7 +1,8 @@
 """Mobility analysis of a scene: redundant constraints and the number of degrees of freedom.
 
-A constraint row is redundant if it follows from the other rows in every configuration. A row that depends on
-the others in one configuration only, such as a dead center, is not redundant. Therefore several
+A constraint row is one scalar constraint equation, and its row of the constraint Jacobian. A row is redundant
+if it follows from the other rows in every configuration. A row that depends on the others in one
+configuration only, such as a dead center, is not redundant: this configuration is singular. Therefore several
 configurations are examined.
 
 Model files are rarely exact. Axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows that
@@ -11,8 +12,10 @@ redundant if this part is smaller than `Scene.redundancy_tolerance` and separate
 (`newton_euler.equations.independence`). Reports name such a row with its singular value (on such models see
 J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30, 2013).
 
-The analysis uses joint coordinates of a spanning tree, and scales each row by the body motions that it
-compares. All other forms of the equations, in every engine, use the resulting degrees of freedom.
+The analysis uses joint coordinates of a spanning tree. It divides each row by its natural magnitude, which is
+the size of the body motions that the row compares
+(`newton_euler.equations.kinematics.TreeKinematics.row_scales`). All other forms of the equations, in every
+engine, use the resulting degrees of freedom.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ SAMPLE_DISTANCE = 0.1
 """Distance between examined configurations, rad, or a length divided by the mechanism's size."""
 
 RESIDUAL_FACTOR = 10.0
-"""Largest dimensionless residual of an almost redundant constraint, divided by the scene's tolerance.
+"""Largest dimensionless residual of an almost redundant constraint in a closed configuration, divided by
+`Scene.redundancy_tolerance`.
 
 Joints move by several rad or mechanism sizes, which multiply the rounding errors of the file's numbers."""
 
@@ -63,7 +67,8 @@ MAX_SUSPECT_VALUE = 1e-2
 """Singular value below which an independent constraint may have been redundant by design."""
 
 MIN_SUSPECT_GAP = 100.0
-"""Smallest ratio of the next larger singular value to that of such a suspect constraint."""
+"""Smallest ratio of the next larger singular value to that of a constraint that may be redundant by
+design."""
 
 MAX_LISTED = 20
 """Number of redundant constraints listed for a scene that is too large for singular values."""
@@ -72,7 +77,7 @@ DENSE_LIMIT = 1_000_000
 """Number of elements of the largest Jacobian whose singular values are computed."""
 
 MAX_NEIGHBOR_STEPS = 30
-"""Number of Newton steps to another configuration; they converge slowly near a singular configuration."""
+"""Largest number of Newton steps to a closed configuration; they converge slowly near a singular one."""
 
 MAX_SAMPLE_RESIDUAL = 1e-11
 """Largest dimensionless residual of the independent rows of a closed configuration."""
@@ -83,8 +88,9 @@ class NearlyRedundant(NamedTuple):
 
     Attributes:
         joint: name of the joint or coupling with the largest share in the constraint.
-        singular_value: dimensionless singular value of the constraint Jacobian in joint coordinates.
-        taken: "redundant" if the constraint is ignored, "literally" if it counts as independent.
+        singular_value: dimensionless singular value of the constraint Jacobian in joint coordinates; about
+            the distance of the constraint from the span of the others.
+        taken: "redundant" if solvers ignore the constraint, "literally" if it counts as independent.
     """
 
     joint: str
@@ -97,17 +103,17 @@ class NearlyRedundant(NamedTuple):
 
 def residual(nearly: Iterable[NearlyRedundant]) -> float:
     """Return the largest singular value of constraints that are ignored as redundant; 0 without any."""
-    return max((weak.singular_value for weak in nearly if weak.taken == "redundant"), default=0.0)
+    return max((each.singular_value for each in nearly if each.taken == "redundant"), default=0.0)
 
 
 class Configuration(NamedTuple):
     """Constraint rows at a closed configuration.
 
     Attributes:
-        q: joint coordinates.
-        rows: sparse dimensionless rows, each divided by its scale.
+        q: (nq,) joint coordinates.
+        rows: sparse dimensionless rows, each divided by its natural magnitude.
         scales: (k,) natural magnitude of each dimensionless row before the division.
-        chosen: selection of independent rows.
+        chosen: selection of independent rows, with the independent parts of rows that are almost dependent.
     """
 
     q: Array
@@ -128,16 +134,17 @@ class Mobility:
     Attributes:
         degrees_of_freedom: number of independent velocities in configurations that are not singular.
         independent: numbers of independent rows; all other rows follow from them.
-        redundant: numbers of the other rows that are not zero in all configurations. If there are any,
-            Lagrange multipliers and reactions are not unique.
-        exchangeable: natural magnitudes, by number, of rows that a run may exchange for each other, see
-            `newton_euler.equations.row_choice`. Empty if redundancy is not exact.
+        redundant: numbers of the other rows, without rows that are zero in all configurations. If there are
+            any, Lagrange multipliers and reactions are not unique.
+        exchangeable: natural magnitudes, by row number, of rows that a run may exchange for each other when
+            the independent rows become dependent, see `newton_euler.equations.row_choice`. Empty if
+            redundancy is not exact.
         nearly: constraints that are almost redundant.
-        residual: largest singular value of constraints that are ignored; 0 if redundancy is exact.
         configurations: closed configurations that were examined.
         states: states of these configurations, at rest.
-        between_branches: joint with a dependent constraint at a singular start whose velocities are tangent
-            to no branch of motion, see `newton_euler.equations.branches`; else empty.
+        between_branches: name of a joint with a dependent constraint, if the start is singular and its
+            velocities are tangent to no motion (branch) of the mechanism, see
+            `newton_euler.equations.branches`; else empty.
     """
 
     degrees_of_freedom: int
@@ -151,35 +158,37 @@ class Mobility:
 
     @property
     def residual(self) -> float:
-        """Largest singular value of constraints that are ignored as redundant; 0 without any."""
+        """Largest singular value of constraints that are ignored as redundant; 0 if redundancy is exact."""
         return residual(self.nearly)
 
 
-_KNOWN: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()
+_MOBILITIES: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()
 """Results of the mobility analysis by scene."""
 
-_LEFT_OUT: WeakKeyDictionary[Scene, dict[str, list[int]]] = WeakKeyDictionary()
-"""Row numbers that `rows_left_out` has found, by scene and name of the system."""
+_ROWS_LEFT_OUT: WeakKeyDictionary[Scene, dict[str, list[int]]] = WeakKeyDictionary()
+"""Results of `rows_left_out` by scene, and by name of the form of the equations or of the engine."""
 
 
 def mobility(scene: Scene) -> Mobility:
     """Analyze which constraints of a scene are redundant; the result is kept for the scene."""
-    if scene not in _KNOWN:
+    if scene not in _MOBILITIES:
         with np.errstate(all="ignore"):  # a run reports overflows
-            _KNOWN[scene] = _mobility(TreeKinematics(scene))
-    return _KNOWN[scene]
+            _MOBILITIES[scene] = _mobility(TreeKinematics(scene))
+    return _MOBILITIES[scene]
 
 
 def constraint_rank(system: System) -> int:
-    """Compute the number of independent constraint rows of a form of a scene's equations."""
+    """Compute the number of independent constraint rows in the equations of motion `system`."""
     return system.nv - mobility(system.scene).degrees_of_freedom
 
 
 def rows_left_out(system: System) -> list[int]:
-    """Select the almost redundant constraint rows that solvers leave out; none if redundancy is exact.
+    """Select the constraint rows that solvers leave out because they are almost redundant.
 
-    This package's own forms keep the independent rows of the joint-coordinate form. For another engine, a QR
-    factorization with pivoting selects the rows to keep, at the configuration of the largest rank.
+    If redundancy is exact, no row is left out: rank decisions up to round-off are then reliable, and solvers
+    make them. This package's own forms keep the independent rows of the joint-coordinate form. For another
+    engine, a QR factorization with pivoting selects the rows to keep, at the configuration of the largest
+    rank.
 
     Returns:
         Row numbers in `phi` of the system.
@@ -187,7 +196,7 @@ def rows_left_out(system: System) -> list[int]:
     found, count = mobility(system.scene), len(system.phi_units)
     if found.residual == 0.0:
         return []
-    known = _LEFT_OUT.setdefault(system.scene, {})
+    known = _ROWS_LEFT_OUT.setdefault(system.scene, {})
     if isinstance(system, Formulation):
         if system.omitted is not None:
             return system.omitted
@@ -225,9 +234,9 @@ def with_zero_rows(rows: Array, left_out: Sequence[int]) -> Array:
 
 
 def inherit_mobility(scene: Scene, of: Scene) -> None:
-    """Use for a scene the result of another scene with the same geometry, if that has been analyzed."""
-    if of in _KNOWN:
-        _KNOWN[scene] = replace(_KNOWN[of], between_branches="")  # initial states may differ
+    """Use for a scene the result of a scene `of` with the same geometry, if `of` has been analyzed."""
+    if of in _MOBILITIES:
+        _MOBILITIES[scene] = replace(_MOBILITIES[of], between_branches="")  # initial states may differ
 
 
 def _mobility(system: TreeKinematics) -> Mobility:
@@ -237,7 +246,7 @@ def _mobility(system: TreeKinematics) -> Mobility:
     """
     examined, nonzero_rows = _examine(system)
     best = max(examined, key=lambda at: at.rank)
-    used, rest = best.chosen.rows, np.zeros(system.nv)
+    used, at_rest = best.chosen.rows, np.zeros(system.nv)
     redundant = sorted(nonzero_rows - set(used))
     nearly = tuple(_nearly(system, [at for at in examined if at.rank == len(used)]))
     exactly_redundant = redundant if residual(nearly) == 0.0 else []
@@ -249,42 +258,48 @@ def _mobility(system: TreeKinematics) -> Mobility:
         exchangeable=varying_rows(scaled, used, exactly_redundant),
         nearly=nearly,
         configurations=examined,
-        states=[system.state(at.q, rest) for at in examined],
+        states=[system.state(at.q, at_rest) for at in examined],
         between_branches=_between_branches(system),
     )
 
 
 def _between_branches(system: TreeKinematics) -> str:
-    """Find the joint of a start between branches of motion, see `Mobility`; skip large mechanisms."""
+    """Find the joint of a start between branches of motion, see `Mobility`.
+
+    Empty without such a joint, without an initial state, and for mechanisms above `DENSE_LIMIT`.
+    """
     if system.scene.initial_state is None or len(system.phi_units) * system.nv > DENSE_LIMIT:
         return ""
     return joint_between_branches(system, *system.coordinates(system.scene.initial_state))
 
 
 def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
-    """Yield almost redundant constraints, from small singular values on both sides of the rank.
+    """Yield almost redundant constraints: the small singular values on both sides of the rank.
 
     Args:
         system: equations in joint coordinates.
         seen: examined configurations that are not singular.
     """
-    # largest independent part of an exactly redundant row; other configurations are less exact than the
-    # initial pose, because they are results of Newton's method
-    own, _ = system.coordinates(State.initial(system.scene.mechanism))
-    exact = [MIN_INEXACT if np.array_equal(at.q, own) else MAX_SAMPLE_RESIDUAL for at in seen]
-    # independent constraints, at the configuration where their smallest singular value is largest
+    # limits up to which the independent part of a redundant row is round-off; configurations other than the
+    # initial pose are less exact, because they are results of Newton's method
+    initial_q, _ = system.coordinates(State.initial(system.scene.mechanism))
+    limits = [MIN_INEXACT if np.array_equal(at.q, initial_q) else MAX_SAMPLE_RESIDUAL for at in seen]
+    # independent constraints that may have been redundant by design: a small singular value after a gap, at
+    # the configuration where the smallest singular value is largest. A configuration without weak rows shows
+    # that all independent constraints are certainly independent
     if all(at.chosen.weak for at in seen):
         spectra = [_spectrum(system, at) for at in seen]
         values, rank, owner = max(spectra, key=lambda each: each.values[each.rank - 1])
         for k in range(1, rank):
             if values[k] < MAX_SUSPECT_VALUE and values[k] * MIN_SUSPECT_GAP < values[k - 1]:
                 yield NearlyRedundant(owner(k), values[k], "literally")
-    # redundant constraints, at the configuration with the largest noise: in some poses noise has no effect
-    noisiest = max(range(len(seen)), key=lambda k: seen[k].chosen.noise / exact[k])
-    if seen[noisiest].chosen.noise > exact[noisiest]:
+    # redundant constraints that are not exactly dependent, at the configuration with the largest independent
+    # part (noise) of a dependent row: in some poses the noise of the file's numbers has no effect
+    noisiest = max(range(len(seen)), key=lambda k: seen[k].chosen.noise / limits[k])
+    if seen[noisiest].chosen.noise > limits[noisiest]:
         values, rank, owner = _spectrum(system, seen[noisiest])
         for k in range(rank, len(values)):
-            if values[k] > exact[noisiest]:
+            if values[k] > limits[noisiest]:
                 yield NearlyRedundant(owner(k), values[k], "redundant")
 
 
@@ -292,10 +307,13 @@ class Spectrum(NamedTuple):
     """Singular values of the dimensionless constraint Jacobian at a configuration.
 
     Attributes:
-        values: singular values in descending order. For a Jacobian too large for singular values, the
-            independent parts of its rows instead.
-        rank: number of independent constraints.
-        owner: function from the index of a singular value to the joint or coupling with the largest share.
+        values: singular values in descending order. For a Jacobian above `DENSE_LIMIT`, the independent parts
+            of its rows instead: first the smallest one of all certainly independent rows, then those of weak
+            rows, then the largest ones of dependent rows.
+        rank: number of values that belong to independent constraints; the values from `values[rank]` on
+            belong to redundant ones.
+        owner: function from the index of a value to the joint or coupling with the largest share in the
+            constraint.
     """
 
     values: list[float]
@@ -310,14 +328,13 @@ def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
     if len(rows) * system.nv <= DENSE_LIMIT:
         u, s, _ = singular_values(to_array(rows, system.nv))
         return Spectrum(s.tolist(), at.rank, lambda k: largest_share(owners, u[:, k]))
-    # independent parts: `strong` for all certainly independent rows, weak rows, then the largest of the
-    # others
-    others = set(range(len(rows))) - set(chosen.factor.order)
-    left = {k: remainder(rows, chosen.factor, rows[k]) for k in others}
-    redundant = sorted(left, key=lambda k: -left[k])[:MAX_LISTED]
-    named = [*chosen.weak, *redundant]
-    values = [chosen.strong, *chosen.weak.values(), *(left[k] for k in redundant)]
-    return Spectrum(values, 1 + len(chosen.weak), lambda k: owners[named[k - 1]])
+    # independent parts of the rows of a large Jacobian
+    dependent = set(range(len(rows))) - set(chosen.factor.order)
+    parts = {k: remainder(rows, chosen.factor, rows[k]) for k in dependent}
+    redundant = sorted(parts, key=lambda k: -parts[k])[:MAX_LISTED]
+    row_of_value = [*chosen.weak, *redundant]  # the first value belongs to no single row
+    values = [chosen.strong, *chosen.weak.values(), *(parts[k] for k in redundant)]
+    return Spectrum(values, 1 + len(chosen.weak), lambda k: owners[row_of_value[k - 1]])
 
 
 def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
@@ -330,7 +347,7 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
     # the initial state of the scene, and the initial pose of the mechanism
     pose = State.initial(system.scene.mechanism)
     q, v = system.coordinates(pose if system.scene.initial_state is None else system.scene.initial_state)
-    own, _ = system.coordinates(pose)
+    initial_q, _ = system.coordinates(pose)
     directions = _directions(system, v)
     nonzero_rows: set[int] = set()
     seen: list[Configuration] = []
@@ -338,10 +355,10 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
         # keep the start, and configurations whose loops are closed
         phi, rows, scales = _scaled(system, q)
         found = independent(rows, tolerance)
-        others = np.delete(phi, found.rows)
+        dependent_phi = np.delete(phi, found.rows)
         if number == 0 or (
             largest(phi[found.rows]) < MAX_SAMPLE_RESIDUAL
-            and largest(others) < max(MAX_SAMPLE_RESIDUAL, RESIDUAL_FACTOR * tolerance)
+            and largest(dependent_phi) < max(MAX_SAMPLE_RESIDUAL, RESIDUAL_FACTOR * tolerance)
         ):
             nonzero_rows.update(i for i, row in enumerate(rows) if length(row) > ROW_ROUND_OFF)
             seen.append(Configuration(q, rows, scales, found))
@@ -353,8 +370,8 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
         if number + 1 >= MIN_CONFIGURATIONS and regular >= MIN_REGULAR:
             break
         # next: the initial pose if the start is another one, then neighbors of the best configuration
-        moved = number == 0 and not np.array_equal(own, q)
-        q = own if moved else _neighbor(system, best.q, next(directions))
+        starts_elsewhere = number == 0 and not np.array_equal(initial_q, q)
+        q = initial_q if starts_elsewhere else _neighbor(system, best.q, next(directions))
     return seen, nonzero_rows
 
 
@@ -375,10 +392,11 @@ def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows, Array]:
 
 
 def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
-    """Yield directions (nv,) of unit size to other configurations: the initial velocity v, then random ones.
+    """Yield directions (nv,) of about unit size to other configurations: the initial velocity, then random.
 
-    At a singular configuration a random step leaves all branches of motion, and Newton's method returns to a
-    point too close to the singular one. The initial velocity is tangent to a branch.
+    A direction is in the units of v times s. At a singular configuration a random step leaves all branches
+    of motion, and Newton's method returns to a point too close to the singular one. The initial velocity is
+    tangent to a branch.
     """
     speed = np.max(np.abs(v / system.velocity_units), initial=0.0)
     if speed > 0.0:
@@ -394,16 +412,16 @@ def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
     Args:
         system: equations in joint coordinates.
         q: (nq,) closed configuration to start from.
-        direction: (nv,) direction of unit size; the step has the size `SAMPLE_DISTANCE`.
+        direction: (nv,) direction of about unit size; the step has the size `SAMPLE_DISTANCE`.
     """
     tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
-    # a step along the direction, projected onto the tangent space
+    # a step along the direction, projected onto the tangent space: its change of the residuals is undone
     step = SAMPLE_DISTANCE * direction
     _, rows, _ = _scaled(system, q)
-    rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
-    back = least_step(rows, independent(rows, tolerance).factor, rate, system.nv)
-    q = system.retract(q, step - unit * back)
-    # minimum-norm Newton steps
+    phi_change = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
+    correction = least_step(rows, independent(rows, tolerance).factor, phi_change, system.nv)
+    q = system.retract(q, step - unit * correction)
+    # minimum-norm Newton steps back to the closed configurations
     for _ in range(MAX_NEIGHBOR_STEPS):
         phi, rows, _ = _scaled(system, q)
         factor = independent(rows, tolerance).factor

@@ -1,8 +1,10 @@
 """Equations of motion in joint coordinates of a spanning tree, with constraints that close the loops.
 
-The Newton-Euler equations of the bodies are projected onto the velocities of the tree. Body i has mass m,
-inertia I, velocity v_i = V_i qdot and angular velocity omega_i = W_i qdot. Its accelerations at qddot = 0 are
-a0_i and alpha0_i (`newton_euler.equations.kinematics`). Then
+A spanning tree connects all bodies by joints without loops. The Newton-Euler equations of the bodies are
+projected onto the velocities of its joints. These velocities are called qdot below, and v in the code,
+because the coordinates q of a ball joint are a quaternion. Body i has mass m, inertia I, velocity v_i = V_i
+qdot and angular velocity omega_i = W_i qdot. Its accelerations at qddot = 0 are a0_i and alpha0_i
+(`newton_euler.equations.kinematics`). Then
 
     M qddot = f + J^T lambda
     J qddot = gamma - K_D (J qdot) - K_P Phi                    Baumgarte's gains K_D, K_P
@@ -12,9 +14,12 @@ a0_i and alpha0_i (`newton_euler.equations.kinematics`). Then
     J = Phi_r V + Phi_theta W                                   of the joints that close loops
     gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0
 
-(P. E. Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 13; R. Featherstone, Rigid Body
-Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree). Recursions over the axes of the tree
-compute M, f, and the factor of M (`newton_euler.equations.articulated`).
+with gravity g, multipliers lambda, and the residuals Phi of the constraints. Phi_r and Phi_theta are their
+derivatives for displacements and small rotations of the bodies, and gamma_Phi is the right side of
+Phi_r a + Phi_theta alpha = gamma_Phi (P. E. Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988,
+chapter 13; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree).
+Each element of v has an axis. Recursions over the axes of the tree compute M, f, and the factor of M
+(`newton_euler.equations.articulated`).
 
 Couplings (gears) and prescribed motions are further rows of J. Armatures (rotor inertias) add to M.
 """
@@ -72,22 +77,21 @@ class Relative(TreeKinematics):
             (6,) for each body, ground first: force m (a - g) and torque I alpha + omega x I omega about the
             center of mass, minus applied forces, N and N m, world frame.
         """
-        applied, needed = applied_wrenches(self.scene, self.seen(q, v)), []
+        applied, wrenches = applied_wrenches(self.scene, self.surroundings(q, v)), []
         for body, link in enumerate(self.links(q, v)):
             inertia, omega = self.world_inertia(body, link), link.frame.angular_velocity
             force = self.mechanism.bodies[body].mass * (linear[body] - self.scene.gravity)
             torque = inertia @ angular[body] + cross(omega, inertia @ omega)
-            needed.append(np.concatenate([force, torque]) - applied[body])
-        return needed
+            wrenches.append(np.concatenate([force, torque]) - applied[body])
+        return wrenches
 
     def axis_wrenches(self, links: list[Link], q: Array, v: Array) -> dict[int, Array]:
         """Sum the wrenches (6,) of `body_wrenches` by axis, for the accelerations of the links.
 
-        An axis collects the wrenches of the bodies that it moves and that no later axis moves, about its
-        point.
+        Each wrench belongs to the last axis that moves its body, and is referred to the point of this axis.
         """
-        moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
-        return on_axes(links, self.body_wrenches(q, v, *moving))
+        linear, angular = [k.acceleration for k in links], [k.angular_acceleration for k in links]
+        return on_axes(links, self.body_wrenches(q, v, linear, angular))
 
     def axis_inertias(self, links: list[Link]) -> list[SpatialInertia]:
         """Sum the inertias of bodies by the last axis that moves each body, about the point of the axis."""
@@ -100,7 +104,7 @@ class Relative(TreeKinematics):
         return found
 
     def _joint_forces(self, q: Array, v: Array) -> dict[int, Scalar]:
-        """Compute the sparse part of f from control laws, springs and armatures at joints."""
+        """Compute the part of f, as a sparse vector, from control laws, springs and armatures at joints."""
         force = sparse.sparse_vector(self.actuation(q, v))
         for rotor in self._rotors(q, v):
             for i, x in rotor.jacobian.items():
@@ -110,13 +114,13 @@ class Relative(TreeKinematics):
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the part of f (nv,) from control laws and springs on joint coordinates."""
         measured, generalized = self.measured(q, v), zeros(self.nv, q, v)
-        for law, u in zip(self.scene.joint_forces, self.joint_forces(q, v), strict=True):
-            for k, entry in measured[law.key].jacobian.items():
+        for element, u in zip(self.scene.joint_forces, self.joint_forces(q, v), strict=True):
+            for k, entry in measured[element.key].jacobian.items():
                 generalized[k] += entry * u
         return generalized
 
     def _rotors(self, q: Array, v: Array) -> list[Rotor]:
-        """Collect the rotors of all armatures: one for a hinge or slide, three for a ball joint.
+        """List a rotor for each armature on a hinge or slide, and three rotors for each one on a ball joint.
 
         The rates of the three rotors are the components of the relative angular velocity.
         """
@@ -125,15 +129,16 @@ class Relative(TreeKinematics):
             if armature.on_ball:
                 terms = self._spin_terms(armature.joint, self.links(q, v))
             else:
-                seen = measured[armature.key]
-                terms = [(seen.jacobian, seen.gamma)]
-            found.extend(Rotor(armature.inertia, *term) for term in terms)
+                coordinate = measured[armature.key]
+                terms = [(coordinate.jacobian, coordinate.gamma)]
+            found.extend(Rotor(armature.inertia, jacobian, gamma) for jacobian, gamma in terms)
         return found
 
     def _spin_terms(self, joint: str, links: list[Link]) -> list[tuple[dict[int, Scalar], Scalar]]:
-        """Compute a sparse Jacobian row and gamma for each component of the angular velocity at a ball joint.
+        """Compute a sparse Jacobian row and gamma for each component of a ball's relative angular velocity.
 
-        If the joint belongs to the tree, the components are three elements of v.
+        If the joint belongs to the tree, the components are three elements of v. Otherwise they are in the
+        world frame, with the Jacobian `balls.SPIN` between the two bodies.
         """
         place = self.tree.ball_place(joint)
         if place is not None:
@@ -155,10 +160,12 @@ class Relative(TreeKinematics):
     def _constraints(self, links: list[Link], q: Array, v: Array) -> tuple[Rows, Array]:
         """Compute the sparse rows of J (k, nv), and the right side (k,).
 
-        The links usually have zero joint accelerations. If they have joint accelerations qddot, the right
-        side of loop-closing joints is the residual: J qddot is subtracted. That of couplings is not changed.
+        The right side is that of `constraints` for links at zero joint accelerations. If the links have
+        joint accelerations qddot instead, the rows of loop-closing joints have the right side minus J
+        qddot. The rows of couplings have the same right side.
         """
         jacobian, right = list[dict[int, Scalar]](), [np.zeros(0)]
+        # loop-closing joints
         for closure in self.constrained:
             first, second = links[closure.first], links[closure.second]
             blocks = closure.jacobian(first.frame, second.frame)
@@ -168,6 +175,7 @@ class Relative(TreeKinematics):
                 gamma = gamma - self.K_D * blocks.rate(first.frame, second.frame) - self.K_P * phi
             right.append(gamma)
             jacobian.extend(self.project(blocks, first, second))
+        # couplings and prescribed motions
         measured = self.measured(q, v)
         for coupling in self.couplings:
             phi, gamma = coupling.phi(measured, self.time), coupling.gamma(measured, self.time)
@@ -182,31 +190,32 @@ class Relative(TreeKinematics):
     ) -> tuple[Array, Array]:
         """Compute the residuals of accelerations and multipliers without M, by recursive Newton-Euler.
 
-        See `newton_euler.equations.formulation.Formulation.sparse_residuals`.
+        See `newton_euler.equations.formulation.Formulation.sparse_residuals` for arguments and results.
         """
-        # constraints: loop-closing joints from the accelerations of the bodies, then couplings
+        # constraints: the right side minus J qddot. Of loop-closing joints it follows from the accelerations
+        # of the bodies; of couplings J qddot is subtracted here, with their forces J^T lambda
         links = tree_links(self.mechanism, self.tree, q, v, accelerations)
         jacobian, right = self._constraints(links, q, v)
-        right, known = right.astype(object), sparse.sparse_vector(accelerations)
-        of_joints, force = multipliers.copy(), -self.actuation(q, v)
-        for k in range(self.rows - len(self.couplings), self.rows):
-            of_joints[k] = 0.0
-            right[k] = right[k] - sparse.dot(jacobian[k], known)
-            for place, entry in jacobian[k].items():
-                force[place] = force[place] - entry * multipliers[k]
+        right, qddot = right.astype(object), sparse.sparse_vector(accelerations)
+        joint_multipliers, force = multipliers.copy(), -self.actuation(q, v)
+        for row in range(self.rows - len(self.couplings), self.rows):
+            joint_multipliers[row] = 0.0
+            right[row] = right[row] - sparse.dot(jacobian[row], qddot)
+            for k, entry in jacobian[row].items():
+                force[k] = force[k] - entry * multipliers[row]
         # forces: wrenches of the bodies minus those of loop-closing joints, projected onto the axes
-        moving = [k.acceleration for k in links], [k.angular_acceleration for k in links]
-        wrenches = self.body_wrenches(q, v, *moving)
-        for push in constraint_wrenches(self, self.frames(q, v), self.measured(q, v), of_joints):
-            wrenches[push.first] = wrenches[push.first] - push.on_first
-            wrenches[push.second] = wrenches[push.second] - push.on_second
-        for place, share in axis_tree(links).rnea_backward(on_axes(links, wrenches)).items():
-            force[place] = force[place] + share
+        linear, angular = [k.acceleration for k in links], [k.angular_acceleration for k in links]
+        wrenches = self.body_wrenches(q, v, linear, angular)
+        for pair in constraint_wrenches(self, self.frames(q, v), self.measured(q, v), joint_multipliers):
+            wrenches[pair.first] = wrenches[pair.first] - pair.on_first
+            wrenches[pair.second] = wrenches[pair.second] - pair.on_second
+        for k, projected in axis_tree(links).rnea_backward(on_axes(links, wrenches)).items():
+            force[k] = force[k] + projected
         # armatures
         for rotor in self._rotors(q, v):
-            push_back = rotor.inertia * (sparse.dot(rotor.jacobian, known) - rotor.gamma)
-            for place, entry in rotor.jacobian.items():
-                force[place] = force[place] + push_back * entry
+            inertial_force = rotor.inertia * (sparse.dot(rotor.jacobian, qddot) - rotor.gamma)
+            for k, entry in rotor.jacobian.items():
+                force[k] = force[k] + inertial_force * entry
         return force, -right
 
     # Solutions
@@ -215,15 +224,16 @@ class Relative(TreeKinematics):
         """Compute the mass matrix M (nv, nv) and the force f (nv,) of M qddot = f + J^T lambda."""
         links = self.links(q, v)
         force = self._joint_forces(q, v)
-        for k, share in axis_tree(links).rnea_backward(self.axis_wrenches(links, q, v)).items():
-            add(force, k, -share)
+        for k, projected in axis_tree(links).rnea_backward(self.axis_wrenches(links, q, v)).items():
+            add(force, k, -projected)
         return sparse.to_array(self.mass_rows(q), self.nv), sparse.to_array([force], self.nv)[0]
 
     def mass_rows(self, q: Array) -> Rows:
         """Compute the sparse rows of the mass matrix M (nv, nv), armatures included."""
-        links, rest = self.links(q, np.zeros(self.nv)), np.zeros(self.nv)
-        rows = axis_tree(links).crba(self.axis_inertias(links), range(self.nv - 1, -1, -1))
-        add_rotors(rows, self._rotors(q, rest))
+        links, at_rest = self.links(q, np.zeros(self.nv)), np.zeros(self.nv)
+        leaves_first = range(self.nv - 1, -1, -1)
+        rows = axis_tree(links).crba(self.axis_inertias(links), leaves_first)
+        add_rotors(rows, self._rotors(q, at_rest))
         return rows
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -234,18 +244,29 @@ class Relative(TreeKinematics):
         """
         mass, force = self.mass_and_force(q, v)
         rows, right = self.constraints(q, v)
-        unused = rows_left_out(self)
-        jacobian = with_zero_rows(sparse.to_array(rows, self.nv), unused)
-        right = with_zero_rows(right, unused)
+        # rows that are almost redundant are replaced by zeros
+        left_out = rows_left_out(self)
+        jacobian = with_zero_rows(sparse.to_array(rows, self.nv), left_out)
+        right = with_zero_rows(right, left_out)
         try:
             return dense.solve_constrained(
-                mass, force, jacobian, right, self.phi_units, self.velocity_units, constraint_rank(self)
+                mass,
+                force,
+                jacobian,
+                right,
+                row_units=self.phi_units,
+                column_units=self.velocity_units,
+                max_rank=constraint_rank(self),
             )
         except np.linalg.LinAlgError as error:
             raise self._singularity(mass, force) from error
 
     def _singularity(self, mass: Array, force: Array) -> SingularityError:
-        """Return the error for a singular mass matrix M (nv, nv) or a force (nv,) that is not finite."""
+        """Return the error for a singular mass matrix M (nv, nv) or a force (nv,) that is not finite.
+
+        The error names the joint of the first number that is not finite, or the joint that moves most in the
+        mode of the smallest eigenvalue of M.
+        """
         finite = np.isfinite(mass).all(axis=1) & np.isfinite(force)
         if not finite.all():
             return SingularityError(self._joint_of(int(np.argmin(finite))), "inertia or force is not finite")
@@ -258,16 +279,20 @@ class Relative(TreeKinematics):
 
     def _joint_of(self, velocity: int) -> str:
         """Return the name of the joint that the velocity with an index in v belongs to."""
-        (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
-        return self.tree.joint(kept.joint).name
+        (owner,) = (each for each in self.tree.joints if each.v.start <= velocity < each.v.stop)
+        return self.tree.joint(owner.joint).name
 
     def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
-        """Compute the linear equations for qddot, with M factorized from the leaves to the ground."""
+        """Compute the linear equations for qddot, with M factorized from the leaves to the ground.
+
+        `rows` selects constraint rows and has the reference magnitudes of the pivots of M.
+        """
         links, rotors = self.links(q, v), self._rotors(q, v)
         jacobian, right = self._constraints(links, q, v)
         factor = axis_tree(links).factorize(self.axis_inertias(links), rotors, rows.mass_scales)
-        free = factor.lower(self._joint_forces(q, v), self.axis_wrenches(links, q, v))
-        return Equations(factor, free, jacobian, right, rows, refine=False)
+        # L^-1 f, with f = joint forces minus the projected wrenches of the bodies
+        reduced_force = factor.lower(self._joint_forces(q, v), self.axis_wrenches(links, q, v))
+        return Equations(factor, reduced_force, jacobian, right, rows, refine=False)
 
     def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
         """Compute sparse rows and gamma (k,) of joint coordinates; see `Formulation.sparse_coordinates`."""
@@ -291,14 +316,16 @@ class Relative(TreeKinematics):
         Returns:
             v (nv,), and the pivot ratio, which is not positive at a singular configuration.
         """
-        rest = np.zeros(self.nv)
-        equations = self.sparse_equations(q, rest, servos.rows)
-        wanted, _ = self.sparse_coordinates(q, rest, servos.coordinates)
-        gamma = np.concatenate([-self.phi_t(), np.array(rates)])
+        # the same equations as for accelerations, with velocities as unknowns and without forces:
+        # M v = J^T lambda, J v = -Phi_t, and the rows of the chosen coordinates times v = rates
+        at_rest = np.zeros(self.nv)
+        equations = self.sparse_equations(q, at_rest, servos.rows)
+        coordinate_rows, _ = self.sparse_coordinates(q, at_rest, servos.coordinates)
+        right = np.concatenate([-self.phi_t(), np.array(rates)])
         solution = sparse.solve_constrained(
-            equations.extended(wanted, gamma, servos.scales)._replace(free={})
+            equations.extended(coordinate_rows, right, servos.scales)._replace(reduced_force={})
         )
-        return self.sparse_vdot(q, rest, solution), solution.pivot_ratio
+        return self.sparse_vdot(q, at_rest, solution), solution.pivot_ratio
 
     # Bodies and reactions at a solution
 
@@ -313,34 +340,35 @@ class Relative(TreeKinematics):
     def reactions(
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
-        # forces of control laws, springs and armatures on joint coordinates, and torques of ball armatures
         """Compute the reaction forces and torques of all joints; see `Formulation.reactions`."""
+        # forces of control laws, springs and armatures on joint coordinates, and torques of ball armatures
         frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
-        laws = [law.key for law in self.scene.joint_forces]
-        joint_forces = list(zip(laws, self.joint_forces(q, v), strict=True))
+        keys = [element.key for element in self.scene.joint_forces]
+        joint_forces = list(zip(keys, self.joint_forces(q, v), strict=True))
         couples = []
         for armature in self.scene.armatures:
             if armature.on_ball:
                 ends = balls.ends(self.mechanism, armature.joint)
                 couples.append((ends, -armature.inertia * balls.spin_rate(frames, angular, ends)))
             else:
-                seen = measured[armature.key]
-                x_rates = (x * vdot[k] for k, x in seen.jacobian.items())
-                acceleration = sum(x_rates, start=0.0) - seen.gamma
+                coordinate = measured[armature.key]
+                terms = (entry * vdot[k] for k, entry in coordinate.jacobian.items())
+                acceleration = sum(terms, start=0.0) - coordinate.gamma
                 joint_forces.append((armature.key, -(armature.inertia * acceleration)))
+        # the other wrenches on the bodies are reactions
         needed = self.body_wrenches(q, v, linear, angular)
         return tree_reactions(self, frames, measured, needed, multipliers, joint_forces, couples)
 
 
 def axis_tree(links: Sequence[Link]) -> AxisTree:
-    """Collect the axes of all joint velocities from the kinematics of all bodies."""
+    """Collect the axes of all joint velocities, and their predecessors, from the kinematics of all bodies."""
     axes: dict[int, Axis] = {}
-    before: dict[int, int] = {}
+    before: dict[int, int] = {}  # index of the axis before each axis on the path from the ground; -1 for none
     for link in links:
         for n in reversed(range(len(link.path))):
             k = link.path[n]
             if k in axes:
-                break
+                break  # another body has this axis and all axes before it
             axes[k], before[k] = link.axes[n], link.path[n - 1] if n else -1
     order = sorted(axes)
     return AxisTree([axes[k] for k in order], [before[k] for k in order])

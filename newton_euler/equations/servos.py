@@ -1,8 +1,9 @@
 """Checks for inverse dynamics: can the actuators of a scene give chosen joint coordinates any accelerations?
 
-The result is a `Servos` record with the coordinates, the actuators and the constraint rows in use.
+`servos_of` returns a `Servos` record with the coordinates, the actuators and the constraint rows in use.
 `newton_euler.equations.formulation.Formulation.servo_forces` then computes the actuator forces at a state.
-Both are listed by key: (name of the joint, number of its coordinate).
+Coordinates and actuators are listed by key: (name of the joint, number of its coordinate). An actuator acts
+on one joint coordinate.
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 MIN_INDEPENDENT_RATE = 1e-3
-"""Smallest dimensionless distance of a new row from the span of the rows chosen before."""
+"""Smallest dimensionless distance of a row from the span of the rows chosen before it, for the row to be
+chosen."""
 
-COMPARED_DIGITS = 6
-"""Decimals in which rows are compared, so that the choice does not depend on the processor's round-off."""
+COMPARED_DECIMALS = 6
+"""Decimals to which distances of rows are rounded before they are compared, so that a processor's round-off
+does not change the choice."""
 
 
 def servos_of(
@@ -61,10 +64,12 @@ def servos_of(
     system = Relative(measuring(scene, [*coordinates, *actuators]))
     servos = Servos(tuple(coordinates), tuple(actuators), rows_in_use(system))
     decided, count = mobility(scene), len(coordinates)
+    # for actuators on other coordinates, the chosen coordinates must determine the whole motion
     if servos.actuators != servos.coordinates and decided.degrees_of_freedom != count:
         problem = f"has {decided.degrees_of_freedom} degrees of freedom, and {count} coordinates are chosen"
         needed = "as many where actuators are on other coordinates than these"
         raise MechanismError(f"scene {scene.name!r}", problem, needed)
+    # valid in at least one of the configurations that the mobility analysis has examined
     faults = [find_fault(system, system.coordinates(state)[0], servos) for state in decided.states]
     if all(faults):
         key, problem = faults[0] or (("", 0), "")
@@ -90,18 +95,19 @@ def find_fault(
     # coordinates must be independent of the constraints and of each other
     if not servos.coordinates:
         return None
-    closed = dimensionless_jacobian(system, q)[servos.rows.in_use]
-    rows = np.concatenate([closed, coordinate_rows(system, q, servos.coordinates)])
+    constraints = dimensionless_jacobian(system, q)[servos.rows.in_use]
+    rows = np.concatenate([constraints, coordinate_rows(system, q, servos.coordinates)])
     left, values, right = singular_values(rows, full=True)
     rank = int(np.sum(values > tolerance))
     if rank < len(rows):
-        share = np.abs(left[len(closed) :, rank:]).max(axis=1)
+        share = np.abs(left[len(constraints) :, rank:]).max(axis=1)
         return servos.coordinates[int(np.argmax(share))], "depends on loops and the other coordinates"
-    # rates of the actuators' coordinates for a unit rate of each coordinate must have full rank
-    tangent = right[:rank].T @ (left[len(closed) :].T / values[:, None])
-    acting = coordinate_rows(system, q, servos.actuators) @ tangent
-    _, ratios, combinations = singular_values(acting, full=True)
-    if servos.actuators == servos.coordinates or np.sum(ratios > tolerance) == len(servos.coordinates):
+    # velocities for a unit rate of each coordinate; the rates of the actuators' coordinates at these
+    # velocities must have full rank
+    velocities = right[:rank].T @ (left[len(constraints) :].T / values[:, None])
+    actuator_rates = coordinate_rows(system, q, servos.actuators) @ velocities
+    _, gains, combinations = singular_values(actuator_rates, full=True)
+    if servos.actuators == servos.coordinates or np.sum(gains > tolerance) == len(servos.coordinates):
         return None
     return servos.coordinates[int(np.argmax(np.abs(combinations[-1])))], "is moved by no actuator"
 
@@ -114,13 +120,18 @@ def coordinate_rows(system: Relative, q: Array, keys: Sequence[Key]) -> Array:
 
 
 def tangents(system: Relative, q: Array) -> Array:
-    """Compute orthonormal dimensionless velocities (nv, d) at q that keep all loops closed."""
-    closed = dimensionless_jacobian(system, q)[mobility(system.scene).independent]
-    return orthonormal_null(closed, len(closed))
+    """Compute orthonormal dimensionless velocities (nv, d) at q that keep all loops closed.
+
+    The number d is that of degrees of freedom.
+    """
+    constraints = dimensionless_jacobian(system, q)[mobility(system.scene).independent]
+    return orthonormal_null(constraints, len(constraints))
 
 
 def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[int], count: int) -> list[int]:
-    """Choose independent rows of a dimensionless matrix: each time the row farthest from the span so far.
+    """Choose independent rows of a dimensionless matrix, one after the other.
+
+    The next row is always the candidate that is farthest from the span of the chosen rows.
 
     Args:
         rows: (k, n) matrix.
@@ -132,21 +143,22 @@ def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[in
     Returns:
         Numbers of the chosen rows, the given ones first.
     """
-    found, rest, left = list(chosen), list(candidates), rows.copy()
+    found, waiting, components = list(chosen), list(candidates), rows.copy()
+    # `components`: components of all rows orthogonal to the chosen rows
     for row in found:
-        _remove(left, row)
-    while rest and len(found) < count:
-        lengths = np.linalg.norm(left[rest], axis=1).round(COMPARED_DIGITS)
+        _remove(components, row)
+    while waiting and len(found) < count:
+        lengths = np.linalg.norm(components[waiting], axis=1).round(COMPARED_DECIMALS)
         best = int(np.argmax(lengths))
         if lengths[best] < MIN_INDEPENDENT_RATE:
             break
-        found.append(rest.pop(best))
-        _remove(left, found[-1])
+        found.append(waiting.pop(best))
+        _remove(components, found[-1])
     return found
 
 
 def _remove(rows: Array, row: int) -> None:
-    """Subtract from all rows (k, n), in place, their projection onto the row with a number."""
+    """Subtract from all rows (k, n), in place, their projection onto the row with the number `row`."""
     length = np.linalg.norm(rows[row])
     if length > 0.0:
         along = rows[row] / length

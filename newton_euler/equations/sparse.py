@@ -2,9 +2,13 @@
 
 Numbers may be floats, or symbolic scalars when the equations are traced for compilation. The order of
 operations depends only on the pattern of nonzeros, so that traced code is the same algorithm as the one over
-floats. A zero of type float is a structural zero: it is not stored, multiplied or added. There is no
-pivoting. `Factor.pivot_ratio` measures how close to singular a matrix is. A sparse vector is a dictionary
-from index to number, a sparse matrix a list of such rows.
+floats. A zero of type float is a structural zero: it is not stored, multiplied or added. A sparse vector is a
+dictionary from index to number, a sparse matrix a list of such rows.
+
+There is no pivoting. Instead each pivot is compared with its reference magnitude: the largest value of this
+pivot in several sample configurations of the mechanism that are not singular
+(`newton_euler.equations.row_choice.rows_in_use`). A small ratio shows that the matrix is almost singular
+(`Factor.pivot_ratio`).
 """
 
 from __future__ import annotations
@@ -18,13 +22,13 @@ import numpy as np
 
 from newton_euler.scalars import NUMBERS, Array, Scalar, minimum
 
-SINGULAR = 1e-11
-"""Ratio of a pivot to its usual magnitude below which the pivot counts as zero."""
+SINGULAR_PIVOT_RATIO = 1e-11
+"""Ratio of a pivot to its reference magnitude below which the pivot counts as zero, mostly round-off."""
 
-LEFT_OUT = 1e30
-"""Compliance of a constraint row that is left out, divided by the row's diagonal element.
+OMITTED_ROW_COMPLIANCE = 1e30
+"""Number that is added to the diagonal element of an omitted constraint row, divided by this element.
 
-The multiplier of such a row is zero up to round-off, and the row changes no digit of the other rows."""
+The row then has no effect: its multiplier is zero up to round-off, and no digit of the other rows changes."""
 
 
 def is_zero(scalar: Scalar) -> bool:
@@ -56,8 +60,8 @@ def add(row: dict[int, Any], column: int, scalar: Scalar) -> None:
         row[column] = row[column] + scalar if column in row else scalar
 
 
-def spread(rows: Rows, start: int, block: Array) -> None:
-    """Add a dense block (rows, columns) to sparse rows; `start` is the column of its first element."""
+def add_block(rows: Rows, start: int, block: Array) -> None:
+    """Add a dense block (k, m) to k sparse rows, in place, from the column `start` on."""
     for row, entries in zip(rows, block, strict=True):
         for k, entry in enumerate(entries):
             add(row, start + k, entry)
@@ -73,6 +77,7 @@ def add_symmetric(rows: Rows, i: int, j: int, scalar: Scalar) -> None:
 def minimum_degree(matrix: Sequence[Collection[int]]) -> list[int]:
     """Compute an elimination order with few new nonzeros: the row with the fewest neighbors is next.
 
+    Two rows are neighbors if the matrix has a nonzero that connects them, or if elimination has made one.
     The matrix of a tree is eliminated from the leaves to the root, without new nonzeros (A. George,
     J. W. H. Liu, The evolution of the minimum degree ordering algorithm, SIAM Review 31, 1989).
 
@@ -101,11 +106,11 @@ class Factor:
     """Factorization A = L D L^T of a symmetric positive definite sparse matrix.
 
     Attributes:
-        order: row numbers in the order of their elimination.
+        order: row numbers in the order of their elimination, without rows that `factorize` has dropped.
         columns: for each row k, the elements of column k of L below the diagonal, by row.
         pivots, inverse_pivots: d and 1 / d for each row.
-        pivot_ratio: smallest ratio of a pivot to its usual magnitude, minus `SINGULAR`; not positive if A is
-            singular.
+        pivot_ratio: smallest ratio of a pivot to its reference magnitude, minus `SINGULAR_PIVOT_RATIO`; not
+            positive if A is singular.
     """
 
     order: list[int]
@@ -149,12 +154,12 @@ def factorize(
     Args:
         matrix: all nonzeros, on both sides of the diagonal.
         order: row numbers in the order of elimination.
-        scales: usual magnitudes of the pivots; the diagonal elements if None.
-        drop: ratio of a pivot to its usual magnitude below which the row counts as dependent on earlier rows.
-            Such a row is left out, also of `Factor.order`. For floats only.
+        scales: reference magnitude of the pivot of each row; the diagonal elements if None.
+        drop: ratio of a pivot to its reference magnitude below which the row counts as dependent on earlier
+            rows. The factorization omits such a row. 0 keeps all rows; other values are for floats only.
     """
     work = [dict(row) for row in matrix]
-    usual = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
+    reference = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
     pivots: list[Any] = [0.0] * len(work)
     columns: Rows = [{} for _ in work]
     inverse_pivots: list[Any] = [0.0] * len(work)
@@ -166,16 +171,16 @@ def factorize(
         below = [(i, entry) for i, entry in work[k].items() if i != k]
         for i, _ in below:
             del work[i][k]
-        if drop and not pivot > drop * usual[k]:
+        if drop and not pivot > drop * reference[k]:
             continue
         # pivot and column k of L
         done.append(k)
         pivots[k] = pivot
-        pivot_ratio = minimum(pivot_ratio, pivot / usual[k] - SINGULAR)
+        pivot_ratio = minimum(pivot_ratio, pivot / reference[k] - SINGULAR_PIVOT_RATIO)
         inverse_pivots[k] = 1.0 / pivot
         for i, entry in below:
             columns[k][i] = entry * inverse_pivots[k]
-        # subtract their product from the remaining matrix
+        # subtract pivot * (column k of L) (column k of L)^T from the remaining matrix, which stays symmetric
         for n, (i, _) in enumerate(below):
             for j, entry in below[n:]:
                 add(work[i], j, -(columns[k][i] * entry))
@@ -214,15 +219,19 @@ def gram(rows: Rows, others: Rows) -> Rows:
 
 
 class RowsInUse(NamedTuple):
-    """Constraint rows from which all other rows follow.
+    """Selection of rows of a constraint Jacobian J from which all other rows follow.
+
+    Some selected rows may be exchangeable: compiled code contains a few redundant rows too many, and flags
+    determine at each call which of them are omitted. A run changes the flags when the rows in use become
+    dependent (`newton_euler.equations.row_choice`).
 
     Attributes:
-        numbers: row numbers.
-        scales: usual magnitudes of the pivots of these rows in the Schur complement J M^-1 J^T; None if
-            unknown.
-        mass_scales: usual magnitudes of the pivots of the mass matrix; None if unknown.
-        flags: for exchangeable rows, by number: 1 if the row is left out at present, 0 if it is in use. All
-            other rows are always in use.
+        numbers: numbers of the selected rows in J, exchangeable rows included.
+        scales: reference magnitude of the pivot of each selected row in the Schur complement J M^-1 J^T; None
+            if unknown.
+        mass_scales: reference magnitudes of the pivots of the mass matrix M; None if unknown.
+        flags: by number of an exchangeable row: 1 if the row is omitted at present, 0 if it is in use. All
+            other selected rows are always in use.
     """
 
     numbers: list[int]
@@ -232,22 +241,23 @@ class RowsInUse(NamedTuple):
 
     @property
     def in_use(self) -> list[int]:
-        """Numbers of the rows that are in use at present; the flags must be floats."""
+        """Numbers of the selected rows that no flag omits at present; the flags must be floats."""
         flags = self.flags or {}
         return [number for number in self.numbers if not flags.get(number)]
 
     def compliance(self, matrix: Rows) -> dict[int, Scalar]:
-        """Compute what to add to the diagonal of a Schur complement or Gram matrix to leave rows out.
+        """Compute the numbers that omit rows if they are added to the diagonal of a matrix.
 
         Args:
-            matrix: the sparse matrix, whose row n belongs to constraint row `numbers[n]`.
+            matrix: sparse Schur complement or Gram matrix, whose row n belongs to constraint row
+                `numbers[n]`.
 
         Returns:
-            Number to add, by constraint row, for each row with a flag.
+            Number to add, by number of the exchangeable constraint row; 0 for a row in use.
         """
         flags = self.flags or {}
         return {  # the summand 1 is for rows that are zero in some configurations
-            i: flags[i] * (LEFT_OUT * matrix[n].get(n, 0.0) + 1.0)
+            i: flags[i] * (OMITTED_ROW_COMPLIANCE * matrix[n].get(n, 0.0) + 1.0)
             for n, i in enumerate(self.numbers)
             if i in flags
         }
@@ -262,7 +272,7 @@ class MassFactor(Protocol):
 
     @property
     def pivot_ratio(self) -> Scalar:
-        """Smallest ratio of a pivot to its usual magnitude; not positive if M is singular."""
+        """Smallest ratio of a pivot to its reference magnitude; not positive if M is singular."""
 
     def lower(self, right: dict[int, Any]) -> dict[int, Any]:
         """Compute L^-1 b for a sparse vector b."""
@@ -277,19 +287,22 @@ class MassFactor(Protocol):
 class Equations(NamedTuple):
     """Linear equations M a = f + J^T lambda, J a + softness * lambda = gamma for a and lambda.
 
+    M is the mass matrix, a are the accelerations, f the forces, J is the constraint Jacobian, and lambda are
+    the multipliers.
+
     Attributes:
         factor: factorization M = L D L^T.
-        free: sparse vector L^-1 f.
+        reduced_force: sparse vector L^-1 f.
         jacobian: sparse rows of J.
         gamma: (k,) right side of the constraints.
         rows: rows of J and gamma to use; the other rows must follow from them.
-        refine: True for a second solution for the residual J a - gamma. The second solution recovers digits
-            that an ill-conditioned Schur complement loses.
-        softness: softness, by row number, of rows that are not rigid constraints.
+        refine: True for one step of iterative refinement, which solves again for the residual gamma -
+            J a. This recovers digits that an ill-conditioned Schur complement loses.
+        softness: by row number, for rows that are soft constraints; 0 for all other rows.
     """
 
     factor: MassFactor
-    free: dict[int, Any]
+    reduced_force: dict[int, Any]
     jacobian: Rows
     gamma: Array
     rows: RowsInUse
@@ -301,12 +314,13 @@ class Equations(NamedTuple):
 
         Args:
             rows: additional sparse rows of J, always in use.
-            gamma: (k,) right side of all rows.
-            scales: usual magnitudes of the pivots of all rows in use; None if unknown.
+            gamma: (k,) right side of all rows of J, the additional ones last.
+            scales: reference magnitudes of the pivots of all selected rows, the additional ones last; None if
+                unknown.
         """
         numbers = [*self.rows.numbers, *range(len(self.jacobian), len(self.jacobian) + len(rows))]
-        used = self.rows._replace(numbers=numbers, scales=scales)
-        return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=used)
+        selected = self.rows._replace(numbers=numbers, scales=scales)
+        return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=selected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,8 +330,8 @@ class Solution:
     Attributes:
         acceleration: sparse vector a.
         multipliers: sparse vector lambda, by row number.
-        pivot_ratio: smaller pivot ratio of the mass matrix and the Schur complement, see `Factor`.
-        pivots: pivots of the Schur complement, for the rows in use.
+        pivot_ratio: smaller one of the pivot ratios of M and of the Schur complement, see `Factor`.
+        pivots: pivots of the Schur complement, for the selected rows in their order.
         mass_pivots: pivots of the mass matrix.
     """
 
@@ -330,35 +344,38 @@ class Solution:
 
 def solve_constrained(equations: Equations) -> Solution:
     """Solve `Equations` for accelerations a and multipliers lambda by the Schur complement J M^-1 J^T."""
-    factor, total, jacobian, gamma, rows, refine, softness = equations
+    factor, reduced_force, jacobian, gamma, rows, refine, softness = equations
     # without constraints: a = L^-T D^-1 L^-1 f
-    kept = rows.numbers
-    acceleration = factor.upper(factor.scaled(total)) if not kept else {}
-    if not kept:
+    numbers = rows.numbers
+    acceleration = factor.upper(factor.scaled(reduced_force)) if not numbers else {}
+    if not numbers:
         return Solution(acceleration, {}, factor.pivot_ratio, [], factor.pivots)
     # the Schur complement J M^-1 J^T = H^T D^-1 H with H = L^-1 J^T
-    half = [factor.lower(jacobian[i]) for i in kept]
+    half = [factor.lower(jacobian[i]) for i in numbers]
     weighted = [factor.scaled(row) for row in half]
     schur = gram(half, weighted)
+    # soft and omitted rows add to the diagonal
     soft = {**(softness or {}), **rows.compliance(schur)}
-    for n, i in enumerate(kept):
+    for n, i in enumerate(numbers):
         if i in soft:
             add(schur[n], n, soft[i])
     complement = factorize(schur, minimum_degree(schur), rows.scales)
-    right = {n: gamma[i] - dot(weighted[n], total) for n, i in enumerate(kept)}
-    # multipliers, then accelerations under all forces
+    # residuals gamma - J a, first of the accelerations without constraints
+    right = {n: gamma[i] - dot(weighted[n], reduced_force) for n, i in enumerate(numbers)}
+    # multipliers for these residuals, then accelerations under the forces f + J^T lambda; with `refine`, a
+    # second time for the residuals that remain
     multipliers: dict[int, Any] = {}
     for _ in range(2 if refine else 1):
         change = complement.solve({n: x for n, x in right.items() if not is_zero(x)})
-        total = dict(total)
+        reduced_force = dict(reduced_force)
         for n, x in change.items():
-            add(multipliers, kept[n], x)
+            add(multipliers, numbers[n], x)
             for k, entry in half[n].items():
-                add(total, k, entry * x)
-        acceleration = factor.upper(factor.scaled(total))
+                add(reduced_force, k, entry * x)
+        acceleration = factor.upper(factor.scaled(reduced_force))
         right = {
             n: gamma[i] - dot(jacobian[i], acceleration) - soft.get(i, 0.0) * multipliers.get(i, 0.0)
-            for n, i in enumerate(kept)
+            for n, i in enumerate(numbers)
         }
     pivot_ratio = minimum(factor.pivot_ratio, complement.pivot_ratio)
     return Solution(acceleration, multipliers, pivot_ratio, complement.pivots, factor.pivots)
@@ -369,8 +386,8 @@ def gram_factor(rows: Rows, used: RowsInUse | None = None, scales: Sequence[floa
 
     Args:
         rows: the rows.
-        used: constraint row number of each row, and flags of rows to leave out; None to use all rows.
-        scales: usual magnitudes of the pivots; 1 for each if None.
+        used: constraint row number of each row, and flags of the rows to omit; None to use all rows.
+        scales: reference magnitudes of the pivots; 1 for each if None.
     """
     products = gram(rows, rows)
     if used is not None:
@@ -381,12 +398,12 @@ def gram_factor(rows: Rows, used: RowsInUse | None = None, scales: Sequence[floa
 
 
 def least_squares(rows: Rows, right: Array, used: RowsInUse | None = None) -> tuple[dict[int, Any], Scalar]:
-    """Compute the shortest x with rows @ x = right.
+    """Compute the shortest x with rows @ x = right: x = rows^T (rows rows^T)^-1 right.
 
     Args:
         rows: dimensionless sparse rows.
         right: (k,) right side.
-        used: flags of rows to leave out, see `gram_factor`; None to use all rows.
+        used: flags of the rows to omit, see `gram_factor`; None to use all rows.
 
     Returns:
         The sparse vector x, and the pivot ratio of the Gram matrix.

@@ -1,8 +1,9 @@
 """The interface of equations of motion, which integrators, projection and comparison use.
 
-Both forms of this package's equations implement `System`. So do the models of other engines, which give
-accelerations under rigid constraints. The state of a system is (q, v): coordinates q (nq,) and velocities
-v (nv,). Constraint residuals are called Phi; Phi is zero if all loops are closed.
+The two forms of this package's equations implement `System` (`newton_euler.equations.relative` and
+`newton_euler.equations.cartesian`). So do the models of other engines, which give accelerations under rigid
+constraints. The state of a system is (q, v): coordinates q (nq,) and velocities v (nv,). Constraint residuals
+are called Phi; Phi is zero if all loops are closed. The mechanism's size is a typical length, m.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ class Observation:
     """Poses, velocities and energies of one state, computed by an engine; SI units.
 
     Attributes:
-        state: poses and velocities from the engine's own kinematics.
+        state: poses and velocities of the bodies, by the kinematics of this engine.
         kinetic_energy: J.
         potential_energy: J, of gravity (zero at the world origin) and of springs (zero if relaxed).
-        work: J, work since the start of all forces without potential energy; None if it is not tracked.
+        work: J, work of all forces without potential energy since the start of the run; None if it is not
+            tracked.
     """
 
     state: State
@@ -40,7 +42,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Evaluation(Observation):
-    """Solution of the equations of motion at one state of a scene with b bodies and j joints.
+    """Solution of the equations of motion at one state of a scene with b bodies, j joints and a control laws.
 
     Vectors are in the world frame. Redundant constraints leave reactions non-unique, see
     `newton_euler.equations.reactions`.
@@ -77,11 +79,12 @@ class MassProperties:
     @classmethod
     def of(cls, mechanism: Mechanism) -> MassProperties:
         """Collect the mass properties that the bodies of a mechanism declare."""
-        rotations = [rotation(body.quaternion) for body in mechanism.bodies]
+        bodies = mechanism.bodies
+        rotations = [rotation(body.quaternion) for body in bodies]
         return cls(
-            np.array([body.mass for body in mechanism.bodies]),
-            np.array([body.center_of_mass for body in mechanism.bodies]),
-            np.array([a @ b.inertia @ a.T for a, b in zip(rotations, mechanism.bodies, strict=True)]),
+            mass=np.array([body.mass for body in bodies]),
+            center_of_mass=np.array([body.center_of_mass for body in bodies]),
+            inertia=np.array([a @ body.inertia @ a.T for a, body in zip(rotations, bodies, strict=True)]),
         )
 
 
@@ -89,6 +92,7 @@ class System(Protocol):
     """Equations of motion with constraints: dq/dt = rate(q, v), dv/dt = acceleration(q, v)."""
 
     name: str
+    """Name of the form of the equations, or of the engine."""
     scene: Scene
     mechanism: Mechanism
     time: Scalar
@@ -100,7 +104,7 @@ class System(Protocol):
     phi_units: Array
     """(k,) divisors that make residuals `phi` dimensionless: the mechanism's size, m, for lengths, else 1."""
     velocity_units: Array
-    """(nv,) divisors that make velocities 1/s: the mechanism's size, m, for linear velocities, else 1."""
+    """(nv,) divisors that give velocities the unit 1/s: the mechanism's size, m, for linear ones, else 1."""
     quaternions: list[slice]
     """Slices of q with the quaternions (w, x, y, z)."""
 
@@ -110,7 +114,7 @@ class System(Protocol):
     def joint_geometry(self) -> dict[str, JointGeometry]:
         """Return the joints at the initial pose, by name, as the model of this engine has them.
 
-        Joints that a model adds, for bodies that are connected by rods only, are left out.
+        Joints that a model adds, to carry bodies that only rods hold, are not included.
         """
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
@@ -134,15 +138,16 @@ class System(Protocol):
         The force f contains gravity, velocity terms and applied forces.
 
         Returns:
-            M (nv, nv) and f (nv,) for joint coordinates. For the Cartesian form of n moving bodies, M is
-            (6 n, 7 n) and f (6 n,), with forces in the world frame and torques in the body frame.
+            M (nv, nv) and f (nv,) for joint coordinates. For the Cartesian form with n moving bodies, M is
+            (6 n, 7 n) and f (6 n,): three forces in the world frame and three torques in the body frame for
+            each body, and seven rates for each body in dv/dt.
         """
 
     def phi(self, q: Array) -> Array:
         """Compute the constraint residuals Phi (k,), m or rad, which projection removes."""
 
     def phi_t(self) -> Array:
-        """Compute the partial derivative of `phi` with respect to time (k,); prescribed motions have one."""
+        """Compute the partial derivative of `phi` with respect to time (k,); 0 without prescribed motions."""
 
     def coupling_phi(self, q: Array) -> Array:
         """Compute the residuals (c,) of all couplings between joint coordinates, m or rad."""
@@ -151,7 +156,7 @@ class System(Protocol):
         """Compute the constraint Jacobian (k, nv): derivative of `phi` for a step of `retract`."""
 
     def retract(self, q: Array, step: Array) -> Array:
-        """Return q moved by a small step (nv,), in the units of v times s; quaternions keep norm 1."""
+        """Return q moved by a small step (nv,), which has the units of v times s; quaternions keep norm 1."""
 
     def observe(self, q: Array, v: Array) -> Observation:
         """Compute poses, velocities and energies."""
@@ -167,14 +172,14 @@ S = TypeVar("S", bound=System)
 
 
 def at_time(system: S, time: float) -> S:
-    """Return a copy of a system at a time in s."""
+    """Return a copy of a system that is evaluated at a time, s."""
     changed = copy.copy(system)
     changed.time = time
     return changed
 
 
 def dimensionless_jacobian(system: System, q: Array) -> Array:
-    """Compute the constraint Jacobian (k, nv) in dimensionless form, for ranks and condition numbers."""
+    """Compute the constraint Jacobian (k, nv) in dimensionless form, for its rank and condition number."""
     return np.asarray(system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])
 
 

@@ -4,7 +4,7 @@ If constraints are redundant, some combinations of reactions balance each other 
 such a combination can be added to a solution. Engines therefore give different reactions, and all are right
 (J. Garcia de Jalon, M. D. Gutierrez-Lopez, Multibody dynamics with redundant constraints and singular mass
 matrix, Multibody System Dynamics 30, 2013). The functions here compute these combinations, so that only the
-determined part of reactions is compared.
+determined part of reactions is compared. The reaction of a joint is its force and torque on its second body.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class ReactionPlace(NamedTuple):
     """Body and point on which the reaction of a joint acts.
 
     Attributes:
-        joint: number of the joint.
+        joint: number of the joint among the compared reactions.
         body: number of the body that the reaction acts on.
         arm: (3,) from the center of mass of the body to the joint point, world frame, m.
     """
@@ -56,18 +56,18 @@ def undetermined(scene: Scene, state: State) -> Array:
     if not redundant:
         return np.zeros((6 * len(mechanism.joints), 0))
     places = _places(scene, state)
-    rank = _constraints(scene) - redundant
-    columns = _columns(scene, state, places, len(places), mechanism.size)
-    return _acting_on_nothing([columns], len(places), rank)
+    rank = _constraint_count(scene) - redundant
+    forces = _constraint_forces(scene, state, places, len(places), mechanism.size)
+    return _without_effect([forces], len(places), rank)
 
 
 def redundant_constraints(scene: Scene) -> int:
     """Count the redundant constraints of all joints and couplings of a scene."""
     rank = 6 * (len(scene.mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
-    return max(0, _constraints(scene) - rank)
+    return max(0, _constraint_count(scene) - rank)
 
 
-def _constraints(scene: Scene) -> int:
+def _constraint_count(scene: Scene) -> int:
     """Count the constraint equations of all joints and couplings of a scene."""
     return sum(equations.count for equations in scene.mechanism.equations) + len(couplings(scene))
 
@@ -77,7 +77,7 @@ def undetermined_in_both(
 ) -> Array:
     """Compute the undetermined reactions of two scenes with the same bodies and motion.
 
-    The reactions of the scenes in their common joints can differ by combinations of these only.
+    The reactions of the two scenes in their common joints can differ by combinations of these reactions only.
 
     Args:
         first, second: the scenes.
@@ -87,101 +87,109 @@ def undetermined_in_both(
     Returns:
         (6 j, r) orthonormal columns for the j joints of the first scene, in the units of `undetermined`.
     """
-    # all joints that only one scene has share the number j, after those of the first scene
-    state, other = states
-    own, count, size = _places(first, state), len(first.mechanism.joints), first.mechanism.size
-    others = {name: place._replace(joint=count) for name, place in _places(second, other).items()}
-    others |= {other: own[name] for name, other in joints.items()}
-    own |= {name: own[name]._replace(joint=count) for name in own.keys() - joints.keys()}
-    columns = [_columns(first, state, own, count + 1, size), _columns(second, other, others, count + 1, size)]
-    return _acting_on_nothing(columns, count)
+    # common joints have the numbers 0 to j - 1 of the first scene. All joints that only one scene has share
+    # the number j: their reactions are not compared
+    first_state, second_state = states
+    count, size = len(first.mechanism.joints), first.mechanism.size
+    first_places, second_places = _places(first, first_state), _places(second, second_state)
+    second_places = {name: place._replace(joint=count) for name, place in second_places.items()}
+    second_places |= {second_name: first_places[name] for name, second_name in joints.items()}
+    for name in first_places.keys() - joints.keys():
+        first_places[name] = first_places[name]._replace(joint=count)
+    forces = [
+        _constraint_forces(first, first_state, first_places, count + 1, size),
+        _constraint_forces(second, second_state, second_places, count + 1, size),
+    ]
+    return _without_effect(forces, count)
 
 
 def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
-    """Find where the reaction of each joint acts, by name: on the second body at the joint point."""
+    """Find where the reaction of each joint acts: on the second body at the joint point; by joint name."""
     found, frames = dict[str, ReactionPlace](), state.frames()
     for k, joint in enumerate(scene.mechanism.joints):
         body = scene.mechanism.body_index(joint.second)
         pose = scene.mechanism.bodies[body].pose
-        found[joint.name] = ReactionPlace(
-            k, body, frames[body].rotation @ pose.point_to_body(joint.reaction_point)
-        )
+        arm = frames[body].rotation @ pose.point_to_body(joint.reaction_point)
+        found[joint.name] = ReactionPlace(joint=k, body=body, arm=arm)
     return found
 
 
-class _Columns(NamedTuple):
-    """Forces that unit multipliers of k constraints exert on b bodies and on joints.
+class _ConstraintForces(NamedTuple):
+    """Forces of k constraints with unit multipliers, on b bodies and as reactions of joints.
+
+    Wrenches are (force, torque divided by the mechanism's size), world frame.
 
     Attributes:
-        rows: (k, 6 b) on the bodies; 0 on the ground, which supports any force.
-        wrenches: (joints, 6, k) on the joints.
+        on_bodies: (k, 6 b) wrenches about the centers of mass; 0 on the ground, which supports any force.
+        reactions: (joints, 6, k) wrenches on the second bodies at the joint points.
     """
 
-    rows: Array
-    wrenches: Array
+    on_bodies: Array
+    reactions: Array
 
 
-def _acting_on_nothing(columns: Sequence[_Columns], joints: int, rank: int | None = None) -> Array:
+def _without_effect(parts: Sequence[_ConstraintForces], joints: int, rank: int | None = None) -> Array:
     """Compute orthonormal reactions (6 j, r) of the first j joints whose sum on every body is zero.
 
     Args:
-        columns: constraint forces of one or two scenes.
+        parts: constraint forces of one or two scenes.
         joints: number j of joints.
         rank: rank of the constraint forces on the bodies; None for the numerical rank.
     """
-    null = orthonormal_null(np.concatenate([part.rows for part in columns]).T, rank)
-    wrenches = np.concatenate([part.wrenches[:joints].reshape(6 * joints, -1) for part in columns], axis=1)
-    return orthonormal_range(wrenches @ null)
+    null = orthonormal_null(np.concatenate([part.on_bodies for part in parts]).T, rank)
+    reactions = np.concatenate([part.reactions[:joints].reshape(6 * joints, -1) for part in parts], axis=1)
+    return orthonormal_range(reactions @ null)
 
 
-def _columns(
+def _constraint_forces(
     scene: Scene, state: State, places: Mapping[str, ReactionPlace], count: int, size: float
-) -> _Columns:
-    """Collect the forces of all constraints of a scene.
+) -> _ConstraintForces:
+    """Collect the forces of all constraints of a scene for unit multipliers.
 
     Args:
-        scene, state: give the constraints.
-        places: where the reaction of each joint acts, by name.
-        count: number of joints; the last number may stand for several joints.
+        scene, state: give the constraints and their Jacobian.
+        places: where the reaction of each joint acts, by joint name.
+        count: number of joint numbers in `places`; the last number may stand for several joints.
         size: size of the mechanism, m, which makes torques comparable with forces.
     """
     mechanism, frames = scene.mechanism, state.frames()
-    rows = [np.zeros((0, 6 * len(frames)))]
-    wrenches = [np.zeros((count, 6, 0))]
+    on_bodies = [np.zeros((0, 6 * len(frames)))]
+    reactions = [np.zeros((count, 6, 0))]
 
     def add(parts: list[tuple[str, int, int, Jacobian]], unit: Array) -> None:
         """Append the forces of k equations.
 
         Args:
-            parts: for each joint coordinate in the equations: name of the joint, numbers of its bodies, and
-                Jacobian blocks.
+            parts: terms of the equations: name of the joint, numbers of its bodies, and Jacobian blocks
+                (k, 3). The equations of a joint have one part; a coupling has one for each coordinate.
             unit: (k,) divisors that make the equations dimensionless.
         """
-        row = np.zeros((len(unit), len(frames), 6))
-        wrench = np.zeros((count, 6, len(unit)))
+        body_wrench = np.zeros((len(unit), len(frames), 6))
+        reaction = np.zeros((count, 6, len(unit)))
         for name, i, j, blocks in parts:
             place = places[name]
             for body, r, theta in (
                 (i, blocks.r_first, blocks.theta_first),
                 (j, blocks.r_second, blocks.theta_second),
             ):
-                row[:, body] += np.hstack([r, theta / size])
+                body_wrench[:, body] += np.hstack([r, theta / size])
                 if body == place.body:
                     torque = theta - np.cross(place.arm, r)
-                    wrench[place.joint] += np.hstack([r, torque / size]).T
-        row[:, 0] = 0.0
-        rows.append(row.reshape(len(unit), 6 * len(frames)) * size / unit[:, None])
-        wrenches.append(wrench * size / unit)
+                    reaction[place.joint] += np.hstack([r, torque / size]).T
+        body_wrench[:, 0] = 0.0
+        on_bodies.append(body_wrench.reshape(len(unit), 6 * len(frames)) * size / unit[:, None])
+        reactions.append(reaction * size / unit)
 
     # joints
     for equations in mechanism.equations:
         i, j = equations.first, equations.second
         blocks = equations.jacobian(frames[i], frames[j])
         add([(equations.joint.name, i, j, blocks)], equations.units(size))
-    # couplings and prescribed motions
+    # couplings and prescribed motions; the Cartesian form measures all joint coordinates between two bodies
     measured = Cartesian(scene).between
     coupled = couplings(scene)
-    all_slopes = residuals(mechanism, coupled, frames, 0.0, state.angles).slopes
+    # derivatives of each coupling with respect to its coordinates; they do not depend on time
+    all_slopes = residuals(mechanism, coupled, frames, time=0.0, known=state.angles).slopes
     for coupling, slopes in zip(coupled, all_slopes, strict=True):
         parts = []
         for key, slope in slopes.items():
@@ -189,29 +197,29 @@ def _columns(
             blocks = measured[key].constraint.jacobian(frames[i], frames[j])
             parts.append((key[0], i, j, Jacobian(*(slope * block for block in blocks))))
         add(parts, np.array([size if coupling.is_length else 1.0]))
-    return _Columns(np.concatenate(rows), np.concatenate(wrenches, axis=2))
+    return _ConstraintForces(np.concatenate(on_bodies), np.concatenate(reactions, axis=2))
 
 
-def determined(force: Array, torque: Array, free: Sequence[Array], size: float) -> tuple[Array, Array]:
+def determined(force: Array, torque: Array, bases: Sequence[Array], size: float) -> tuple[Array, Array]:
     """Remove the undetermined part from differences between reactions of two engines.
 
     Args:
         force, torque: (n, j, 3) differences at n states, N and N m.
-        free: result of `undetermined` for each of the n states.
+        bases: result of `undetermined` for each of the n states.
         size: size of the mechanism, m.
 
     Returns:
         Forces and torques (n, j, 3) without their undetermined part.
     """
-    found = np.concatenate([force, torque / size], axis=2)
-    for n, basis in enumerate(free):
-        wrench = found[n].ravel()
-        found[n] = (wrench - basis @ (basis.T @ wrench)).reshape(-1, 6)
-    return found[..., :3], size * found[..., 3:]
+    wrenches = np.concatenate([force, torque / size], axis=2)
+    for n, basis in enumerate(bases):
+        wrench = wrenches[n].ravel()
+        wrenches[n] = (wrench - basis @ (basis.T @ wrench)).reshape(-1, 6)
+    return wrenches[..., :3], size * wrenches[..., 3:]
 
 
 def undetermined_joints(scene: Scene, state: State) -> tuple[int, list[str]]:
-    """Count redundant constraints at a state, and name the joints whose reactions are not unique."""
+    """Count redundant constraints, and list the names of joints whose reactions are not unique at a state."""
     basis = undetermined(scene, state)
     parts = np.split(np.linalg.norm(basis, axis=1), len(scene.mechanism.joints))
     names = scene.mechanism.joint_names
@@ -234,4 +242,5 @@ def is_undetermined(scene: Scene) -> Array:
 
 def redundancy_text(count: int, joints: str) -> str:
     """Format the number of redundant constraints and the names of their joints, for messages."""
-    return f"{count} redundant constraint{'s'[: count - 1]} at joints {joints}"
+    plural = "s" if count > 1 else ""
+    return f"{count} redundant constraint{plural} at joints {joints}"

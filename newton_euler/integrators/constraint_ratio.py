@@ -2,9 +2,10 @@
 
 In a singular configuration the constraints of a closed loop become dependent. The elimination of the
 equations of motion has small pivots there, but also if a light body is next to a heavy one. The Gram matrix J
-J^T of the dimensionless constraint Jacobian J contains no masses. Its smallest pivot, divided by the usual
-size of that pivot, tells the two cases apart. This function is compiled and evaluated only if the pivots of
-the equations of motion are small.
+J^T of the dimensionless constraint Jacobian J contains no masses. The smallest ratio of one of its pivots to
+the reference magnitude of this pivot (its largest value in several usual configurations) distinguishes the
+two cases. The function that computes this *pivot ratio* is compiled and evaluated only if the pivots of the
+equations of motion are small.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -21,7 +22,7 @@ from newton_euler.codegen.native import Callback, Record, Vector, native
 
 
 class Progress(IntEnum):
-    """State of the function of a `ConstraintRatio`.
+    """Availability of the compiled function in a `ConstraintRatio`.
 
     Attributes:
         UNKNOWN: there is no function; the pivot ratio of the equations of motion is used instead.
@@ -45,7 +46,8 @@ class ConstraintRatio(Record):
     Attributes:
         progress: a `Progress`.
         prepare: compiles the function and fills in this record.
-        evaluate: writes the pivot ratio, at most 1, at a state with time and parameters.
+        evaluate: writes the pivot ratio, at most 1, at a state with time and parameters, the input vector of
+            all functions of a scene (`newton_euler.integrators.stepper`).
         results: (1,) vector that `evaluate` writes to.
     """
 
@@ -56,7 +58,7 @@ class ConstraintRatio(Record):
 
 
 def no_ratio() -> ConstraintRatio:
-    """Return the record without a function, for equations whose pivot ratio is independent of masses."""
+    """Return a record without a function, for equations whose pivot ratio is independent of masses."""
     return ConstraintRatio(Progress.UNKNOWN, None, None, np.zeros(1))
 
 
@@ -75,7 +77,7 @@ def evaluate_ratio(ratio: ConstraintRatio, x: Vector) -> float:
 
 @native
 def constraint_ratio(ratio: ConstraintRatio, x: Vector) -> float:
-    """Return the pivot ratio of the constraints, after compiling its function in the first call.
+    """Return the pivot ratio of the constraints; the first call compiles the function.
 
     The result is 0 if there is no function, and `UNKNOWN_RATIO` if the function cannot be compiled.
 

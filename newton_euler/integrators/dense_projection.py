@@ -2,13 +2,15 @@
 dependent.
 
 The projection moves the state along M^-1 J^T, with the mass matrix M and the constraint Jacobian J. Errors of
-constraint forces move a state along the same directions, so the projection undoes them. With L the Cholesky
-factor of the metric (M + J^T J), the columns of L^-1 J^T are orthonormalized by the modified Gram-Schmidt
+constraint forces move a state along the same directions, so the projection undoes them. With the Cholesky
+factor L of the metric M + J^T J, the columns of L^-1 J^T are orthonormalized by the modified Gram-Schmidt
 method with column pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, fourth edition, Johns Hopkins
 2013, sections 5.2.8 and 5.4.2). A constraint whose remaining column is short depends almost completely on the
-others. It is called *weak* and corrects nothing.
+others. Such a constraint is called *weak* and corrects nothing.
 
-`close` projects one state. `newton_euler.integrators.projection` calls it if its faster sparse form fails.
+`close` projects one state. `newton_euler.integrators.projection` calls it if its faster sparse form fails. A
+*state with time and parameters* is one vector (inputs,): coordinates q and velocities v, the time, flags of
+constraint rows, and parameters of the scene.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -27,14 +29,17 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.scalars import Array
 
 MAX_DENSE_ITERATIONS = 20
-"""Largest number of Newton steps. A step that does not halve the residual at least is the last one."""
+"""Largest number of Newton steps. A step that does not at least halve the residual is undone and is the last
+one."""
 
 RESIDUAL_ROUND_OFF = 16.0 * np.finfo(float).eps
 """Constraint residual, as a fraction of the mechanism's size, below which it is only round-off."""
 
 REUSE_JACOBIAN_BELOW = 1e-12
-"""Dimensionless residual below which the next Newton step uses the same Jacobian again. A Newton step of size
-1e-6 leaves such a residual, and the old Jacobian leaves at most 1e-6 / `WEAK_CONSTRAINT_LENGTH` of it."""
+"""Dimensionless residual below which the next Newton step uses the same Jacobian again.
+
+A Newton step of size 1e-6 leaves such a residual. A further step with the old Jacobian reduces it at
+least by the factor 1e-6 / `WEAK_CONSTRAINT_LENGTH`."""
 
 WEAK_CONSTRAINT_LENGTH = 3e-5
 """Length of a remaining column of L^-1 J^T, as a fraction of the longest one, below which its constraint is
@@ -46,7 +51,7 @@ length."""
 class Closing(Record):
     """Dimensionless constraints and mass matrix of a scene, and working memory for the projection.
 
-    Phi are the constraint equations, Phi_q is their Jacobian, M is the mass matrix.
+    Phi are the constraint residuals, Phi_q is their Jacobian (called J above), M is the mass matrix.
 
     Attributes:
         nq, nv: lengths of the coordinates q and of the velocities v.
@@ -54,22 +59,23 @@ class Closing(Record):
         constraints: number k of constraints; negative before `prepare` has filled in this record.
         on_jacobian, on_mass: numbers of nonzeros of Phi_q and of M.
         prepare: compiles the functions and fills in this record when a run first needs them.
-        retract: writes q (nq,) moved by a step (nv,), SI. The step is in the place of the velocities in the
-            argument, a state with time and parameters.
+        retract: writes q (nq,) moved by a step (nv,), SI. Its argument is a state with time and parameters
+            that has the step in place of the velocities.
         evaluate: writes Phi (k,), dPhi/dt (k,), the nonzeros of Phi_q (k, nv) and of M (nv, nv) at a state.
-        places: indices of these nonzeros in the full matrices, row by row.
-        units: (nv,) natural magnitudes of v, SI.
+        places: indices of the nonzeros of Phi_q in the full matrix, row by row, then of those of M.
+        units: (nv,) natural magnitudes of v, SI: divisors that make v dimensionless but for time.
         at: (inputs,) present state of the iteration.
         moved: (nq,) scratch for `retract`.
         results: results of `evaluate`.
         rows: (k, nv) Phi_q, later the columns of L^-1 Phi_q^T.
         lower: (nv, nv) metric, later its Cholesky factor L.
         basis: (r, nv) orthonormal vectors, r = min(k, nv), in the order in which they were chosen.
-        shares: (r, k) component of each constraint along each of these vectors.
-        chosen: (r,) number of the constraint that each vector was made from.
-        inverse: (r,) inverse length of its column, 0 for a weak constraint.
-        lengths: (k,) squared lengths of the remaining columns.
-        rest: (k,) remaining residuals.
+        shares: (r, k) component along each orthonormal vector of each constraint's column of L^-1 Phi_q^T.
+        chosen: (r,) number of the constraint from whose column each vector was made.
+        inverse: (r,) inverse length of this remaining column; 0 for a weak constraint.
+        lengths: (k,) squared lengths of the remaining columns, after subtraction of their components along
+            the chosen vectors.
+        rest: (k,) residuals that the vectors so far have not corrected.
         step: (nv,) correction of the state, SI.
     """
 
@@ -103,8 +109,19 @@ def unprepared(prepare: Callback, nq: int, nv: int) -> Closing:
 
     Until then, `close_by` reports that it finds no state on the constraints.
     """
-    nothing = [np.zeros(0)] * 14
-    return Closing(nq, nv, 0, -1, 0, 0, prepare, None, None, *nothing)
+    empty_vectors = [np.zeros(0)] * 14  # `places` to `step`
+    return Closing(
+        nq,
+        nv,
+        0,  # inputs
+        -1,  # constraints: the record is not prepared
+        0,  # nonzeros of Phi_q and of M
+        0,
+        prepare,
+        None,  # retract and evaluate
+        None,
+        *empty_vectors,
+    )
 
 
 def closing_of(
@@ -118,7 +135,8 @@ def closing_of(
 ) -> Closing:
     """Return a record with working memory for one state in each lane.
 
-    A lane is one of several runs that compiled code makes at once.
+    A lane is one of several runs that compiled code makes at once, each in one element of the processor's
+    vector registers.
 
     Args:
         nq: length of q.
@@ -288,12 +306,12 @@ def correct(closing: Closing, residuals: Vector) -> None:
         step[i] = 0.0
     # forward substitution along the orthonormal vectors
     for r in range(k if k < nv else nv):
-        length = rest[int(closing.chosen[r])] * closing.inverse[r]
+        component = rest[int(closing.chosen[r])] * closing.inverse[r]
         for row in range(k):
-            rest[row] -= length * closing.shares[k * r + row]
+            rest[row] -= component * closing.shares[k * r + row]
         for i in range(nv):
-            step[i] += length * closing.basis[nv * r + i]
-    # back substitution: solve L^T step = y for the vector y of the loop above
+            step[i] += component * closing.basis[nv * r + i]
+    # back substitution: solve L^T step = y, where y is the sum of the loop above
     for m in range(nv):
         i = nv - 1 - m
         remainder = step[i]
@@ -316,7 +334,7 @@ def squared(count: int, residuals: Vector) -> float:
 
 @native
 def close_by(closing: Closing, x: Vector, y: Vector) -> None:
-    """Project a state onto the constraints by a record that is filled in.
+    """Project a state onto the constraints by a prepared record; an unprepared one causes failure.
 
     Args:
         x: state with time and parameters (inputs,).

@@ -6,6 +6,11 @@ edition, Springer 1993, section II.5 (step) and II.6 (dense output). `integrate_
 `Table`. Each step adds three things to the book's method: projection onto the constraints, special treatment
 of singular configurations (`newton_euler.integrators.singular`), and a check for round-off.
 
+A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
+time and parameters* is one vector with the state, the time, flags of constraint rows, and parameters of the
+scene (`newton_euler.integrators.stepper`). Each evaluation of the rates also gives the *pivot ratio*: the
+distance to a singular configuration, where constraints become dependent; 1 far away, 0 in it.
+
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
 """
@@ -55,6 +60,7 @@ from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
     EPS,
     HUGE,
+    SHORT_STEP_FRACTION,
     Count,
     Equations,
     Table,
@@ -89,11 +95,13 @@ class Control(IntEnum):
         OVERSHOOTS_END: 1 if the last step may go beyond the end of the run, else 0.
         STARTS_SINGULAR: 1 until the run has left a singular configuration in which it started, then 0.
         ERROR_RATIO: ratio of the squared error estimates of orders 3 and 5 of the last step.
-        ROUND_OFF_MARK: 1 if round-off dominated the error estimate in the last measurement. If negative,
-            minus the number of suspicious steps to skip before the next measurement.
-        PROJECTION_CHANGE: change of the state by projection, in units of the tolerance, for which the last
-            try of this step was rejected; `HUGE` if it was not.
-        PROJECTION_NOISE: change by projection of the last accepted step if it was 1 or more, else 0.
+        ROUND_OFF_MARK: 1 if round-off dominated the error estimate in the last measurement, 0 if not. If
+            negative, minus the number of steps with suspicious error estimates to skip before the next
+            measurement.
+        PROJECTION_CHANGE: change of the state by projection, in units of the tolerance, if the last try of
+            this step was rejected for this change; else `HUGE`.
+        PROJECTION_NOISE: change of the state by projection in the last accepted step, in units of the
+            tolerance, if it was 1 or more; else 0.
     """
 
     STEP = 0
@@ -126,15 +134,16 @@ class Dop853(Record):
         max_steps: largest number of steps of a run.
         rest: threshold of all rates, SI, below which the mechanism counts as at rest until the end of the
             run; 0 turns this off.
-        units: (n,) natural magnitudes of the state, SI. A number below its unit has the round-off of the
-            unit.
+        units: (n,) natural magnitudes of the state, SI. An element that is smaller than its natural magnitude
+            is assumed to have the round-off of this magnitude.
         now: state with time and parameters at the start of the step.
-        at: the same at a stage of the step.
-        end: the same at the end of the step.
+        at: state with time and parameters at a stage of the step.
+        end: state with time and parameters at the end of the step.
         projected: the end of the step after projection onto the constraints.
-        k: (16, n + 1) rates and pivot ratio of each stage.
+        k: (16, n + 1) rates and pivot ratio of each stage. Stage 12 is at the end of the step; stages 13 to
+            15 are for dense output only, and their rows are scratch before.
         terms: (7, n) coefficients of the dense output.
-        room: largest number of steps that are stored in `steps`, from the first step on; 0 for none.
+        room: number of steps, from the first step on, that are stored in `steps`; 0 for none.
         steps: (room, n + 2 + flags) state, time and flags at the start of each stored step, and its size, s.
         round_off: (n,) round-off of the rates, SI, as measured so far.
         control: (CONTROLS,) variables of the step control, see `Control`.
@@ -164,15 +173,16 @@ def store_step(rows: RowExchange, h: float, method: Dop853, number: int) -> None
     """Store the start and the size of step number `number`, if there is room for it.
 
     Args:
-        rows: exchangeable constraint rows, whose flags follow the state and the time.
+        rows: redundant constraint rows that a run may exchange; their flags follow the state and the time.
         h: size of the step, s.
+        number: number of the step in the run, from 0.
     """
-    count = rows.first + rows.count
+    count = rows.first + rows.count  # length of a state with time and flags
     if number < method.room:
-        kept = method.steps[(count + 1) * number :]
+        stored = method.steps[(count + 1) * number :]
         for i in range(count):
-            kept[i] = method.now[i]
-        kept[count] = h
+            stored[i] = method.now[i]
+        stored[count] = h
 
 
 @native
@@ -188,10 +198,12 @@ def advance(s: int, h: float, count: int, row: int, x: Vector, k: Vector, at: Ve
         k: rates of the earlier stages, one stage in each row.
         at: (count,) state of the stage, written.
     """
+    # the nonzero weights are those of stage 0 and of the stages from `second` on
     weights = COUPLING[16 * s :]
     second = int(SECOND_NONZERO[s])
     part = (count + 3) // 4
-    # four independent sums at a time, because each addition has to wait for the one before it
+    # sums for four elements of the state at a time, one of each quarter: additions within a sum have to wait
+    # for each other, those of different sums do not. Where a quarter has no element left, i0 is repeated
     for i0 in range(part):
         i1 = i0 + part if i0 + part < count else i0
         i2 = i0 + 2 * part if i0 + 2 * part < count else i0
@@ -226,7 +238,8 @@ def evaluate_stage(system: Equations, method: Dop853, s: int, h: float, at: Vect
 def error_norm(system: Equations, h: float, margin: float, method: Dop853) -> float:
     """Estimate the error of a step (II.5): the root mean square of the components in units of their scales.
 
-    The scale of a component is its tolerance plus `margin` times the round-off of its rate over the step.
+    The scale of a component is its tolerance, plus `margin` times the change over the step that round-off of
+    its rate causes. The function also writes `Control.ERROR_RATIO`.
 
     Args:
         h: size of the step, s; the rates of all stages are in `method.k`.
@@ -294,7 +307,9 @@ def prepare_dense(
 
 @native
 def interpolate(count: int, n: int, theta: float, method: Dop853, y: Vector) -> None:
-    """Evaluate the dense output (II.6) within a step.
+    """Evaluate the dense output (II.6) within a step from the coefficients `method.terms`.
+
+    The polynomial is evaluated with products of theta and 1 - theta, as in the book.
 
     Args:
         count: number of elements to interpolate, the first ones of the state.
@@ -320,7 +335,7 @@ def interpolate(count: int, n: int, theta: float, method: Dop853, y: Vector) -> 
 def first_step(system: Equations, method: Dop853, span: float) -> float:
     """Choose the size of the first step, s (Hairer, Norsett, Wanner, section II.4, "Starting step size").
 
-    Row 0 of `method.k` holds the rates at the start.
+    Row 0 of `method.k` holds the rates at the start. Names and numbers are those of the book's algorithm.
 
     Args:
         span: duration of the run, s, the largest possible step.
@@ -369,7 +384,7 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
     Args:
         n: length of the state.
         h: size of the step, s.
-        closing: projection by the dense form.
+        closing: projection near singular configurations (`newton_euler.integrators.dense_projection`).
 
     Returns:
         error in units of the tolerance, or `FAILED_STEP_ERROR` if a projection fails.
@@ -378,7 +393,8 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
     at = method.at
     end = method.end
     k = method.k
-    # project the end of the step, and the solutions that differ from it by the estimates of orders 5 and 3
+    # project the end of the step, and the solutions that differ from it by the estimates of orders 5 and 3;
+    # element n of each result is positive if the projection succeeded
     close(closing, end, k[13 * row :])
     if not k[13 * row + n] > 0.0:
         return FAILED_STEP_ERROR
@@ -417,21 +433,23 @@ def write_outputs(system: Equations, table: Table, states: Vector, method: Dop85
 
     Args:
         states: (count, n) states of the run at the output times.
-        near: 1 for a step near a singular configuration, whose outputs are projected by the dense form.
+        near: 1 for a step near a singular configuration, whose outputs are projected by the dense form; else
+            0.
     """
     n = system.n
     now = method.now
     times = table.times
     h = method.control[Control.STEP]
-    # the three stages of the dense output
+    # the three additional stages of the dense output
     for s in range(STAGES + 1, 16):
         status = evaluate_stage(system, method, s, h, method.at)
         if status != Status.DONE:
             return status
     prepare_dense(h, n, n + 1, n, now, method.end, method.k, method.terms)
-    # interpolate all rows within the step, then project them together
-    due = int(method.control[Control.NEXT_ROW])
-    row = due
+    # interpolate all output times within the step, then project these states together; the dense projection
+    # and the state at the end of the run need velocities, too
+    first_row = int(method.control[Control.NEXT_ROW])
+    row = first_row
     while row < table.count and times[row] <= now[n] + h:
         state = states[n * row :]
         count = n if near == 1 or method.control[Control.OVERSHOOTS_END] == 1.0 else table.output_state_size
@@ -439,12 +457,16 @@ def write_outputs(system: Equations, table: Table, states: Vector, method: Dop85
         normalize_quaternions(system, state, state)
         row += 1
     method.control[Control.NEXT_ROW] = float(row)
-    return project_rows(system, table, states, due, row, near, method.at)
+    return project_rows(system, table, states, first_row, row, near, method.at)
 
 
 @native
 def finish_at_rest(system: Equations, table: Table, states: Vector, method: Dop853) -> None:
-    """End the run if the mechanism is at rest: write the present state to all remaining rows of `states`."""
+    """End the run if all rates are below `method.rest`: write the present state to all remaining outputs.
+
+    Args:
+        states: (count, n) states of the run at the output times.
+    """
     n = system.n
     largest = 0.0
     for i in range(system.n):
@@ -461,6 +483,9 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     """Begin a run at the state `method.now`: project it, write the first output, choose the first step.
 
     The result is `Status.DONE` or the reason why the run cannot start.
+
+    Args:
+        states: (count, n) states of the run at the output times.
     """
     now = method.now
     for i in range(system.inputs):
@@ -496,8 +521,11 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     """Try a step (Hairer, Norsett, Wanner, sections II.4 to II.6); return a status.
 
     If the step is rejected, the state stays as it is and only the size of the next try changes. The status is
-    `Status.DONE` in both cases. "Step 1" to "step 6" in comments are those of the list in
-    `newton_euler.integrators.singular`.
+    `Status.DONE` for an accepted and for a rejected step. "Measure 3" to "measure 6" in comments are those of
+    the list in `newton_euler.integrators.singular`.
+
+    Args:
+        states: (count, n) states of the run at the output times.
     """
     n = system.n
     row = n + 1
@@ -526,13 +554,13 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             break
         pivot_ratio = min(pivot_ratio, k[row * s + n])
     # reject a clipped step near a singular configuration: no step can end there, so the last step goes beyond
-    # the end of the run, and the end is interpolated (step 5 of `singular`)
+    # the end of the run, and the end is interpolated (measure 5)
     if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and control[Control.UNCLIPPED_STEP] > h:
         counts[Count.REJECTED] += 1.0
         control[Control.OVERSHOOTS_END] = 1.0
         control[Control.STEP] = control[Control.UNCLIPPED_STEP]
         return Status.DONE
-    # reject a step with unsafe accelerations, once the run has left a singular start (step 3)
+    # reject a step with unsafe accelerations, once the run has left a singular start (measure 3)
     if k[n] >= UNSAFE_PIVOT_RATIO:
         control[Control.STARTS_SINGULAR] = 0.0
     if pivot_ratio < UNSAFE_PIVOT_RATIO and control[Control.STARTS_SINGULAR] == 0.0:
@@ -545,7 +573,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     if status == Status.DONE:
         error = error_norm(system, h, 0.0, method)
         end[n] = now[n] + h
-    excess = error
+    excess = error  # error without regard to round-off
     # if the error estimate looks like round-off, measure the round-off of the rates and add it to the
     # tolerance: a shorter step would not reduce it (`newton_euler.integrators.round_off`)
     may_be_round_off = 0
@@ -557,9 +585,9 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         may_be_round_off = 0
         control[Control.ROUND_OFF_MARK] = control[Control.ROUND_OFF_MARK] + 1.0
     if status == Status.DONE and may_be_round_off == 1 and pivot_ratio >= NEAR_PIVOT_RATIO:
-        spare = k[row * (STAGES + 1) :]
+        scratch = k[row * (STAGES + 1) :]
         if (
-            measure_round_off(system, h, now, method.units, method.at, k, spare, method.round_off)
+            measure_round_off(system, h, now, method.units, method.at, k, scratch, method.round_off)
             == Status.DONE
         ):
             error = min(error, error_norm(system, h, ROUND_OFF_MARGIN, method))
@@ -569,13 +597,13 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             control[Control.ROUND_OFF_MARK] = (
                 0.0 if control[Control.ROUND_OFF_MARK] == 1.0 else 0.0 - STEPS_TO_NEXT_MEASUREMENT
             )
-    # near a singular configuration, the error is the error after projection (step 6)
+    # near a singular configuration, the error is the error after projection (measure 6)
     near = 0
     if system.projecting == 1 and pivot_ratio < NEAR_PIVOT_RATIO and status == Status.DONE:
         near = 1
         error = min(error, error_on_constraints(n, h, system.closing, method))
-    # and the step is shortened so that the singular configuration lies between two stages (step 4); the pivot
-    # ratios are those at the start, at stage 9 (0.6 of the step) and at the end
+    # and the step is shortened so that the singular configuration lies between two stages (measure 4); the
+    # pivot ratios are those at the start, at stage 9 (0.6 of the step) and at the end
     if near == 1 and control[Control.PLACEMENT_TRIES] < MAX_PLACEMENT_TRIES:
         error_factor = SAFETY * error**ERROR_EXPONENT if error > 1.0 else 1.0
         placement_factor = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], error_factor)
@@ -584,15 +612,18 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             control[Control.PLACEMENT_TRIES] += 1.0
             control[Control.STEP] = placement_factor * h
             return Status.DONE
-    # reject the step for its error (section II.4)
+    # reject the step for its error (section II.4); a step whose stages cannot be evaluated stops the run once
+    # it is very short
     if not error < 1.0:
         counts[Count.REJECTED] += 1.0
-        if status != Status.DONE and h < 1e-10 * (stop - table.times[0]):
+        if status != Status.DONE and h < SHORT_STEP_FRACTION * (stop - table.times[0]):
             return status
         control[Control.STEP] = h * max(MIN_STEP_FACTOR, SAFETY * error**ERROR_EXPONENT)
         control[Control.MAX_GROWTH] = 1.0
         return Status.DONE
-    # project the end; the change by projection is the part of the error that opens constraints
+    # project the end; its change by projection is the part of the error that violates the constraints. A step
+    # is rejected for a large change and for a projection that fails, which stops the run if the step is very
+    # short
     status = project_end(system, near, end, method.projected, method.at)
     projection_change = 0.0
     if status != Status.DONE:
@@ -609,7 +640,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         == 1
     ):
         counts[Count.REJECTED] += 1.0
-        if status != Status.DONE and h < 1e-10 * (stop - table.times[0]):
+        if status != Status.DONE and h < SHORT_STEP_FRACTION * (stop - table.times[0]):
             return status
         control[Control.STEP] = h * max(MIN_STEP_FACTOR, SAFETY * projection_change**ERROR_EXPONENT)
         control[Control.MAX_GROWTH] = 1.0
@@ -663,10 +694,11 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
 def integrate_dop853(system: Equations, table: Table, method: Dop853) -> None:
     """Integrate all runs of the table, one after the other.
 
-    In compiled code for several lanes, each lane starts its next run as soon as its run has ended.
+    Compiled code may make several runs at once, one in each lane of the processor's vector registers. Each
+    lane starts its next run as soon as its run has ended. Therefore one loop takes single steps.
     """
     run = int(table.first[0])
-    fresh = 1
+    fresh = 1  # 1 if the run has not begun
     while run < table.runs:
         states = table.states[system.n * table.count * run :]
         status = Status.DONE

@@ -1,9 +1,9 @@
 """Coefficients (Butcher tableau) of the Runge-Kutta method DOP853, which `dop853` implements.
 
 DOP853 is the method of Dormand and Prince of order 8 with error estimates of orders 5 and 3 and a dense
-output
-of order 7: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition,
-Springer 1993, section II.5 (step) and II.6 (dense output). Indices start at 0.
+output (interpolation within a step) of order 7: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary
+Differential Equations I, second edition, Springer 1993, section II.5 (step) and II.6 (dense output).
+Indices start at 0.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ COUPLING = (
 stage."""
 
 SECOND_NONZERO = (1, 1, 1, 2, 2, 3, 3, 3, 3, 3, 3, 3, 5, 6, 5, 5)
-"""Column of the second nonzero weight in each row of `COUPLING`. The first nonzero weight is in column 0, so
-a sum over column 0 and the columns from this one on is complete."""
+"""Column of the second nonzero weight in each row of `COUPLING`. The first nonzero weight is in column 0. A
+weighted sum over stages therefore needs column 0 and the columns from this one on only."""
 
 ERROR_3 = (
     -0.18980075407240762, 0, 0, 0, 0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,

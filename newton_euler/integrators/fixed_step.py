@@ -4,6 +4,11 @@
 outputs is divided into equal steps of at most the requested size. After each step the state is projected onto
 the constraints, unless the run does without projection.
 
+A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
+time and parameters* is one vector with the state, the time, flags of constraint rows, and parameters of the
+scene (`newton_euler.integrators.stepper`). Each evaluation of the rates also gives the *pivot ratio*: the
+distance to a singular configuration, where constraints become dependent; 1 far away, 0 in it.
+
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
 """
@@ -48,7 +53,7 @@ class Progress(IntEnum):
 
     Attributes:
         NEXT_ROW: index of the output time that is written next.
-        STEPS_TAKEN: number of steps taken since the output before.
+        STEPS_TAKEN: number of steps taken since the last output.
     """
 
     NEXT_ROW = 0
@@ -69,7 +74,7 @@ class FixedStep(Record):
         step: largest size of a step, s.
         rate: function that writes the rates of the coordinates, qdot, of a state; only Euler calls it.
         now: state with time and parameters at the start of the step.
-        at: the same at a stage of the step.
+        at: state with time and parameters at a stage of the step.
         k: (4, n + 1) rates and pivot ratio of each stage.
         change: (n,) change of the state in a step of RK4, or the coordinates at the start of a step of Euler.
         control: (2,) progress between two outputs, see `Progress`.
@@ -87,7 +92,10 @@ class FixedStep(Record):
 
 @native
 def divisions(span: float, step: float) -> int:
-    """Return the number of equal steps of at most `step`, s, that a time `span`, s, is divided into."""
+    """Return the number of equal steps of at most `step`, s, into which a time `span`, s, is divided.
+
+    A step may be longer by the factor 1 + 1e-9, because round-off must not add a step.
+    """
     count = int(span / step * (1.0 - 1e-9))
     if float(count) < span / step * (1.0 - 1e-9):
         count += 1
@@ -114,7 +122,7 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
         change[i] = 0.0
     at[n] = now[n]
     # four stages: `change` sums up their rates, `at` becomes the state of the next stage
-    pivot_ratio = NEAR_PIVOT_RATIO
+    pivot_ratio = NEAR_PIVOT_RATIO  # larger values do not matter
     for s in range(4):
         status = evaluate(system, at, k[row * s :])
         if status != Status.DONE:
@@ -151,16 +159,17 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
 
     If velocities are rates of Euler parameters, each step keeps the angular velocity that they represent.
     Unchanged rates would no longer be tangential to the unit sphere and would grow by half of their square
-    times h^2 in a step. Euler's own error of gyroscopic torques is described at
-    `newton_euler.integrators.options.FIXED`.
+    times h^2 in a step. `newton_euler.integrators.options.FIXED` describes the error of this method for
+    gyroscopic torques.
     """
     n = system.n
     nq = system.nq
     now = method.now
     k = method.k
-    begun = method.change
+    start = method.change
     status = evaluate(system, now, k)
     if status == Status.DONE and system.counts[Count.STEPS] == 0.0 and not k[n] > DENSE_PIVOT_RATIO:
+        # as for a run with projection: this method does not refuse a singular start without projection
         status = check_singular_start(system, span, 1, now, k)
     if status != Status.DONE:
         return status
@@ -170,11 +179,11 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
     normalize_quaternions(system, now, now)
     method.rate(now, k)
     for i in range(nq):
-        begun[i] = now[i]
+        start[i] = now[i]
         now[i] += h * k[i]
     # norms of Euler parameters, revolutions of angles, and projection
     now[n] = end
-    normalize_quaternions(system, now, begun)
+    normalize_quaternions(system, now, start)
     unwind_angles(system, now, k)
     return project(system, 1, now) if system.projecting == 1 else Status.DONE
 
@@ -203,7 +212,7 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
     now = method.now
     due = int(method.control[Progress.NEXT_ROW])
     taken = int(method.control[Progress.STEPS_TAKEN])
-    # equal steps between the output before and the next one
+    # equal steps between the last output and the next one
     count = divisions(times[due] - times[due - 1], method.step)
     h = (times[due] - times[due - 1]) / count
     counts[Count.TIME_REACHED] = now[system.n]
@@ -218,7 +227,7 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
         status = step_euler(system, method, h, end, span)
     if status != Status.DONE:
         return status
-    # choose other constraint rows if necessary; write the output after the last of the equal steps
+    # exchange redundant constraint rows if necessary; write the output after the last of the equal steps
     if exchange_rows(system.exchange, now) == 1:
         copy_flags(system.exchange, now, method.at)
     counts[Count.STEPS] += 1.0
@@ -234,10 +243,11 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
 def integrate_fixed(system: Equations, table: Table, method: FixedStep) -> None:
     """Integrate all runs of the table, one after the other.
 
-    In compiled code for several lanes, each lane starts its next run as soon as its run has ended.
+    Compiled code may make several runs at once, one in each lane of the processor's vector registers. Each
+    lane starts its next run as soon as its run has ended. Therefore one loop takes single steps.
     """
     run = int(table.first[0])
-    fresh = 1
+    fresh = 1  # 1 if the run has not begun
     while run < table.runs:
         states = table.states[system.n * table.count * run :]
         status = Status.DONE

@@ -1,9 +1,10 @@
 """LU factorization of dense real and complex matrices with partial pivoting, for the implicit integrator
 Radau.
 
-The matrices are lambda I - J, with the Jacobian J of the rates by the state and a number lambda. The rates of
-joint coordinates are velocities and depend on no coordinate. So J begins with a block of zeros, and the
-matrix begins with a diagonal block of m rows. These rows need no pivoting and no elimination among themselves
+The matrices are lambda I - J. lambda is a number, and J is the Jacobian of the rates (time derivatives) with
+respect to the state, which consists of coordinates, then velocities. The rates of joint coordinates are
+velocities and depend on no coordinate. So J begins with a block of zeros, and the matrix begins with a
+diagonal block of m rows. These rows need no pivoting and no elimination among themselves
 (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, second edition, Springer 1996, section
 IV.8).
 

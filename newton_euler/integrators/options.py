@@ -44,17 +44,18 @@ STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
 
 PAPER_ALPHA = 10.0
 """Default gain alpha of Baumgarte stabilization, 1/s: feedback 2 alpha of the velocity error and alpha^2 of
-the position error (paper, Appendix B)."""
+the position error of the constraints (Appendix B of the paper cited in
+`newton_euler.equations.cartesian`)."""
 
 DEFAULT_MAX_STEPS = 1_000_000
-"""Number of steps after which an adaptive integrator stops, if the run does not set `most_steps`."""
+"""Number of steps after which an adaptive integrator stops, if the option `most_steps` is not set."""
 
 MAX_EXACT_COUNT = 2**53
 """Largest number of steps that a double counts exactly: native code keeps its counts as doubles."""
 
 MAX_FIXED_STEPS = 20_000_000
-"""Largest number of fixed steps of a run that does not set `most_steps`: they take seconds for a pendulum and
-minutes for the largest mechanisms."""
+"""Largest number of fixed steps of a run, if the option `most_steps` is not set. So many steps take seconds
+for a pendulum and minutes for the largest mechanisms."""
 
 
 class StepControl(TypedDict, total=False):
@@ -164,13 +165,13 @@ class Options:
     def near_singular(self, noise: float, size: float) -> tuple[float, float]:
         """Return rtol and atol of steps next to a singular configuration, where branches of motion meet.
 
-        Constraints that count as redundant are redundant only up to a small noise. The noise bends the
-        branches around each other. A step with a tolerance below the noise would follow the bend onto the
-        wrong branch.
+        Rounded numbers of a model file leave a small noise in constraints that count as redundant. The noise
+        bends the branches around each other, so that they no longer meet. A step with a tolerance below the
+        noise would follow the bend onto the wrong branch.
 
         Args:
             noise: largest singular value of the constraints that count as redundant, dimensionless.
-            size: length of the mechanism, m.
+            size: the mechanism's size, m.
         """
         return self.rtol + noise, self.atol + noise * min(1.0, size)
 

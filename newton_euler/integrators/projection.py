@@ -7,9 +7,13 @@ three forms:
 
 - `project` and `project_rows` in native code, by the compiled functions `Equations.position` and
   `Equations.velocity`;
-- `project_position` and `project_velocity` in Python, for any `System`;
-- `newton_euler.integrators.dense_projection`, which both integrators and `project` use near a singular
-  configuration.
+- `project_position` and `project_velocity` in Python, for any `System` (equations of motion);
+- the dense form, `newton_euler.integrators.dense_projection`, which native code uses near a singular
+  configuration, where constraints become dependent.
+
+The native functions take a *state with time and parameters*: one vector (inputs,) with the n coordinates and
+velocities, the time, flags of constraint rows, and parameters of the scene
+(`newton_euler.integrators.stepper`).
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -50,31 +54,37 @@ MAX_NATIVE_ITERATIONS = 10
 """Largest number of Newton steps in native code, which starts close to the constraints."""
 
 MAX_LANE_ITERATIONS = 3
-"""Largest number of Newton steps for interpolated outputs, which are very close to the constraints and are
-projected together, one state in each lane of a vector register."""
+"""Largest number of Newton steps for interpolated outputs, which are very close to the constraints. They are
+projected together, one state in each lane (element) of the processor's vector registers."""
 
 MAX_ITERATIONS = 20
 """Largest number of Newton steps in Python, which also assembles mechanisms from rough initial positions."""
 
 MIN_PIVOT = 1e-10
-"""Smallest pivot ratio (smallest pivot over its usual size) of the least-squares problem for which its
-correction is accurate. Below, `newton_euler.integrators.dense_projection` is used."""
+"""Smallest pivot ratio of the least-squares problem of a Newton step for which the step is accurate. Below
+it, the dense form projects.
+
+The pivot ratio is the smallest ratio of a pivot to its reference magnitude
+(`newton_euler.equations.sparse`): 1 far from singular configurations, 0 in them."""
 
 QUADRATIC_RATE = 1e-4
-"""Factor in the estimate of the residual after a Newton step. A dimensionless residual r leaves about
-c r^2 / sqrt(pivot ratio); the step is the last one if 100 times this, with c = 1, is below the tolerance."""
+"""Factor that decides whether a Newton step is the last one.
+
+The step reduces a dimensionless residual r to about r^2 / sqrt(pivot ratio). If 100 times this number is
+below the tolerance, the residual after the step is not evaluated. The squares of both sides are compared,
+so that the factor is 1 / 100^2."""
 
 MIN_SHRINK = 0.5
 """If a rejected step is repeated with a shorter size, projection has to change the state by less than this
-fraction of the change before. A true error falls with a high power of the step size; round-off does not."""
+fraction of its change in the rejected step. A true error falls with a high power of the step size; round-off
+does not."""
 
 MAX_NOISE_GROWTH = 2.0
 """Largest factor by which the round-off in the change by projection may grow from one step to the next."""
 
 MAX_DRIFT = 1e-2
-"""Largest constraint violation of a joint without projection, in lengths of the longest body or in rad.
-Beyond
-it the run is no longer one of the mechanism: a violation of a hundredth is visible."""
+"""Largest constraint violation of a joint without projection, in lengths of the longest body or in rad. A
+larger violation is visible: the motion is no longer one of the mechanism."""
 
 
 @native
@@ -83,7 +93,7 @@ def project_densely(system: Equations, x: Vector, scratch: Vector) -> Status:
 
     Args:
         x: state with time and parameters (inputs,); changed only if the projection succeeds.
-        scratch: (n + 1,) working memory.
+        scratch: (n + 1,) working memory, for the projected state and 1.0 for success or -1.0 for failure.
     """
     close(system.closing, x, scratch)
     if not scratch[system.n] > 0.0:
@@ -111,9 +121,10 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
     """
     n = system.n
     lanes = system.lanes
+    # (n + 2, lanes) results of `position` and `velocity`: state, squared residual, pivot ratio
     results = system.projection_work[lanes * system.inputs :]
     squared_residual = HUGE
-    # positions: Newton's iteration; the last round only evaluates the residual that the round before left
+    # positions: Newton's iteration; the last round only evaluates the residual after the step before
     for step in range(MAX_NATIVE_ITERATIONS + 1):
         copy_to_lanes(system.inputs, lanes, x, system.projection_work)
         system.position(system.projection_work, results)
@@ -143,7 +154,7 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
         squared_residual = results[lanes * n]
         if squared_residual < HUGE and not results[lanes * (n + 1)] > MIN_PIVOT:
             return project_densely(system, x, results)
-    # check the residual of positions that is left
+    # check the remaining residual of positions
     if not squared_residual < HUGE:
         return Status.NOT_FINITE
     if squared_residual > system.open_tolerance * system.open_tolerance:
@@ -159,7 +170,7 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
     """Project one state in each lane of `projection_work`; return 1 for success, 0 if a lane does not
     converge.
 
-    Each lane computes what `project` does. If the result is 0, the caller projects each state alone.
+    Each lane computes the same as `project`. If the return value is 0, the caller projects each state alone.
 
     Args:
         with_velocities: 1 to project velocities too, 0 for coordinates only.
@@ -168,7 +179,7 @@ def project_side_by_side(system: Equations, with_velocities: int) -> int:
     lanes = system.lanes
     work = system.projection_work
     results = work[lanes * system.inputs :]
-    previous = results[lanes * (n + 2) :]  # squared residual, 0 where nothing is left to do
+    previous = results[lanes * (n + 2) :]  # squared residual of each lane, 0 if the lane has converged
     # positions: at most a few steps of Newton's iteration in all lanes; give up if one lane needs more
     for lane in range(lanes):
         previous[lane] = HUGE
@@ -224,7 +235,8 @@ def project_rows(
         states: (count, n) states of the run at the output times.
         first, end: the rows to project are `first` to `end` - 1.
         near: 1 near a singular configuration, where the dense form projects; else 0.
-        x: (inputs,) the parameters of the run; the other elements are scratch.
+        x: state with time and parameters (inputs,) that gives flags and parameters; the state and the time
+            are overwritten.
     """
     n = system.n
     lanes = system.lanes
@@ -243,7 +255,7 @@ def project_rows(
                 for i in range(n + 1, system.inputs):
                     work[lanes * i + lane] = x[i]
             together = project_side_by_side(system, with_velocities)
-        # take the results, or project row by row if that failed
+        # take the results, or project row by row if the projection side by side has failed
         for lane in range(lanes if row + lanes < end else end - row):
             state = states[n * row :]
             if together == 1:
@@ -292,7 +304,7 @@ def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector,
     Args:
         states: (count, n) states of the run at the output times.
         now: state with time and parameters at the start, changed.
-        rates: (n + 1,) rates and pivot ratio at the start, written.
+        rates: (n + 1,) rates (time derivatives) and pivot ratio at the start, written.
     """
     status = begin_run(system, states, now)
     if status == Status.DONE:
@@ -304,15 +316,17 @@ def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector,
 
 
 @native
-def finish_step(system: Equations, near: int, now: Vector, carried: Vector) -> Status:
+def finish_step(system: Equations, near: int, now: Vector, other: Vector) -> Status:
     """Complete a step: unwind angles, normalize Euler parameters and project the state; return a status.
+
+    To unwind an angle is to bring it back between -pi and pi by a full revolution.
 
     Args:
         near: 1 near a singular configuration, where the dense form projects; else 0.
         now: state with time and parameters at the end of the step, changed.
-        carried: (n,) another state, whose angles change by the same full revolutions.
+        other: (n,) another state, whose angles change by the same full revolutions.
     """
-    unwind_angles(system, now, carried)
+    unwind_angles(system, now, other)
     normalize_quaternions(system, now, now)
     if system.projecting == 0:
         return Status.DONE
@@ -326,7 +340,7 @@ def project_end(system: Equations, near: int, end: Vector, projected: Vector, un
     """Complete a step that may still be rejected, without changing its start; return a status.
 
     Args:
-        near: 1 near a singular configuration, where projection is by the dense form, else 0.
+        near: 1 near a singular configuration, where the dense form projects; else 0.
         end: (n + 1,) state and time at the end of the step, before projection.
         projected: state with time and parameters, written: the end after projection.
         unprojected: (n,) written: the end before projection, with angles in the same revolution as
@@ -355,14 +369,15 @@ def change_by_projection(
         rtol, atol: relative and absolute tolerance of a step.
     """
     largest_change = 0.0
-    place = 0  # in `members`: count of coordinates, their indices, count of velocities, their indices, ...
+    # `members` lists for each group: count of coordinates, their indices, count of velocities, their indices
+    place = 0
     for _group in range(system.groups):
         squared_sum = 0.0
         elements = 0
-        for _part in range(2):  # coordinates, velocities
+        for _part in range(2):  # coordinates, then velocities
             count = int(system.members[place])
-            change = 0.0
-            size = 0.0
+            change = 0.0  # sum of squares of the changes
+            size = 0.0  # sum of squares of the elements
             for j in range(count):
                 i = int(system.members[place + 1 + j])
                 change += (projected[i] - unprojected[i]) * (projected[i] - unprojected[i])
@@ -380,15 +395,15 @@ def change_by_projection(
 def is_error_of_step(change: float, change_before: float, noise: float) -> int:
     """Return 1 if a step has to be rejected because projection changed its end too much, else 0.
 
-    Far from the origin, round-off of the constraints can exceed the tolerance. Shorter steps do not reduce
-    round-off. So a change that does not shrink with the step is accepted. Changes of about this size are then
-    accepted in the following steps, too.
+    If bodies are far from the origin, round-off of the constraints can exceed the tolerance. Shorter steps do
+    not reduce round-off. So a change that does not shrink with the step is accepted. Changes of about this
+    size are then accepted in the following steps, too.
 
     Args:
         change: change of this step by projection, in units of the tolerance.
         change_before: change of the longer try of this step that was rejected just before; `HUGE` if there
             was none.
-        noise: change of the last accepted step if it was 1 or more, else 0.
+        noise: change of the last accepted step by projection if it was 1 or more, else 0.
     """
     return (
         1
@@ -408,17 +423,17 @@ def project_position(system: System, q: Array) -> Array:
 
     Raises:
         AssemblyError: if an independent constraint keeps a residual of more than `CLOSURE_TOLERANCE`, or a
-            redundant one more than the scene's redundancy tolerance.
+            redundant one more than `newton_euler.equations.redundancy.loose_tolerance`.
     """
     at = best = system.retract(q, np.zeros(system.nv))
     if not len(system.phi_units):
         return best
-    unused = rows_left_out(system)
+    left_out = rows_left_out(system)  # almost redundant rows, which are replaced by zeros
     # iterate until the residual is at round-off, or has not improved twice in a row
     rounds_without_gain, least_residual = 0, np.inf
     for _ in range(MAX_ITERATIONS + 1):
-        phi, jacobian = system.phi(at), with_zero_rows(system.phi_jacobian(at), unused)
-        residual = largest(with_zero_rows(phi, unused))
+        phi, jacobian = system.phi(at), with_zero_rows(system.phi_jacobian(at), left_out)
+        residual = largest(with_zero_rows(phi, left_out))
         rounds_without_gain = 0 if residual < least_residual else rounds_without_gain + 1
         if rounds_without_gain == 0:
             best, least_residual = at, residual
@@ -430,10 +445,10 @@ def project_position(system: System, q: Array) -> Array:
             break
         step = minimum_norm(
             jacobian,
-            with_zero_rows(phi, unused),
-            system.phi_units,
-            system.velocity_units,
-            constraint_rank(system),
+            with_zero_rows(phi, left_out),
+            row_units=system.phi_units,
+            column_units=system.velocity_units,
+            max_rank=constraint_rank(system),
         )
         at = system.retract(at, -step)
     _check_closed(system, best, system.phi(best))
@@ -447,10 +462,10 @@ def _check_closed(system: System, q: Array, phi: Array) -> None:
         q: (nq,) coordinates.
         phi: (k,) residuals of all constraints at q, m or rad.
     """
-    unused = rows_left_out(system)
-    noise = largest(phi[unused] / system.phi_units[unused])
+    left_out = rows_left_out(system)
+    noise = largest(phi[left_out] / system.phi_units[left_out])
     loose = loose_tolerance(system.scene.redundancy_tolerance)
-    if not (largest(with_zero_rows(phi, unused)) <= CLOSURE_TOLERANCE and noise <= loose):
+    if not (largest(with_zero_rows(phi, left_out)) <= CLOSURE_TOLERANCE and noise <= loose):
         joint, residual = worst_joint(system, system.state(q, np.zeros(system.nv)))
         raise AssemblyError(joint, residual, CLOSURE_TOLERANCE)
 
@@ -464,16 +479,20 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
     """
     if not len(system.phi_units):
         return v
-    unused = rows_left_out(system)
+    left_out = rows_left_out(system)  # almost redundant rows, which are replaced by zeros
     jacobian = system.phi_jacobian(q)
-    excess = with_zero_rows(rate_of_phi(system, jacobian, v), unused)
-    units = system.phi_units, system.velocity_units
-    step = minimum_norm(with_zero_rows(jacobian, unused), excess, *units, constraint_rank(system))
-    return np.asarray(v - step)
+    correction = minimum_norm(
+        with_zero_rows(jacobian, left_out),
+        with_zero_rows(rate_of_phi(system, jacobian, v), left_out),
+        row_units=system.phi_units,
+        column_units=system.velocity_units,
+        max_rank=constraint_rank(system),
+    )
+    return np.asarray(v - correction)
 
 
 def joint_violations(mechanism: Mechanism, state: State) -> Array:
-    """Evaluate the constraint violation of each joint, its largest residual in m or rad; return (joints,)."""
+    """Compute the constraint violations (j,) of all j joints: the largest residual of each, m or rad."""
     frames = state.frames()
     return np.array([largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations])
 
@@ -482,9 +501,11 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
     """Raise `IntegrationError` if a joint has drifted open by more than `MAX_DRIFT` at an output time.
 
     If a run starts with a larger violation, twice the initial violation is allowed, because Baumgarte
-    stabilization may still reduce it. A violation that disappears between two output times is not detected.
+    stabilization (feedback of the violation) may still reduce it. A violation that disappears between two
+    output times is not detected.
 
     Args:
+        scene: the scene of the run.
         times: (n,) output times, s.
         phi: (n, k) residuals of all joints, then of couplings, m or rad.
     """

@@ -7,6 +7,11 @@ splits it into one real and one complex system of n unknowns. The Jacobian of th
 from automatic differentiation, unless Python evaluates the equations; then finite differences are accurate
 enough. `integrate_radau` makes all runs of a `Table`.
 
+A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
+time and parameters* is one vector with the state, the time, flags of constraint rows, and parameters of the
+scene (`newton_euler.integrators.stepper`). Each evaluation of the rates also gives the *pivot ratio*: the
+distance to a singular configuration, where constraints become dependent; 1 far away, 0 in it.
+
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
 """
@@ -33,6 +38,7 @@ from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
     EPS,
     HUGE,
+    SHORT_STEP_FRACTION,
     Count,
     Equations,
     Table,
@@ -58,10 +64,12 @@ def _collocation() -> tuple[Array, Array]:
     Both matrices are (3, 3). The second one turns values of a polynomial p with p(0) = 0 at `NODES` into the
     coefficients of theta, theta^2 and theta^3.
     """
-    powers = np.array([[c ** (k + 1) for k in range(3)] for c in NODES])  # of polynomials with p(0) = 0
-    rates = np.array([[(k + 1) * c**k for k in range(3)] for c in NODES])
+    # values and derivatives of theta, theta^2 and theta^3 at the nodes
+    powers = np.array([[c ** (k + 1) for k in range(3)] for c in NODES])
+    derivatives = np.array([[(k + 1) * c**k for k in range(3)] for c in NODES])
+    # A turns derivatives at the nodes into values there
     coefficients = np.linalg.inv(powers)
-    return np.linalg.inv(rates @ coefficients), coefficients
+    return np.linalg.inv(derivatives @ coefficients), coefficients
 
 
 def _transformation() -> tuple[float, complex, Array]:
@@ -89,9 +97,13 @@ DENSE = tuple(float(x) for x in _collocation()[1].ravel())
 """Matrix of the dense output, row by row. Applied to the stages, it gives the coefficients of theta, theta^2
 and theta^3, where theta is the time as a fraction of the step."""
 
-_THETAS = np.linspace(0.0, 1.0, 1001)
+_THETAS = np.linspace(0.0, 1.0, 1001)  # times within a step, as fractions
 INTERPOLATION_ERROR = float(np.max(np.abs(_THETAS * np.prod([_THETAS - c for c in NODES], axis=0))))
-"""Largest error of the collocation polynomial within a step, in units of h^4 y''''/24."""
+"""Largest error of the collocation polynomial within a step of size h, in units of h^4 / 24 times the fourth
+derivative of the state.
+
+It is the maximum of |theta (theta - c_1) (theta - c_2) (theta - c_3)|: the polynomial is exact at the start
+and at the nodes."""
 
 MAX_NEWTON_STEPS = 6
 """Largest number of Newton steps for the stages of a step."""
@@ -113,14 +125,15 @@ class Radau(Record):
         max_steps: largest number of steps of a run.
         jacobian: function that writes the Jacobian (n, n) of the rates by the state, row by row.
         now: state with time and parameters at the start of the step.
-        at: the same at a stage of the step.
-        projected: the same at the end of the step, after projection onto the constraints.
+        at: state with time and parameters at a stage of the step.
+        projected: state with time and parameters at the end of the step, after projection onto the
+            constraints.
         before: (n,) state at the start of the step before.
-        slope: (n + 2,) rates at `now`, then the pivot ratio.
+        slope: (n + 2,) rates at `now`, then the pivot ratio; the last element is not used.
         z: (3, n) stages, as differences from the state at the start of the step.
         w: (3, n) transformed stages W = T^-1 Z.
         f: (3, n + 1) rates and pivot ratio of each stage.
-        change: (3 n + 2,) Newton correction of w; change[3 n] is the rate of convergence.
+        change: (3 n + 2,) Newton correction of w, then the rate of convergence; the last element is not used.
         terms: (3, n) coefficients of the collocation polynomial.
         matrix: (n, n) Jacobian J, row by row.
         real: (n, n) LU factors of gamma/h I - J.
@@ -189,7 +202,9 @@ def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> flo
 
 @native
 def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
-    """Solve for the stages z by simplified Newton iterations; return their number, -1 if they fail.
+    """Solve for the stages z by simplified Newton iterations; return their count, or -1 for failure.
+
+    Titles in quotation marks in comments are those of subsections of IV.8 of the book.
 
     Args:
         method: record with factored matrices and a first guess of the stages z, which are overwritten.
@@ -203,6 +218,8 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
     w = method.w
     f = method.f
     change = method.change
+    # largest error of the stages that ends the iteration, in units of the tolerance of a step, as in the
+    # authors' code and in SciPy
     tolerance = max(10.0 * EPS / method.rtol, min(0.03, sqrt(method.rtol)))
     # transform the stages: W = T^-1 Z ("The linear system")
     for s in range(3):
@@ -239,8 +256,8 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
             )
         solve_real(n, m, method.real, method.pivots, change)
         solve_complex(n, m, method.re, method.im, method.pivots[n:], change[n:], change[2 * n :])
-        # norm of the correction, rate of convergence, and stop if convergence is too slow ("Stopping
-        # criterion")
+        # norm of the correction, rate of convergence, and failure if the remaining iterations cannot reach
+        # the tolerance ("Stopping criterion")
         size = 0.0
         for s in range(3):
             part = scaled_norm(n, change[n * s :], now, method.rtol, method.atol)
@@ -268,6 +285,7 @@ def solve_stages(system: Equations, method: Radau, m: int, h: float) -> int:
                     + TO_STAGES[3 * s + 2] * w[2 * n + i]
                 )
         change[3 * n] = max(rate, 0.0)
+        # success: the estimated error is below the tolerance, or the correction is round-off
         if size == 0.0 or (rate >= 0.0 and rate < 1.0 and rate / (1.0 - rate) * size < tolerance):
             return k + 1
         if rate >= 1.0:
@@ -306,8 +324,8 @@ def prepare_dense(n: int, z: Vector, terms: Vector) -> None:
 def error_of_step(n: int, m: int, h: float, method: Radau, slope: Vector) -> float:
     """Estimate the error of a step by a formula of order 3, in units of the tolerance (section IV.8).
 
-    The first n elements of `method.change` receive the error. Those of `method.at` receive the magnitudes of
-    the state that the relative tolerance refers to.
+    The first n elements of `method.change` receive the error of each element of the state. The first n
+    elements of `method.at` receive the magnitudes of the state that the relative tolerance refers to.
 
     Args:
         n: length of the state.
@@ -334,9 +352,9 @@ def error_within(n: int, h: float, before_h: float, method: Radau) -> float:
     """Estimate the error of interpolated outputs between the nodes of a step, in units of the tolerance.
 
     Stiff components are accurate at the nodes even in long steps, so the error estimate of the step does not
-    include the error between the nodes. The fourth derivative is estimated from the cubic terms of the
-    collocation polynomials of this step and of the step before. `method.terms` still holds the latter.
-    `error_of_step` must have written `method.at`.
+    include the error between the nodes. The fourth derivative is estimated from the cubic coefficients of the
+    collocation polynomials of this step and of the step before. `method.terms` must still hold the polynomial
+    of the step before, and `error_of_step` must have written `method.at`.
 
     Args:
         n: length of the state.
@@ -394,10 +412,10 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     next_row = 1  # index of the next output time
     is_jacobian_current = 1  # 1 if the Jacobian is that of the present state
     is_factored = 0  # 1 if the LU factors are those of the present Jacobian and step size
-    before_h = 0.0  # size and error of the step before, 0 if there is none
-    before_error = 0.0
-    change_before = HUGE  # change by projection for which this step was rejected
-    change_noise = 0.0  # change by projection of the step before if it was 1 or more
+    before_h = 0.0  # size of the step before, s; 0 if there is none
+    before_error = 0.0  # error of the step before, in units of the tolerance
+    change_before = HUGE  # change by projection for which the last try of this step was rejected
+    change_noise = 0.0  # change by projection of the step before if it was 1 or more, else 0
     rejected = 0  # 1 if the last try of this step was rejected for its error
     m = 0  # size of the leading block of zeros of the Jacobian
     for i in range(3 * n):
@@ -430,7 +448,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         # solve for the stages by simplified Newton iterations
         newton_steps = solve_stages(system, method, m, h)
         pivot_ratio = min(min(f[n], f[2 * n + 1]), f[3 * n + 2])
-        # reject a step with unsafe accelerations (step 3 of `newton_euler.integrators.singular`)
+        # reject a step with unsafe accelerations (measure 3 of `newton_euler.integrators.singular`)
         if newton_steps >= 0 and pivot_ratio < UNSAFE_PIVOT_RATIO and slope[n] >= UNSAFE_PIVOT_RATIO:
             counts[Count.REJECTED] += 1.0
             h = UNSAFE_STEP_FACTOR * h
@@ -469,11 +487,11 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         # reject the step for its error
         if not error <= 1.0:
             counts[Count.REJECTED] += 1.0
-            h = h * max(MIN_STEP_FACTOR, safety * factor) if error < HUGE else 0.2 * h
+            h = h * max(MIN_STEP_FACTOR, safety * factor) if error < HUGE else MIN_STEP_FACTOR * h
             is_factored = 0
             rejected = 1
             continue
-        # project the end; the change by projection is the part of the error that opens constraints
+        # project the end; its change by projection is the part of the error that violates the constraints
         for i in range(n):
             f[i] = now[i] + z[2 * n + i]
         f[n] = now[n] + h
@@ -483,7 +501,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             projection_change = change_by_projection(system, unprojected, projected, rtol, atol)
         if status != Status.DONE or is_error_of_step(projection_change, change_before, change_noise) == 1:
             counts[Count.REJECTED] += 1.0
-            if status != Status.DONE and h < 1e-10 * (stop - times[0]):
+            if status != Status.DONE and h < SHORT_STEP_FRACTION * (stop - times[0]):
                 return status
             h = h * (
                 max(MIN_STEP_FACTOR, safety * projection_change**-0.25)
@@ -510,10 +528,11 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         status = project_rows(system, table, states, first_row, next_row, 0, at)
         if status != Status.DONE:
             return status
-        # move to the end of the step; `before` follows angles that lose a revolution
+        # move to the end of the step; if an angle is reduced by a revolution, its start is reduced, too,
+        # because the prediction of the next step continues the polynomial
         for i in range(n):
-            revolutions = unprojected[i] - (now[i] + z[2 * n + i])
-            method.before[i] = now[i] + revolutions
+            revolution = unprojected[i] - (now[i] + z[2 * n + i])
+            method.before[i] = now[i] + revolution
             now[i] = projected[i]
         now[n] = now[n] + h
         # exchange constraint rows, and evaluate the rates
@@ -525,7 +544,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         # keep the Jacobian while Newton's iteration converges fast, and keep step size and factors if the
         # next step would be at most 20 % longer ("Step size selection")
         before_h = h
-        before_error = max(error, 1e-2)
+        before_error = max(error, 1e-2)  # the lower limit is that of the authors' code
         is_jacobian_current = 0
         if changed == 1:
             copy_flags(system.exchange, now, at)

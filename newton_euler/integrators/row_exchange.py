@@ -3,8 +3,9 @@
 A constraint row is one scalar constraint equation. If constraints are redundant, each row that is left out is
 a linear combination of the rows in use. The coefficients, called *shares*, may depend on the configuration
 (`newton_euler.equations.row_choice`). A compiled function computes the shares after each step. If a share
-becomes large, Python exchanges the two rows: it changes the flags of the rows, which follow the state and the
-time in the vector x.
+becomes large, Python exchanges the row that is left out for the row in use with this share. For this purpose
+Python changes the flags of both rows: 1 for a row that is left out, 0 for a row in use. The flags follow the
+state and the time in the vector x.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -20,7 +21,7 @@ from newton_euler.codegen.native import Callback, Record, Vector, native
 
 MAX_SHARE = 1.5
 """Share above which rows are exchanged. The constraint violation of a row in use appears in the row that is
-left out, multiplied by the share. Without projection, twice this share costs a digit."""
+left out, multiplied by the share. Twice this limit costs a digit of accuracy in runs without projection."""
 
 EXCHANGED = -1.0
 """Value that Python writes in place of the squared share to report that rows were exchanged."""
@@ -34,8 +35,9 @@ class RowExchange(Record):
 
     Attributes:
         count: number of exchangeable rows, 0 for most scenes.
-        first: index of the first of their flags in x.
-        shares: writes the square of the largest share, then the nonzeros of all rows.
+        first: index in x of the flag of the first exchangeable row.
+        shares: writes the square of the largest share, then the nonzeros of all constraint rows, which
+            `exchange` reads.
         exchange: changes the flags in x to those of a better choice of rows, and writes `EXCHANGED`.
         results: vector that both functions write to.
     """

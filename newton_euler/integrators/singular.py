@@ -2,16 +2,18 @@
 
 This module has the functions that the integrators call for this purpose, and the list of all measures. In a
 singular configuration the sparse elimination divides by pivots that vanish. The *pivot ratio* is the smallest
-pivot divided by its usual size. The ratio falls with the square of the distance to the singular
-configuration. Round-off in accelerations grows with the cube of the inverse distance. A *branch* is one of
-the motions that meet in a singular configuration. Without the measures below, error control would shorten
-steps without end, and the run could continue on another branch of the mechanism's motion.
+ratio of a pivot to its reference magnitude, the value that the pivot has in usual configurations. The ratio
+falls with the square of the distance to the singular configuration. Round-off in accelerations grows with the
+cube of the inverse distance. A *branch* is one of the motions that meet in a singular configuration. Without
+the measures below, error control would shorten steps without end, and the run could continue on another
+branch of the mechanism's motion.
 
 Masses that differ by large factors make pivots small, too. A singular configuration is a property of the
 constraint Jacobian, so `evaluate` compares small pivots with the pivots of the constraints alone
 (`newton_euler.integrators.constraint_ratio`). An open chain without couplings has no singular configuration.
 
-1. `evaluate`: if the pivot ratio is not positive, accelerations come from the dense, rank-revealing form.
+1. `evaluate`: if the pivot ratio is not positive, accelerations come from the dense form of the equations,
+   which determines the rank by singular values.
 2. A run may begin in a singular configuration if its velocities determine the branch, or if the mechanism
    stays at rest (`check_singular_start`).
 3. If a stage of a step of DOP853 or Radau has unsafe accelerations, the step is shortened by the factor
@@ -28,8 +30,8 @@ constraint Jacobian, so `evaluate` compares small pivots with the pivots of the 
 7. Steps of RK4 cannot be placed. If the stages of a step contradict each other (`stage_contradiction`), the
    run ends.
 
-Equations that Python evaluates have no sparse form, so step 1 changes nothing. Their pivot ratio is defined
-in `newton_euler.compiled.evaluated`.
+Equations that Python evaluates have no sparse form, so measure 1 changes nothing. Their pivot ratio is
+defined in `newton_euler.compiled.evaluated`.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -55,35 +57,40 @@ UNSAFE_PIVOT_RATIO = 1e-8
 that starts below this ratio takes such steps, until the run has left the singular configuration."""
 
 DENSE_PIVOT_RATIO = 1e-12
-"""Pivot ratio reported for accelerations of the dense form: a singular configuration has no larger one. Large
-mass ratios alone leave a larger one."""
+"""Pivot ratio reported for accelerations of the dense form, which stands for a singular configuration. If
+large mass ratios alone cause small pivots, the reported pivot ratio is larger."""
 
 UNSAFE_STEP_FACTOR = 0.8
-"""Factor for a step with a stage where accelerations are unsafe."""
+"""Factor by which a step is shortened if the accelerations at one of its stages are unsafe."""
 
 MAX_PLACEMENT_TRIES = 12
-"""Largest number of times that a step is shortened because of its place; then only its error decides."""
+"""Largest number of times that a step is shortened to place a singular configuration between two stages.
+After that, only the error of the step decides."""
 
 MIDDLE_STAGE = 0.6
-"""Place in a step (0 to 1) of stage 9 of DOP853, the stage between the ends that `locate_crossing` uses."""
+"""Time of stage 9 of DOP853 as a fraction of the step: the stage that `locate_crossing` uses in addition to
+those at both ends."""
 
 CROSSING_TARGET, CROSSING_MIN, CROSSING_MAX = 0.4667, 0.38, 0.55
-"""Places in a step (0 to 1) at which a step should pass a singular configuration: best half way between the
-two stages of DOP853 that are farthest apart, at 1/3 and 3/5, and the earliest and the latest good place."""
+"""Times, as fractions of a step, at which the step should pass a singular configuration. The target is half
+way between the two stages of DOP853 that are farthest apart, at 1/3 and 3/5. The others are the earliest and
+the latest time that need no change of the step."""
 
 CROSSING_IGNORED_BEFORE = 0.04
-"""Place in a step (0 to 1). A singular configuration before it is farther from the second stage, at 0.053,
-than a shortened step would bring a stage: shortening the step gains nothing."""
+"""Fraction of a step. If a singular configuration is passed before this time, the step is not shortened. A
+shorter step would bring a stage closer to it than the second stage, at 0.053, is now."""
 
 NO_CROSSING = 1e9
 """Result of `locate_crossing` if the step comes near no singular configuration, in units of the step."""
 
 ENDS_SINGULAR_RATIO = 0.05
-"""Ratio of the distances after and before a step below which the step ends in the singular configuration."""
+"""Ratio of the distances from a singular configuration at the end and at the start of a step, below which
+the step ends in this configuration."""
 
 MIN_START_DISPLACEMENT = 1e-4
-"""rad or m, around a singular configuration, within which accelerations are unsafe. A mechanism that leaves
-more slowly than the accelerations would move it counts as at rest."""
+"""Distance d from a singular configuration, rad or m, within which accelerations a are unsafe. If a mechanism
+starts there at a speed v with v^2 < d a, accelerations move it more than its speed, and it counts as at
+rest."""
 
 REST_DISPLACEMENT = 1e-9
 """rad or m, by which a run may move from its start and still count as staying there."""
@@ -100,8 +107,9 @@ joints, and `newton_euler.integrators.projection.check_still_closed` refuses the
 def ratio_for_steps(with_masses: float, alone: float) -> float:
     """Choose the pivot ratio by which steps are placed, shortened or refused.
 
-    Far from a singular configuration, the masses alone make pivots small: the constraints decide. Near a
-    singular configuration, accelerations lose as many digits as the pivots with masses show.
+    Far from a singular configuration, small pivots come from the masses alone. The pivot ratio of the
+    constraints counts then. Near a singular configuration, accelerations lose as many digits as the pivots of
+    the equations of motion show.
 
     Args:
         with_masses: pivot ratio of the equations of motion, below `NEAR_PIVOT_RATIO`.
@@ -114,9 +122,9 @@ def ratio_for_steps(with_masses: float, alone: float) -> float:
 def evaluate(system: Equations, x: Vector, y: Vector) -> Status:
     """Evaluate the rates and the pivot ratio of a state; return a status.
 
-    The dense form evaluates where the pivot ratio of the sparse form is not positive. If constraints cannot
-    lose rank, a small pivot ratio comes from the masses alone. The pivot ratio is 1 then: no step has to be
-    placed, shortened or refused for it. Otherwise `ratio_for_steps` chooses.
+    If the pivot ratio of the sparse form is not positive, the dense form is evaluated. If constraints cannot
+    lose rank, a small pivot ratio comes from the masses alone. The result is 1 then, so that no step is
+    placed, shortened or refused. Otherwise `ratio_for_steps` chooses the result.
 
     Args:
         x: state with time and parameters (inputs,).
@@ -160,14 +168,15 @@ def check_singular_start(
         now: state at the start.
         rates: (n + 1,) rates and pivot ratio at the start.
     """
+    # sums over all velocities
     speed = 0.0
-    push = 0.0
+    acceleration = 0.0
     for i in range(system.nq, system.n):
         speed += abs(now[i])
-        push += abs(rates[i])
-    if push * span * span < REST_DISPLACEMENT and speed * span < REST_DISPLACEMENT:
+        acceleration += abs(rates[i])
+    if acceleration * span * span < REST_DISPLACEMENT and speed * span < REST_DISPLACEMENT:
         return Status.DONE
-    if speed * speed < MIN_START_DISPLACEMENT * push:
+    if speed * speed < MIN_START_DISPLACEMENT * acceleration:
         return Status.UNDETERMINED
     return Status.DONE if projecting == 1 else Status.UNPROJECTED
 
@@ -176,14 +185,15 @@ def check_singular_start(
 def locate_crossing(first: float, middle: float, last: float) -> float:
     """Locate the singular configuration that a step passes or will pass, in units of the step.
 
-    The root of the pivot ratio is proportional to a distance. The distances at both ends, at 0 and 1, give
-    two candidates: one within the step and one beyond it. The stage at `MIDDLE_STAGE` decides between them.
-    The result is `NO_CROSSING` if neither fits: far from singular configurations the pivot ratio is 1 at any
-    distance.
+    The root of the pivot ratio is proportional to the distance from the singular configuration. The distances
+    at both ends of the step give two candidates: a crossing within the step and one after its end. The
+    distance at the stage `MIDDLE_STAGE` decides between them. The result is `NO_CROSSING` if neither fits the
+    three distances within 20 %, unless the step ends in the singular configuration.
 
     Args:
         first, middle, last: pivot ratios at the beginning, at `MIDDLE_STAGE` and at the end of the step.
     """
+    # from here on: distances, up to a common factor, which change linearly with time
     first = sqrt(max(first, 0.0))
     last = sqrt(max(last, 0.0))
     middle = sqrt(max(middle, 0.0))
@@ -199,25 +209,27 @@ def locate_crossing(first: float, middle: float, last: float) -> float:
 
 
 @native
-def crossing_factor(first: float, middle: float, last: float, shorter: float) -> float:
+def crossing_factor(first: float, middle: float, last: float, error_factor: float) -> float:
     """Compute the factor for a step so that it passes a singular configuration between two stages.
 
     The factor is 1 if the step does so already, or if the step comes near no singular configuration once its
     error has shortened it.
 
     Args:
-        first, middle, last: pivot ratios, as of `locate_crossing`.
-        shorter: factor that the error of the step requires, at most 1.
+        first, middle, last: pivot ratios, see `locate_crossing`.
+        error_factor: factor that the error of the step requires, at most 1.
     """
-    where = locate_crossing(first, middle, last)
-    if where < CROSSING_IGNORED_BEFORE:
+    crossing = locate_crossing(first, middle, last)
+    if crossing < CROSSING_IGNORED_BEFORE:
         return 1.0
-    if where < CROSSING_MIN or (
-        where <= CROSSING_MAX and shorter < 1.0 and where <= CROSSING_TARGET * shorter
+    # shorten the step so that the crossing is at the target
+    if crossing < CROSSING_MIN or (
+        crossing <= CROSSING_MAX and error_factor < 1.0 and crossing <= CROSSING_TARGET * error_factor
     ):
-        return where / CROSSING_TARGET
-    if where > CROSSING_MAX * shorter and where < 1.0 + CROSSING_TARGET:
-        return where - CROSSING_TARGET * shorter
+        return crossing / CROSSING_TARGET
+    # end the step early, so that the crossing is at the target of a next step of the allowed size
+    if crossing > CROSSING_MAX * error_factor and crossing < 1.0 + CROSSING_TARGET:
+        return crossing - CROSSING_TARGET * error_factor
     return 1.0
 
 
@@ -225,9 +237,10 @@ def crossing_factor(first: float, middle: float, last: float, shorter: float) ->
 def stage_contradiction(system: Equations, h: float, now: Vector, k: Vector) -> float:
     """Measure how far the stages of a step of RK4 contradict each other, as a fraction of the speeds.
 
-    Two combinations of the accelerations of the stages are of order h^2 and h^3 in velocities if the motion
-    is smooth. Near a singular configuration, where multipliers lose their digits, the combinations are noise.
-    If a motion changes to another branch, they are as large as the velocities.
+    Two combinations of the stages' accelerations are examined: k2 - k1 and k0 - k1 - k2 + k3. If the motion
+    is smooth, they change velocities by terms of order h^2 and h^3. Near a singular configuration, where
+    multipliers lose their digits, the combinations are noise. If a motion changes to another branch, they
+    change velocities by as much as the velocities themselves.
 
     Args:
         h: step, s.

@@ -2,12 +2,12 @@
 
 An integrator gets two records: `Equations` has the functions of a scene, `Table` has the runs and the output
 times. The input of every function is one vector, a *state with time and parameters*: the n numbers (q, v),
-the time, flags of constraint rows, and the parameters of the scene. A flag leaves out a redundant constraint
-row; flags may change between steps. Parameters stay constant.
+the time, flags of constraint rows, and the parameters of the scene. A flag is 1 if a redundant constraint row
+is left out; flags may change between steps. Parameters stay constant.
 
-A derivative function writes the n rates and, in place n, the *pivot ratio* of its elimination. The pivot
-ratio measures the distance to a singular configuration, where constraints become dependent: 1 far away, and
-0 or less where the rates cannot be trusted.
+A derivative function writes the n rates (time derivatives of q and v) and, as element n, the *pivot ratio* of
+its elimination. The pivot ratio measures the distance to a singular configuration, where constraints become
+dependent: 1 far away, and 0 or less where the rates cannot be trusted.
 
 A compiled integrator makes one run after another. It can also make several runs at once, each in one *lane*
 of the processor's vector registers (`newton_euler.codegen.translate`).
@@ -39,7 +39,7 @@ class Count(IntEnum):
         REJECTED: number of rejected steps.
         DENSE_CALLS: number of evaluations of the rates by the dense, rank-revealing form.
         TIME_REACHED: time, s, that the run has reached.
-        STOP_REQUEST: 0, `STOP_ALL_RUNS` or `LEAVE_LANE`.
+        STOP_REQUEST: 0 for none, `STOP_ALL_RUNS` or `LEAVE_LANE`.
         ROWS_WRITTEN: number of output times whose states are written.
         SHORT_STEPS: number of consecutive steps shorter than `SHORT_STEP_FRACTION` of the run.
         STATUS: number of the `Status` with which the run ended.
@@ -63,8 +63,8 @@ COUNTS = len(Count)
 """Length of the vector of counts of a run."""
 
 STOP_ALL_RUNS, LEAVE_LANE = 1.0, 2.0
-"""Values of `Count.STOP_REQUEST`: make no more runs, or stop this run because other code will make it again
-alone, outside its lane."""
+"""Values of `Count.STOP_REQUEST`. `STOP_ALL_RUNS`: make no more runs. `LEAVE_LANE`: stop this run, because
+the caller will repeat it alone, outside its lane."""
 
 STEPS_PER_PAUSE = 64
 """Number of steps after which Python checks whether the user wants to interrupt the run."""
@@ -77,12 +77,13 @@ SHORT_STEP_FRACTION, MAX_SHORT_STEPS = 1e-10, 1000
 steps that are shorter than the fraction `SHORT_STEP_FRACTION` of the run."""
 
 HUGE = 1e300
-"""Stands for infinity: a value that is not below it, NaN included, counts as not finite."""
+"""Substitute for infinity: a value that is not below it, NaN included, counts as not finite."""
 
 ANGLE, QUATERNION, QUATERNION_WITH_RATES = 1.0, 2.0, 3.0
 """Values in `Equations.marks`. `ANGLE`: a coordinate with period 2 pi. `QUATERNION`: the first of four Euler
-parameters whose velocities are an angular velocity. `QUATERNION_WITH_RATES`: the first of four Euler
-parameters whose velocities are their own time derivatives, at the same places in v."""
+parameters (a unit quaternion w, x, y, z) whose velocities in v are an angular velocity.
+`QUATERNION_WITH_RATES`: the first of four Euler parameters whose velocities in v are their time derivatives,
+with the same indices."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,23 +97,25 @@ class Equations(Record):
         nq: length of the coordinates q.
         inputs: length of a state with time and parameters.
         derivative: writes the rates (n,) and the pivot ratio by the compiled sparse elimination.
-        dense: writes the same by a dense, rank-revealing form, which is slower and works in singular
-            configurations.
+        dense: writes rates and pivot ratio by a dense form, which determines ranks by singular values. It is
+            slower and works in singular configurations.
         loses_rank: 1 if constraints may become dependent in some configuration, else 0.
-        ratio: pivot ratio of the constraints alone, without masses.
+        ratio: function for the pivot ratio of the constraints alone, without masses.
         projecting: 1 if states are projected onto the constraints after each step, else 0.
         tolerance: dimensionless constraint residual below which a state is not projected.
         open_tolerance: largest dimensionless residual that a constraint may have after projection.
-        lanes: number of states that `position` and `velocity` take at once; 1 if each lane has another run.
+        lanes: number of states of one run that `position` and `velocity` take at once; 1 if the lanes make
+            different runs.
         position: writes (n + 2, lanes): the state after one Newton step towards the constraints, the squared
             residual before the step, and the pivot ratio of the Newton step.
         velocity: writes (n + 2, lanes): the state with its velocities projected, the squared residual of the
             coordinates, and the pivot ratio.
-        closing: projection by the dense form, for states where these pivot ratios are too small.
+        closing: projection by the dense form, for states at which `position` or `velocity` have too small
+            pivot ratios.
         exchange: redundant constraint rows, which a run may exchange for each other.
         projection_work: (inputs + n + 3, lanes) scratch of the projection.
         pause: writes a value other than 0 into its second argument if the user wants to stop.
-        marks: (n,) `ANGLE`, `QUATERNION` or `QUATERNION_WITH_RATES`, and 0 for other coordinates.
+        marks: (n,) `ANGLE`, `QUATERNION` or `QUATERNION_WITH_RATES`, and 0 for other elements of a state.
         groups: number of groups of coordinates and velocities that constraints connect.
         members: indices into (q, v) of each group, as `newton_euler.compiled.constraint_groups.group_places`
             writes them.
@@ -151,8 +154,8 @@ class Table(Record):
         output_state_size: nq if outputs need coordinates only, n if they need velocities too. Elements of the
             output states beyond this number may be undefined.
         runs: number of runs.
-        stride: step from one run to the next run that the same lane makes: 1, or the number of lanes.
-        first: (1,) number of the first run of a lane.
+        stride: difference of the numbers of two successive runs in a lane: 1, or the number of lanes.
+        first: (1,) number of the first run in a lane.
         times: (count,) output times, s, ascending; the first is the start and the last is the end of a run.
         ends: (runs, inputs) states with time and parameters: start states, which the integrator overwrites
             with the end states.
@@ -192,7 +195,7 @@ def reported_counts(counts: Array) -> dict[str, float]:
 
 @native
 def stop_request(system: Equations) -> int:
-    """Return `Count.STOP_REQUEST`, 0 if nothing wants the run to stop.
+    """Return `Count.STOP_REQUEST`, which is 0 if the run need not stop.
 
     Every `STEPS_PER_PAUSE` steps `pause` checks whether the user has interrupted the run.
     """
@@ -264,14 +267,14 @@ def finish_run(system: Equations, table: Table, run: int, status: int, now: Vect
 @native
 def write_row(system: Equations, states: Vector, row: int, state: Vector) -> None:
     """Write a state (n,) into row number `row` of the states (count, n) of a run."""
-    here = states[system.n * row :]
+    target = states[system.n * row :]
     for i in range(system.n):
-        here[i] = state[i]
+        target[i] = state[i]
     system.counts[Count.ROWS_WRITTEN] = float(row + 1)
 
 
 @native
-def unwind_angles(system: Equations, x: Vector, before: Vector) -> None:
+def unwind_angles(system: Equations, x: Vector, other: Vector) -> None:
     """Bring marked angles of the state x back into -pi to pi by a full revolution.
 
     A large angle has too few digits after the decimal point for an accurate sine. A tolerance relative to the
@@ -279,40 +282,41 @@ def unwind_angles(system: Equations, x: Vector, before: Vector) -> None:
 
     Args:
         x: state (n,), changed.
-        before: another state (n,) of the same run, whose angles change by the same revolution.
+        other: another state (n,) of the same run, whose angles change by the same revolution.
     """
     for i in range(system.n):
         if system.marks[i] == ANGLE and abs(x[i]) > pi:
             revolution = 2.0 * pi if x[i] > 0.0 else -2.0 * pi
             x[i] -= revolution
-            before[i] -= revolution
+            other[i] -= revolution
 
 
 @native
-def normalize_quaternions(system: Equations, x: Vector, before: Vector) -> None:
-    """Normalize the marked Euler parameters p = (w, x, y, z) of the state x, with or without projection.
+def normalize_quaternions(system: Equations, x: Vector, consistent: Vector) -> None:
+    """Normalize the marked Euler parameters p = (w, x, y, z) of the state x.
 
     Euler parameters of norm r would scale vectors by r^2 instead of only rotating them. If the velocities are
-    the rates pdot, they become the rates of the same angular velocity 2 L pdot / r^2 (paper, equation 11).
+    the rates pdot, they become the rates of the same angular velocity. In the body frame this is
+    omega' = 2 L pdot / r^2, with the matrix L(p) of `newton_euler.model.euler_parameters.matrix_l`.
 
     Args:
         x: state (n,), changed.
-        before: state (n,) with the Euler parameters for which the rates in x hold; may be x itself.
+        consistent: state (n,) with the Euler parameters to which the rates in x belong; may be x itself.
     """
     nq = system.nq
     for i in range(nq):
         if system.marks[i] >= QUATERNION:
-            # norm of p in x, squared norm of p = (a, b, c, d) in `before`
-            a = before[i]
-            b = before[i + 1]
-            c = before[i + 2]
-            d = before[i + 3]
+            # norm of p in x, squared norm of p = (a, b, c, d) in `consistent`
+            a = consistent[i]
+            b = consistent[i + 1]
+            c = consistent[i + 2]
+            d = consistent[i + 3]
             square = a * a + b * b + c * c + d * d
             norm = sqrt(x[i] * x[i] + x[i + 1] * x[i + 1] + x[i + 2] * x[i + 2] + x[i + 3] * x[i + 3])
             for j in range(4):
                 x[i + j] = x[i + j] / norm
             if system.marks[i] == QUATERNION_WITH_RATES:
-                # half the angular velocity (u, v, w) of the body, and the rates that it gives with the new p
+                # (u, v, w) = omega' / 2 = L pdot / r^2, then the rates pdot = L^T omega' / 2 of the new p
                 k = nq + i
                 u = (a * x[k + 1] - b * x[k] - c * x[k + 3] + d * x[k + 2]) / square
                 v = (a * x[k + 2] + b * x[k + 3] - c * x[k] - d * x[k + 1]) / square

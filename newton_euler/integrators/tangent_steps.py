@@ -4,8 +4,10 @@ steps.
 The run is made first and records its steps. Then `integrate_tangents` repeats the steps of DOP853 with the
 same sizes, for the states and several tangents together (internal numerical differentiation: H. G. Bock,
 Randwertproblemmethoden zur Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen, Bonner
-Mathematische Schriften 183, 1987). Every few steps the tangents S are projected onto the linearized
-constraints, Phi_q S + Phi_p = 0 and its time derivative.
+Mathematische Schriften 183, 1987). Each tangent is in one *lane* (element) of the processor's vector
+registers. Every few steps the tangents S are projected onto the linearized constraints, Phi_q S + Phi_p = 0
+and its time derivative. Phi_q and Phi_p are the derivatives of the constraint residuals with respect to
+coordinates and parameters.
 
 A step that is short enough for a slow state may be too long for tangents that vibrate. So tangents have their
 own error control (R. P. Dickinson, R. J. Gelinas, Journal of Computational Physics 21, 1976; R. Serban, A. C.
@@ -51,7 +53,8 @@ MAX_COMPARED_RATIO = 0.1
 
 CROSSING_DIP = 0.5
 """Ratio of the smallest to the largest pivot ratio of the stages of a step, below which the step passes a
-singular configuration and is not only close to one."""
+singular configuration and is not only close to one. The pivot ratio measures the distance from a singular
+configuration, where constraints become dependent (`newton_euler.integrators.singular`)."""
 
 NOISE_MARGIN = 4.0
 """Safety factor of the measured noise (round-off error) of a tangent."""
@@ -60,7 +63,7 @@ STEPS_PER_PROJECTION = 4
 """Number of steps between two projections of the tangents onto the linearized constraints."""
 
 SMALLEST_SCALE = 1e-300
-"""Added to scales so that a division by the scale of a zero tangent is finite."""
+"""Number that is added to error scales, so that a division by the scale of a zero tangent is finite."""
 
 
 @native
@@ -111,13 +114,14 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
         of_speed = tangents.tolerance * max(speed, place) + SMALLEST_SCALE
         fifth = fifth_place / of_place / of_place + fifth_speed / of_speed / of_speed
         third = third_place / of_place / of_place + third_speed / of_speed / of_speed
-        # combined estimate, and the unscaled error for the comparison with substeps of another size
+        # combined estimate of DOP853, and the norm in SI units for the comparison with substeps of other
+        # sizes
         error = 0.0
         if fifth > 0.0 or third > 0.0:
             error = h * fifth / sqrt((fifth + 0.01 * third) * tangents.n)
         tangents.errors[lane] = error if error < FAILED_STEP_ERROR else FAILED_STEP_ERROR
-        whole = h * sqrt(fifth_place + fifth_speed)
-        tangents.errors[lanes + lane] = whole if whole < HUGE else HUGE
+        norm = h * sqrt(fifth_place + fifth_speed)
+        tangents.errors[lanes + lane] = norm if norm < HUGE else HUGE
 
 
 @native
@@ -132,8 +136,9 @@ def keep_longer_errors(tangents: Tangents, h: float) -> None:
 def find_noise(tangents: Tangents, h: float) -> None:
     """Detect tangents whose error is round-off, by comparing a substep of size h, s, with a longer one.
 
-    Round-off falls at most with the first power of the step size. Errors of the method fall with the fifth
-    power at least, and with h^12 if steps are so long that tangents explode. The limit is the third power.
+    If substeps become shorter, round-off falls at most with the first power of h. Errors of the method fall
+    with the fifth power at least, and with h^12 if steps are so long that tangents explode. An error that
+    falls by less than the third power counts as round-off.
     """
     lanes = tangents.lanes
     ratio = h / tangents.longer_errors[lanes]
@@ -160,10 +165,10 @@ def worst_error(tangents: Tangents, h: float) -> float:
 
 @native
 def passes_singular(tangents: Tangents) -> int:
-    """Return 1 if the step passes a singular configuration, else 0.
+    """Return 1 if the step with the rates k passes a singular configuration, else 0.
 
-    The run has placed such a step so that no stage is too close. Stages of substeps would be too close, so
-    the step is not divided.
+    The run has placed such a step so that no stage is too close to the singular configuration. Stages of
+    substeps would be too close, so the step is not divided.
     """
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
@@ -218,7 +223,7 @@ def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float
         stop: time at the end of the substep, s.
     """
     size = tangents.n * tangents.lanes
-    count = tangents.known - tangents.n - 1
+    count = tangents.known - tangents.n - 1  # number of flags
     if due < tangents.rows and tangents.times[due] <= stop:
         for s in range(STAGES + 1, 16):
             tangent_stage(tangents, s, t, h)
@@ -250,8 +255,9 @@ def integrate_tangents(tangents: Tangents, last: Vector) -> Status:
     x = tangents.x
     at = tangents.at
     end = tangents.k[(2 * size + lanes) * 16 :]
-    due = 0
-    # each step of the run: its state, and the tangents projected every few steps
+    due = 0  # index of the next output time
+    # each step of the run: the recorded state at its start, and the tangents, projected every few steps and
+    # after a step that passes a singular configuration
     for number in range(tangents.count):
         step = tangents.steps[(known + 1) * number :]
         t = step[n]
@@ -282,7 +288,8 @@ def integrate_tangents(tangents: Tangents, last: Vector) -> Status:
             taken = take_substep(tangents, t, h)
             if tangents.min_pivot_ratio[0] < tangents.floor:
                 return Status.SINGULAR
-            # the end of the substep, and outputs within it
+            # the end of the substep, tangents before states, and outputs within it; dense output overwrites
+            # `at`
             for i in range(size):
                 end[i] = at[along + i]
                 end[size + i] = at[i]

@@ -1,9 +1,11 @@
 """Tangents of a run: derivatives of its states along directions in the start state and the parameters.
 
 Several tangents of one run are integrated together, each in one *lane* (element) of the processor's vector
-registers. This module has their record, the stages of a step, dense output and the evaluation of results at
-output times. `newton_euler.integrators.tangent_steps` takes the steps, and
-`newton_euler.analysis.sensitivity.tangent_run` prepares the record.
+registers. This module has their record, the stages of a step of DOP853, its dense output (interpolation
+within the step), and the evaluation of results at output times. `newton_euler.integrators.tangent_steps`
+takes the steps, and `newton_euler.analysis.sensitivity.tangent_run` prepares the record. An array (n,
+lanes) has the n
+elements one after the other, each for all lanes: element i of a lane has the index lanes i + lane.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -23,7 +25,7 @@ class TangentCount(IntEnum):
     """Indices into `Tangents.counts`.
 
     Attributes:
-        SUBSTEPS: number of substeps taken; each step of the run is integrated in one or more of them.
+        SUBSTEPS: number of substeps taken; each step of the run is integrated in one or more substeps.
         STOP_REQUEST: not 0 if the user wants to stop.
         TIME_REACHED: time at the start of the present substep, s.
     """
@@ -37,23 +39,24 @@ class TangentCount(IntEnum):
 class Tangents(Record):
     """The recorded steps of a run, and the tangents that are integrated along them, one in each lane.
 
-    A state with time and parameters has n numbers (q, v), the time, flags of constraint rows in use, and the
-    parameters. A tangent with parameters has the derivatives of all these numbers along one direction.
+    A state with time and parameters has n numbers (q, v), the time, flags of constraint rows (1 for a
+    redundant row that is left out), and the parameters. A tangent with parameters has the derivatives of
+    all these numbers along one direction.
 
     Attributes:
         n: length of a state.
         inputs: length of a state with time and parameters.
-        known: length of a state with time and flags, which the record of a step has.
+        known: length of a state with time and flags, as in `steps`.
         lanes: number of tangents that are integrated together.
-        wide: number of lanes of `project` and of output functions, at least `lanes`; they take tangents of
-            several output times at once.
+        wide: number of lanes of `project` and of output functions, at least `lanes`. Output functions take
+            tangents of several output times at once.
         count: number of recorded steps of the run.
         rows: number of output times.
         max_substeps: largest number of substeps.
         projecting: 1 if states are projected onto the constraints, else 0.
         places, speeds: coordinates are the first `places` elements of a state, velocities are the elements
-            from index `speeds` on. The elements between are work of forces. Nothing depends on them, so their
-            error is not controlled.
+            from index `speeds` on. The elements between them are the work of forces. The motion does not
+            depend on this work, so its error is not controlled.
         tolerance: tolerance of the error of a substep, relative to the largest element of q and of v.
         floor: smallest pivot ratio (distance to a singular configuration) at which tangents are accurate.
         rates: writes (2 n + 1, lanes): rates of the state, rates of the tangents, and the pivot ratio.
@@ -63,15 +66,17 @@ class Tangents(Record):
         times: (rows,) output times, s.
         states: (rows, n) states of the run at the output times.
         flags: (rows, known - n - 1) flags of constraint rows at the output times.
-        x: (2 inputs, lanes) state with time and parameters, then the tangent with parameters.
-        wide_x: (2 inputs, wide) the same for `project` and output functions.
-        at: (2 inputs, lanes) the same at a stage of a step.
-        k: (17, 2 n + 1, lanes) rates of the 16 stages as `rates` writes them, then scratch.
+        x: (2 inputs, lanes) state with time and parameters, then the tangent with parameters, at the start of
+            a step.
+        wide_x: (2 inputs, wide) state and tangent with parameters for `project` and output functions.
+        at: (2 inputs, lanes) state and tangent with parameters at a stage of a step.
+        k: (17, 2 n + 1, lanes) rates of the 16 stages as `rates` writes them, then one row of scratch.
         table: (rows, n, lanes) tangents at the output times.
         min_pivot_ratio: (1,) smallest pivot ratio so far.
-        errors: (2, lanes) error of the last substep in units of the tolerance, and its unscaled norm.
-        longer_errors: (lanes + 1,) unscaled errors of a longer substep, and its size, s.
-        noise: (lanes,) unscaled error per second that is round-off and does not fall with the step size.
+        errors: (2, lanes) error of the last substep in units of the tolerance, and its norm in SI units.
+        longer_errors: (lanes + 1,) norms in SI units of the errors of a longer substep, and its size, s.
+        noise: (lanes,) norm of the error per second, SI, that is round-off and does not fall with the step
+            size.
         counts: (3,) counts of the integration, see `TangentCount`.
         found: (outputs, wide) scratch for the results of any function.
     """
@@ -154,6 +159,7 @@ def tangent_stage(tangents: Tangents, s: int, t: float, h: float) -> None:
     at = tangents.at
     x = tangents.x
     k = tangents.k
+    # the state, then the tangents
     if s > 0:
         advance(s, h, size, row, x, k, at)
         advance(s, h, size, row, x[along:], k[size:], at[along:])
@@ -185,12 +191,14 @@ def prepare_terms(tangents: Tangents, h: float) -> None:
 def interpolate_tangents(tangents: Tangents, theta: float, y: Vector) -> None:
     """Evaluate the dense output of the tangents within a step, after `prepare_terms`.
 
+    Term j has the weight theta (1 - theta) theta ... with j + 1 factors.
+
     Args:
         theta: time as a fraction of the step, 0 to 1.
         y: (n, lanes) tangents, written.
     """
     size = tangents.n * tangents.lanes
-    row = 2 * size + tangents.lanes
+    row = 2 * size + tangents.lanes  # length of a row of k
     terms = tangents.k[size:]
     start = tangents.x[tangents.inputs * tangents.lanes :]
     for i in range(size):
@@ -218,7 +226,8 @@ def gather_outputs(tangents: Tangents, row: int, lane: int, used: int) -> None:
     wide = tangents.wide
     inputs = tangents.inputs
     wide_x = tangents.wide_x
-    for place in range(wide):
+    for place in range(wide):  # the lane of `wide_x`; `lane` is that of the tangent
+        # state and tangent, then time and flags, whose tangents are 0, then parameters
         state = tangents.states[n * row :]
         tangent = tangents.table[n * lanes * row :]
         for i in range(n):

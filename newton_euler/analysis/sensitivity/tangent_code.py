@@ -148,8 +148,8 @@ class TangentCode(CompiledScene):
         right = substitute(graph, differentiated(np.concatenate(residuals).tolist(), x, along), held, values)
         # derivatives of the accelerations
         force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
-        free = equations.factor.lower(force)
-        found = solve_constrained(equations._replace(free=free, gamma=gamma)).acceleration
+        reduced_force = equations.factor.lower(force)
+        found = solve_constrained(equations._replace(reduced_force=reduced_force, gamma=gamma)).acceleration
         acceleration_changes = [found.get(k, 0.0) for k in range(count)]
         of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
         # derivatives of qdot and vdot
@@ -207,7 +207,7 @@ class TangentCode(CompiledScene):
 
     def _trace_reversing(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the vectors of forces that may jump; the layout has the names of the forces."""
-        at, scalars = system.seen(q, v), list[Scalar]()
+        at, scalars = system.surroundings(q, v), list[Scalar]()
         places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
         for force in system.scene.forces:
             if force.may_jump:

@@ -12,7 +12,7 @@ from finite_difference import derivative, jacobian
 from mechanisms import spinning_top
 
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.formulation import REMEMBERED
+from newton_euler.equations.formulation import MAX_REMEMBERED_STATES
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
 from newton_euler.model.euler_parameters import matrix_l, rotation
@@ -136,7 +136,7 @@ def test_threads_may_share_equations(tracker):
     rest = np.zeros(system.nv)
 
     def remember(thread: int) -> bool:
-        states = (np.full(system.nq, float(2 * n + thread)) for n in range(100 * REMEMBERED))
+        states = (np.full(system.nq, float(2 * n + thread)) for n in range(100 * MAX_REMEMBERED_STATES))
         return all(system.remembered(q, rest, lambda q, _: q[0]) == q[0] for q in states)
 
     sys.setswitchinterval(1e-6)

@@ -55,7 +55,7 @@ def angles(scene: Scene, formulation: str) -> dict[str, float]:
     """Of the wheels, as a formulation begins with them."""
     system = formulate(scene, formulation)
     q, v = system.coordinates(initial_state(scene))
-    return {key[0]: float(values[0]) for key, values in system.seen(q, v).measured.items()}
+    return {key[0]: float(values[0]) for key, values in system.surroundings(q, v).measured.items()}
 
 
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
@@ -122,7 +122,7 @@ def test_a_slide_determines_the_revolutions_of_all_that_it_drives():
         moved = replace(scene, motions=(), initial_state=initial_state(scene))
         for found in (scene, moved):
             q, v = formulate(found, "relative").coordinates(initial_state(found))
-            seen = formulate(found, "relative").seen(q, v).measured
+            seen = formulate(found, "relative").surroundings(q, v).measured
             at = {key: float(values[0]) for key, values in seen.items()}
             expected = {"guide": 1.3, "shaft": 26.0, "axle": 52.0, "thread": 1.3}
             assert {name: at[name, 0] for name in expected} == pytest.approx(expected, abs=1e-8)

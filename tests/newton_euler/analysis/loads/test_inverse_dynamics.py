@@ -252,7 +252,7 @@ def test_static_loads_balance_weight_wrenches_and_springs():
     still = np.zeros_like(run.position[0])
     for k, (position, quaternion) in enumerate(resting):
         state = State(position, quaternion, still, still)
-        at = Relative(scene).seen(*Relative(scene).coordinates(state))
+        at = Relative(scene).surroundings(*Relative(scene).coordinates(state))
         force, moment = np.zeros(3), np.zeros(3)
         for body, r in zip(mechanism.bodies[1:], position[1:], strict=True):
             force += body.mass * scene.gravity
