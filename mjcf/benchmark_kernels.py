@@ -1,9 +1,10 @@
 """Benchmark kernels of MuJoCo: single runs and batches of runs with as little Python overhead as possible.
 
-crosscheck's benchmarks measure MuJoCo's speed with these kernels. They store poses at output times only.
-Features that no scene uses are switched off. The warm start of the solver is switched off as well, because
-one Newton step solves equality constraints, which are linear in the accelerations. Constraints are as stiff
-as the step allows, with a time constant of two steps.
+crosscheck's benchmarks measure MuJoCo's speed with these kernels, on scenes (mechanisms with forces, control
+laws and initial state). They store poses at output times only. Features that no scene uses are switched off.
+The warm start of the solver is switched off as well, because one Newton step solves equality constraints,
+which are linear in the accelerations. Constraints are as stiff as the step allows, with a time constant of
+two steps.
 """
 
 from __future__ import annotations
@@ -46,19 +47,23 @@ MAX_ROLLOUT_BYTES = 32_000_000
 
 
 def compiled(scene: Scene) -> SoftMuJoCo:
-    """Compile a scene without the features that the scene does not need.
+    """Compile a scene without the features of MuJoCo that the scene does not need.
 
     Raises:
-        MjcfError: for a prescribed motion, wind, or a control law other than PD.
+        MjcfError: for a prescribed motion, wind, or a control law other than PD, which need a callback.
     """
+    # the first element that MuJoCo cannot simulate without Python
     for motion in scene.motions:
         raise MjcfError(
             f"motion of joint {motion.joint!r}: MuJoCo has no time-dependent equality, "
             "and benchmark kernels call no Python"
         )
     system = SoftMuJoCo(scene)
-    for each in (*system.evaluated.values(), *wind_loads(scene)):
-        raise MjcfError(f"{each.element}: MuJoCo has no such actuator, and benchmark kernels call no Python")
+    for law_or_load in (*system.evaluated.values(), *wind_loads(scene)):
+        raise MjcfError(
+            f"{law_or_load.element}: MuJoCo has no such actuator, and benchmark kernels call no Python"
+        )
+    # features
     disabled = [*UNUSED_FEATURES]
     if not scene.forces:
         disabled += PASSIVE_FEATURES
@@ -78,7 +83,7 @@ def forward(scene: Scene) -> Any:
 
 
 def steps(scene: Scene) -> Any:
-    """Return a function that takes a number of Euler steps from the initial state by `mj_step`."""
+    """Return a function of a number n, which takes n Euler steps from the initial state by `mj_step`."""
     system = compiled(scene)
     system.set_state(*system.coordinates(initial_state(scene)))
     model, data = system.model, system.data
@@ -86,6 +91,7 @@ def steps(scene: Scene) -> Any:
     qpos, qvel = data.qpos.copy(), data.qvel.copy()
 
     def call(count: int) -> None:
+        """Take `count` steps from the initial state."""
         data.qpos[:], data.qvel[:] = qpos, qvel
         mujoco.mj_step(model, data, count)
 
@@ -115,9 +121,9 @@ class Stepper:
         Args:
             system: compiled scene.
             integrator: name of MuJoCo's integrator.
-            intervals: in order of time, number and length, s, of equal output intervals.
+            intervals: groups of equal output intervals in order of time: number of intervals, length in s.
             number: number of steps per output interval.
-            damping_ratio: damping ratio of the constraints.
+            damping_ratio: damping ratio of the constraints, the second number of `solref`.
         """
         self._system, self._intervals, self._number, self._ratio = system, intervals, number, damping_ratio
         self._integrator = integrator
@@ -214,7 +220,7 @@ class Rollout:
             system: compiled scene.
             integrator: name of MuJoCo's integrator.
             number: number of steps per output interval.
-            damping_ratio: damping ratio of the constraints.
+            damping_ratio: damping ratio of the constraints, the second number of `solref`.
             threads: number of threads.
         """
         self._system, self._number = system, number
@@ -224,7 +230,7 @@ class Rollout:
         system.use_step(step, stiffest_solref(step, damping_ratio))
         self._data_of_threads = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
-        # runs of one call: as many as fit into the memory, but at least ten for each thread
+        # runs of one call: as many as fit into `MAX_ROLLOUT_BYTES`, but at least ten for each thread
         steps = number * (len(times) - 1)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         runs = max(10 * threads, MAX_ROLLOUT_BYTES // (8 * steps * size))
@@ -274,8 +280,12 @@ class Rollout:
 
 
 def _controls_of_steps(scene: Scene, steps: int, step: float) -> Array:
-    """Return the controls (steps, nu) of each step: those of its middle, for an error of second order."""
-    return np.array([controls(scene, (n + 0.5) * step, {}) for n in range(steps)])
+    """Return the controls (steps, nu) that are constant during each step.
+
+    They are the controls at the middle of the step, for an error of second order in the step. PD laws need no
+    measured coordinates, because MuJoCo's actuators add the feedback.
+    """
+    return np.array([controls(scene, (n + 0.5) * step, readings={}) for n in range(steps)])
 
 
 def _scene_poses(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[Array, Array]:

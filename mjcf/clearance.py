@@ -1,4 +1,4 @@
-"""Smallest distance between the shapes of a mechanism's bodies at given poses, by MuJoCo's geometry."""
+"""Smallest distance between the shapes of a mechanism's bodies at given poses, computed by MuJoCo."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
         quaternion: (n, b, 4) orientations (w, x, y, z) of all bodies.
 
     Returns:
-        (n,) m, negative if shapes overlap; infinite if there are no two such bodies.
+        (n,) m, negative if shapes overlap; infinite if a joint connects each two bodies with shapes.
     """
     import mujoco
 
@@ -60,7 +60,7 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
         for k in np.argsort(lower_bounds):
             if lower_bounds[k] >= smallest[n]:
                 break  # all other pairs are farther apart
-            # MuJoCo searches up to a limit; twice the distance of the centers plus the radii is enough
+            # MuJoCo searches up to a limit; the distance of the centers plus the radii would be enough
             limit = 2.0 * (lower_bounds[k] + radii[k]) + radii[k]
             distance = mujoco.mj_geomDistance(model, data, int(first[k]), int(second[k]), limit, None)
             smallest[n] = min(smallest[n], distance)

@@ -50,7 +50,7 @@ def collected_warnings(data: Any = None) -> Iterator[dict[str, float]]:
     """Return a context that collects MuJoCo's warnings, which are otherwise written to a log file.
 
     The context yields a dictionary that fills during the context: the time, s, at which each warning first
-    occurred, by message. The time is `data.time`, or NaN without `data`, an `MjData`.
+    occurred, by message. The time is `data.time` of the `MjData` of a run, or NaN without `data`.
     """
     import mujoco
 

@@ -1,7 +1,8 @@
 """Evaluate a state in MuJoCo for given accelerations and constraint forces.
 
-`mjcf.rigid` and `mjcf.soft` compute accelerations in different ways. Both derive from `EvaluatedScene`, which
-computes accelerations of bodies, joint reactions and energies from them.
+`mjcf.rigid` and `mjcf.soft` compute the accelerations of MuJoCo's coordinates in different ways: with rigid
+and with soft constraints. Both derive from `EvaluatedScene`, which computes accelerations of bodies, joint
+reactions and energies from accelerations and constraint forces.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ class EvaluatedScene(MujocoScene):
         return Reactions(self)
 
     def evaluation(self, acceleration: Array, multipliers: Array) -> Evaluation:
-        """Evaluate the state in `data`, which needs `mj_fwdActuation`.
+        """Return motion, energies, reactions and actuator forces at the state in `data`.
+
+        `data` needs `mj_fwdActuation`.
 
         Args:
             acceleration: (nv,) accelerations qacc of MuJoCo's coordinates.
@@ -56,14 +59,14 @@ class EvaluatedScene(MujocoScene):
         data = self.data
         data.qacc[:] = acceleration
         data.efc_force[:] = multipliers
-        # mj_rnePostConstraint omits motors on sites from the balances of forces on bodies
+        # mj_rnePostConstraint omits the forces of motors on sites, so that they are added as applied forces
         data.xfrc_applied[:] = self._motor_wrenches()
         mujoco.mj_rnePostConstraint(self.model, data)
         data.xfrc_applied[:] = 0.0
         linear, angular = self._body_accelerations()
         force, torque = self._reactions.evaluate()
         return Evaluation(
-            **vars(self.observation()),
+            **vars(self.observation()),  # state and energies
             linear_acceleration=linear,
             angular_acceleration=angular,
             reaction_force=force,
@@ -82,11 +85,13 @@ class EvaluatedScene(MujocoScene):
     def _motor_wrenches(self) -> Array:
         """Return force and torque (nbody, 6) of motors on sites, about the centers of mass, world frame.
 
-        Motors on sites apply wrenches and wind. They follow the actuators of control laws.
+        Motors on sites apply the wrenches and the wind of the scene. In MuJoCo's list of actuators, they
+        follow the actuators of control laws.
         """
         model, data = self.model, self.data
         wrenches = np.zeros((model.nbody, 6))
         for motor in range(len(self.scene.control), model.nu):
+            # a gear is three forces and three torques in the axes of the site or of a reference site
             site, reference = model.actuator_trnid[motor]
             frame = data.site_xmat[site if reference < 0 else reference].reshape(3, 3)
             force, torque = data.actuator_force[motor] * model.actuator_gear[motor].reshape(2, 3) @ frame.T

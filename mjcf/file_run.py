@@ -1,7 +1,10 @@
-"""Simulate an MJCF file in MuJoCo as it stands: its time step, integrator, solver and soft constraints.
+"""Simulate an MJCF file in MuJoCo with the file's own time step, integrator, solver and soft constraints.
 
-Start and inputs are those of the imported scene. Contacts, limits, friction and everything else of the file
-act, and the run notes when each of them does so first. A reduced run leaves out what the scene does not have.
+A scene is the mechanism with forces and control laws that `mjcf.reader` imports from the file. crosscheck
+compares a run of the file with an accurate reference solution of the scene, to measure the error of the
+file's settings and the causes of the error. The run has the initial state and the controls of the scene. In a
+complete run, all elements of the file act, and the run records when each contact, limit and dry friction acts
+first. In a reduced run, the elements that the scene does not have, such as contacts, are switched off.
 """
 
 from __future__ import annotations
@@ -39,22 +42,23 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 DEFAULT_SOLIMP = (0.9, 0.95, 0.001)
-"""MuJoCo's default for the first three numbers of `solimp`."""
+"""MuJoCo's default of the first three numbers of `solimp`: impedances dmin and dmax, and width, m."""
 
 RIGID_SOLIMP = (0.9999, 0.9999, 0.001)
-"""Largest impedances that MuJoCo accepts, and its default width, m."""
+"""First three numbers of `solimp` for the largest impedances that MuJoCo accepts, with the default width."""
 
-CONVERGED_ITERATIONS, CONVERGED_TOLERANCE = 1000, 1e-14
-"""Settings of a constraint solver that runs until round-off ends its progress."""
+CONVERGED_SOLVER: dict[str, Any] = {"solver": "Newton", "iterations": 1000, "tolerance": 1e-14}
+"""Settings of the constraint solver with which it iterates until round-off ends its progress."""
 
 DEFAULT_SOLVER: dict[str, Any] = {"solver": "Newton", "iterations": 100, "tolerance": 1e-8}
 """MuJoCo's default settings of the constraint solver; Newton's method converges in a few iterations."""
 
 FINE_STEP_DIVISOR = 10
-"""Factor on the step of a run that shows the error of the step: order 1 leaves a tenth of it."""
+"""Divisor of the time step in a run that shows the error of the step: methods of order 1 leave a tenth of it.
+"""
 
 MAX_LISTED = 5
-"""Largest number of equalities that a text names."""
+"""Largest number of equalities that a comment in an XML fragment names."""
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "RK4")
 """MuJoCo's integrators by their name in MJCF."""
@@ -65,21 +69,22 @@ EVENT_KINDS = {
     mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF: ("dry friction", "joint"),
     mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON: ("dry friction", "tendon"),
 }
-"""Topic and kind of element of constraint rows that the reference does not have."""
+"""Topic and kind of element, by type of MuJoCo's constraint rows, of limits and dry friction, which the
+imported scene does not have."""
 
 
 @dataclass(frozen=True)
 class MujocoSettings:
-    """Settings of a run in MuJoCo.
+    """Settings of a run in MuJoCo, with the names of MJCF.
 
     Attributes:
         timestep: s.
-        integrator: "Euler", "RK4", "implicit" or "implicitfast".
+        integrator: one of `INTEGRATORS`.
         solver: "Newton", "CG" or "PGS".
-        iterations: largest number of iterations of the solver.
-        tolerance: relative improvement at which the solver stops.
-        solref: softness of all equalities; None keeps the softness of each one in the file.
-        solimp: first three numbers of the impedance of all equalities; None keeps those in the file.
+        iterations: largest number of iterations of the constraint solver.
+        tolerance: relative improvement at which the constraint solver stops.
+        solref: softness of all equalities; None keeps the softness that each equality has in the file.
+        solimp: first three numbers of the impedance of all equalities; None keeps the numbers in the file.
     """
 
     timestep: float
@@ -92,19 +97,20 @@ class MujocoSettings:
 
     @classmethod
     def of(cls, model: Any) -> MujocoSettings:
-        """Read the settings of a compiled model."""
+        """Read the settings of a compiled model; the softness of equalities stays as in the model (None)."""
+        # MuJoCo's constants are in capital letters, the names of MJCF are not
         integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
         solver = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
         return cls(
-            float(model.opt.timestep),
-            integrator if integrator == "RK4" else integrator.lower().replace("euler", "Euler"),
-            solver if solver != "NEWTON" else "Newton",
-            int(model.opt.iterations),
-            float(model.opt.tolerance),
+            timestep=float(model.opt.timestep),
+            integrator=integrator if integrator == "RK4" else integrator.lower().replace("euler", "Euler"),
+            solver=solver if solver != "NEWTON" else "Newton",
+            iterations=int(model.opt.iterations),
+            tolerance=float(model.opt.tolerance),
         )
 
     def apply(self, model: Any) -> None:
-        """Give a compiled model these settings."""
+        """Set these settings in a compiled model."""
         model.opt.timestep = self.timestep
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{self.integrator.upper()}")
         model.opt.solver = getattr(mujoco.mjtSolver, f"mjSOL_{self.solver.upper()}")
@@ -126,43 +132,48 @@ class Inputs:
     def __init__(self, model: Any, control: Array, activation: Array, sines: Mapping[int, Sine]) -> None:
         """Take the inputs of an imported scene.
 
-        An activation a(t) = a_0 + A sin(w t) needs the control da/dt of an integrator, and a + tau da/dt of a
-        filter (MuJoCo's documentation, Modeling, Actuator, attribute dyntype).
+        For an activation a(t) = a_0 + A sin(w t), an actuator with dynamics "integrator" needs the control
+        da/dt. An actuator with dynamics "filter" needs a + tau da/dt (MuJoCo's documentation, Modeling,
+        Actuator, attribute dyntype).
 
         Args:
             model: compiled model.
             control: (nu,) controls at the start.
             activation: (na,) activations at the start.
-            sines: sine of the control, or of the activation of an actuator with dynamics, by actuator.
+            sines: sine of the control, or of the activation of an actuator with dynamics, by number of the
+                actuator.
         """
         self.control, self.activation = control, activation
-        self._places = np.array([model.actuator_ctrladr[k] for k in sines], dtype=int)
+        self._control_indices = np.array([model.actuator_ctrladr[k] for k in sines], dtype=int)
         self._frequency = np.array([sine.angular_frequency for sine in sines.values()])
+        # amplitudes of sin(w t) and cos(w t) in the control of each actuator
         by_sine, by_cosine = [], []
         for actuator, sine in sines.items():
             rate = sine.amplitude * sine.angular_frequency
             match mujoco.mjtDyn(model.actuator_dyntype[actuator]):
                 case mujoco.mjtDyn.mjDYN_NONE:
-                    weights = sine.amplitude, 0.0
+                    of_sine, of_cosine = sine.amplitude, 0.0
                 case mujoco.mjtDyn.mjDYN_INTEGRATOR:
-                    weights = 0.0, rate
+                    of_sine, of_cosine = 0.0, rate
                 case mujoco.mjtDyn.mjDYN_FILTER | mujoco.mjtDyn.mjDYN_FILTEREXACT:
-                    weights = sine.amplitude, rate * float(model.actuator_dynprm[actuator, 0])
+                    tau = float(model.actuator_dynprm[actuator, 0])
+                    of_sine, of_cosine = sine.amplitude, rate * tau
                 case kind:
                     raise NotImplementedError(f"sine of an actuator with dynamics {kind.name}")
-            by_sine.append(weights[0])
-            by_cosine.append(weights[1])
+            by_sine.append(of_sine)
+            by_cosine.append(of_cosine)
         self._by_sine, self._by_cosine = np.array(by_sine), np.array(by_cosine)
 
     @property
     def are_constant(self) -> bool:
-        """True without sines."""
-        return not len(self._places)
+        """True if no control follows a sine."""
+        return not len(self._control_indices)
 
     def at(self, now: float) -> Array:
         """Return the controls (nu,) at a time, s."""
         control, phase = self.control.copy(), self._frequency * now
-        control[self._places] += self._by_sine * np.sin(phase) + self._by_cosine * np.cos(phase)
+        sines = self._by_sine * np.sin(phase) + self._by_cosine * np.cos(phase)
+        control[self._control_indices] += sines
         return control
 
     @property
@@ -201,8 +212,10 @@ class MujocoFile(FileSimulation[MujocoSettings]):
     """MJCF file with its own settings, at the start of an imported scene.
 
     Attributes:
-        own_softness: equalities of the file that do not have the softness of `<default>`, such as
-            "connect 'loop'".
+        scene: imported scene.
+        settings: settings of the file.
+        own_softness: equalities of the file that take `solref` or `solimp` from elsewhere than the top-level
+            `<default>`, such as "connect 'loop'". A change of `<default>` does not reach them.
     """
 
     own_softness: Sequence[str] = ()
@@ -216,38 +229,42 @@ class MujocoFile(FileSimulation[MujocoSettings]):
 
         Args:
             model: compiled model of the file.
-            reference: reference model of the scene; its start is the configuration of the run.
+            reference: compiled model with which the import of the scene is verified. Its start, qpos with
+                closed loops, is the start of the run. It also maps MuJoCo's bodies to bodies of the scene.
             scene: imported scene.
-            report: import report, which lists what the scene does not have.
+            report: import report, which lists the elements that the scene does not have.
             inputs: controls of the scene.
         """
         self._model, self.scene, self._report, self._inputs = model, scene, report, inputs
         self.settings = MujocoSettings.of(model)
         self._start = reference.start
+        # bodies of the scene, and the rigid groups of MuJoCo's bodies that each of them represents
         self._names = reference.names
         self._groups = reference.groups
-        # joint velocities from the velocities of the bodies
+        # qvel from the initial velocities of the scene's bodies
         state = initial_state(scene)
-        places = [scene.mechanism.body_names.index(name) for name in self._names]
-        motion = np.hstack([state.linear_velocity[places], state.angular_velocity[places]])
-        rows = reference.kinematics(self._start, np.zeros(model.nv)).transformation
-        self._velocity = least_squares(rows.reshape(-1, model.nv), motion.ravel())
+        bodies = [scene.mechanism.body_names.index(name) for name in self._names]
+        body_velocities = np.hstack([state.linear_velocity[bodies], state.angular_velocity[bodies]])
+        jacobian = reference.kinematics(self._start, np.zeros(model.nv)).transformation
+        self._velocity = least_squares(jacobian.reshape(-1, model.nv), body_velocities.ravel())
 
     def words(self) -> str:
+        """Describe the settings of the file in one short text, such as "implicitfast, 2 ms, solref 0.02"."""
         settings = self.settings
         words = [settings.integrator, f"{1e3 * settings.timestep:g} ms"]
         if settings.solver != "Newton":
             words.append(f"solver {settings.solver}")
         if self._model.neq:
-            constants = np.unique(self._model.eq_solref[:, 0])
-            words.append(f"solref {' and '.join(f'{value:g}' for value in constants)}")
-            softness = np.unique(self._model.eq_solimp[:, :3], axis=0)
-            if np.any(softness != DEFAULT_SOLIMP):
-                words.append(f"solimp {' and '.join(' '.join(f'{x:g}' for x in row) for row in softness)}")
+            time_constants = np.unique(self._model.eq_solref[:, 0])
+            words.append(f"solref {' and '.join(f'{value:g}' for value in time_constants)}")
+            impedances = np.unique(self._model.eq_solimp[:, :3], axis=0)
+            if np.any(impedances != DEFAULT_SOLIMP):
+                texts = [" ".join(f"{x:g}" for x in row) for row in impedances]
+                words.append(f"solimp {' and '.join(texts)}")
         return ", ".join(words)
 
     def changes(self, settings: MujocoSettings) -> dict[str, str]:
-        """Map the attributes of MJCF that differ from the file to their values."""
+        """Map the settings that differ from those of the file to their values as text, by name in MJCF."""
         given = {
             "timestep": f"{settings.timestep:.10g}",
             "integrator": settings.integrator,
@@ -257,10 +274,16 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             "solref": _numbers(settings.solref),
             "solimp": _numbers(settings.solimp),
         }
-        own = vars(self.settings)
-        return {name: value for name, value in given.items() if value and vars(settings)[name] != own[name]}
+        of_file = vars(self.settings)
+        return {
+            name: value for name, value in given.items() if value and vars(settings)[name] != of_file[name]
+        }
 
     def fragment(self, settings: MujocoSettings) -> str:
+        """Return the XML elements that give the file these settings.
+
+        A comment names the equalities that `<default>` does not reach.
+        """
         changes = self.changes(settings)
         softness: dict[str, str] = {}
         for name in ("solref", "solimp"):
@@ -294,45 +317,73 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         }
 
     def causes(self) -> Iterator[Cause[MujocoSettings]]:
-        own = self.settings
-        fine = replace(own, timestep=own.timestep / FINE_STEP_DIVISOR)
+        """Yield the properties of the file's settings that can cause an error.
+
+        The contribution of a cause is the difference of two runs: with the settings `without` the cause, and
+        with the settings `against` (those of the file by default).
+        """
+        of_file = self.settings
+        fine = replace(of_file, timestep=of_file.timestep / FINE_STEP_DIVISOR)
         if self._model.neq:
-            stiff = self.softness(fine)[-1]
-            yield Cause("soft constraints", without=stiff, against=fine)
+            *_, stiffest = self.softness(fine)
+            yield Cause("soft constraints", without=stiffest, against=fine)
         yield Cause(TIME_STEP, without=fine)
         for name in INTEGRATORS:
-            if name != own.integrator:
-                cost = evaluations_per_step(name) / evaluations_per_step(own.integrator)
-                yield Cause(INTEGRATOR, replace(own, integrator=name, timestep=own.timestep * cost))
-        converged = replace(
-            own, iterations=CONVERGED_ITERATIONS, tolerance=CONVERGED_TOLERANCE, solver="Newton"
-        )
-        yield Cause("solver iterations", without=converged)
+            if name != of_file.integrator:
+                # a time step with equal cost per second of motion
+                cost = evaluations_per_step(name) / evaluations_per_step(of_file.integrator)
+                other = replace(of_file, integrator=name, timestep=of_file.timestep * cost)
+                yield Cause(INTEGRATOR, without=other)
+        yield Cause("solver iterations", without=replace(of_file, **CONVERGED_SOLVER))
 
     def softness(self, settings: MujocoSettings) -> tuple[MujocoSettings, ...]:
-        """Return settings with the file's softness, with the stiffest solref, and with the largest solimp."""
+        """Return variants of settings, from soft to stiff equalities.
+
+        They are the given settings, the same with the stiffest `solref` that MuJoCo allows for the time step
+        (a time constant of two steps), and in addition with `RIGID_SOLIMP`. Without equalities, only the
+        given settings are returned.
+        """
         if not self._model.neq:
             return (settings,)
         stiff = replace(settings, solref=(2.0 * settings.timestep, 1.0))
         return settings, stiff, replace(stiff, solimp=RIGID_SOLIMP)
 
     def alternatives(self, divisor: int) -> Iterator[MujocoSettings]:
-        own = self.settings
-        step = own.timestep / divisor
-        solvers: list[dict[str, Any]] = [{}]
-        is_weak = own.iterations < DEFAULT_SOLVER["iterations"] or own.tolerance > DEFAULT_SOLVER["tolerance"]
-        if self._model.neq and (is_weak or own.solver != DEFAULT_SOLVER["solver"]):
+        """Yield other settings that may reduce the error, with the file's time step divided by `divisor`.
+
+        They combine all integrators, all variants of `softness`, and the default solver if the file's solver
+        is weaker.
+        """
+        of_file = self.settings
+        step = of_file.timestep / divisor
+        solvers: list[dict[str, Any]] = [{}]  # the file's solver
+        is_weak = of_file.iterations < DEFAULT_SOLVER["iterations"]
+        is_weak = is_weak or of_file.tolerance > DEFAULT_SOLVER["tolerance"]
+        if self._model.neq and (is_weak or of_file.solver != DEFAULT_SOLVER["solver"]):
             solvers.append(DEFAULT_SOLVER)
         for solver in solvers:
-            for integrator in dict.fromkeys([own.integrator, *INTEGRATORS]):
-                yield from self.softness(replace(own, timestep=step, integrator=integrator, **solver))
+            for integrator in dict.fromkeys([of_file.integrator, *INTEGRATORS]):
+                yield from self.softness(replace(of_file, timestep=step, integrator=integrator, **solver))
 
     def at_divisor(self, settings: MujocoSettings, divisor: float) -> MujocoSettings:
+        """Return the same settings with the file's time step divided by `divisor`.
+
+        A `solref` in the settings becomes the stiffest one for the new step.
+        """
         step = self.settings.timestep / divisor
         solref = None if settings.solref is None else (2.0 * step, 1.0)
         return replace(settings, timestep=step, solref=solref)
 
     def run(self, settings: MujocoSettings, steps: int, every: int, reduced: bool = False) -> FileRun:
+        """Simulate the file.
+
+        Args:
+            settings: settings of the run.
+            steps: number of time steps.
+            every: number of steps from one output to the next.
+            reduced: True to switch off all elements that the imported scene does not have.
+        """
+        # the model, and its state and controls at the start
         model, active = self._prepared(reduced)
         settings.apply(model)
         data = mujoco.MjData(model)
@@ -340,20 +391,22 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         data.act[:], data.eq_active[:] = self._inputs.activation, active
         data.ctrl[:] = self._inputs.control
         recorder = _Recorder(model, data, self._groups)
-        watch = None if reduced else _Watch(model, data)
-        at_once = every if watch is None and self._inputs.are_constant else 1
-        wall_time = 0.0
+        events = None if reduced else _EventRecorder(model, data)
+        # steps of one call of `mj_step`: one, if Python has to change controls or examine each step
+        steps_per_call = every if events is None and self._inputs.are_constant else 1
+        thread_time = 0.0
         with collected_warnings(data) as warnings:
             recorder.record()
             for _ in range(steps // every):
-                for _ in range(every // at_once):
+                for _ in range(every // steps_per_call):
                     if not self._inputs.are_constant:
                         data.ctrl[:] = self._inputs.at(data.time)
                     start = time.thread_time()
-                    mujoco.mj_step(model, data, at_once)
-                    wall_time += time.thread_time() - start
-                    if watch is not None:
-                        watch.look()
+                    mujoco.mj_step(model, data, steps_per_call)
+                    thread_time += time.thread_time() - start
+                    if events is not None:
+                        events.record()
+                # MuJoCo checks only the state before each step
                 mujoco.mj_checkPos(model, data)
                 mujoco.mj_checkVel(model, data)
                 if warnings:  # MuJoCo resets a diverged run
@@ -361,38 +414,44 @@ class MujocoFile(FileSimulation[MujocoSettings]):
                 recorder.record()
         stopped = next((f"{text} at {now:.4g} s" for text, now in warnings.items()), "")
         return FileRun(
-            recorder.trajectory(self.engine, self.scene, self._names, vars(settings), wall_time),
-            np.array(recorder.opening),
-            tuple(watch.events) if watch else (),
-            stopped,
-            tuple(recorder.states),
+            trajectory=recorder.trajectory(self.engine, self.scene, self._names, vars(settings), thread_time),
+            opening=np.array(recorder.opening),
+            events=tuple(events.events) if events else (),
+            stopped=stopped,
+            states=tuple(recorder.states),
         )
 
     def _prepared(self, reduced: bool) -> tuple[Any, Array]:
-        """Return a copy of the model and the equalities (neq,) that act, of a reduced run or the file's."""
+        """Return a copy of the model for a complete or reduced run, and (neq,) 1 for equalities that act."""
         model = copy.copy(self._model)
         active = model.eq_active0.copy()
         if reduced:
             for name in UNSIMULATED_FEATURES:
                 model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
+            # switches off all left-out elements but equalities, and returns the numbers of these equalities
             active[switch_off_left_out(model, self._report)] = 0
         return model, active
 
     def small_motions(self, run: FileRun, outputs: Sequence[int]) -> MujocoSmallMotions:
+        """Return the analysis of small motions about states of a run, to find modes that grow.
+
+        Args:
+            run: reduced run of the file.
+            outputs: numbers of the outputs of the run; if empty, the start of the file.
+        """
         states = [(run.trajectory.time[k], *run.states[k]) for k in outputs]
         if not states:
             states = [(0.0, self._start, self._velocity, self._inputs.activation)]
+        times = np.array([now for now, _, _, _ in states])
         with_controls = [(q, v, activation, self._inputs.at(now)) for now, q, v, activation in states]
         model, active = self._prepared(reduced=True)
-        return MujocoSmallMotions(
-            self.settings, model, active, np.array([state[0] for state in states]), with_controls
-        )
+        return MujocoSmallMotions(self.settings, model, active, times, with_controls)
 
     def changed(self, change: Callable[[Any], None]) -> MujocoFile:
         """Return the simulation of a changed model.
 
         Args:
-            change: function that changes a compiled model.
+            change: function that changes its argument, a compiled model.
         """
         other = copy.copy(self)
         other._model = copy.copy(self._model)
@@ -401,61 +460,83 @@ class MujocoFile(FileSimulation[MujocoSettings]):
 
 
 class _Recorder:
-    """Poses of rigid groups, energies and loop errors of a run."""
+    """Poses of rigid groups, energies and loop errors at the outputs of a run.
+
+    Attributes:
+        times: s.
+        positions: for each output, centers of mass (g, 3) of the g rigid groups, m, world frame.
+        quaternions: for each output, orientations (g, 4) of the root bodies of the groups.
+        energies: for each output, potential and kinetic energy, J.
+        opening: for each output, the largest violation of an equality, m or rad.
+        states: for each output, configuration (nq,), velocities (nv,) and activations (na,).
+    """
 
     def __init__(self, model: Any, data: Any, groups: list[tuple[int, Array]]) -> None:
-        """Take a model and its data; `groups` are root body and members of each rigid group."""
+        """Take a model and the data of the run; `groups` are root body and members of each rigid group."""
         self._model, self._data, self._groups = model, data, groups
-        self._seen = mujoco.MjData(model)  # so that outputs do not change the warm start of the run
+        self._output_data = mujoco.MjData(model)  # so that outputs do not change the warm start of the run
         self.times: list[float] = []
         self.positions: list[Array] = []
-        self.turns: list[Array] = []
+        self.quaternions: list[Array] = []
         self.energies: list[Array] = []
         self.opening: list[float] = []
-        self.states: list[tuple[Array, Array, Array]] = []  # configuration, velocities, activations
-        self._scales = np.where(model.eq_type == mujoco.mjtEq.mjEQ_WELD, model.eq_data[:, 10], 1.0)
+        self.states: list[tuple[Array, Array, Array]] = []
 
     def record(self) -> None:
-        """Add the present state."""
-        model, seen = self._model, self._seen
-        seen.qpos[:], seen.qvel[:] = self._data.qpos, self._data.qvel
-        seen.eq_active[:] = self._data.eq_active
+        """Add the present state as an output."""
+        model, output = self._model, self._output_data
+        output.qpos[:], output.qvel[:] = self._data.qpos, self._data.qvel
+        output.eq_active[:] = self._data.eq_active
         self.states.append((self._data.qpos.copy(), self._data.qvel.copy(), self._data.act.copy()))
-        mujoco.mj_fwdPosition(model, seen)
-        mujoco.mj_fwdVelocity(model, seen)
-        mujoco.mj_energyPos(model, seen)
-        mujoco.mj_energyVel(model, seen)
+        mujoco.mj_fwdPosition(model, output)
+        mujoco.mj_fwdVelocity(model, output)
+        mujoco.mj_energyPos(model, output)
+        mujoco.mj_energyVel(model, output)
         self.times.append(self._data.time)
         mass = model.body_mass
         self.positions.append(
-            np.array([mass[k] @ seen.xipos[k] / max(mass[k].sum(), 1e-300) for _, k in self._groups])
+            np.array([mass[k] @ output.xipos[k] / max(mass[k].sum(), 1e-300) for _, k in self._groups])
         )
-        self.turns.append(np.array([seen.xquat[root] for root, _ in self._groups]))
-        self.energies.append(np.array(seen.energy))
-        loops = seen.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        self.opening.append(float(np.max(np.abs(seen.efc_pos[loops]), initial=0.0)))
+        self.quaternions.append(np.array([output.xquat[root] for root, _ in self._groups]))
+        self.energies.append(np.array(output.energy))
+        of_equalities = output.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        self.opening.append(float(np.max(np.abs(output.efc_pos[of_equalities]), initial=0.0)))
 
     def trajectory(
-        self, engine: str, scene: Scene, names: tuple[str, ...], settings: Mapping[str, Any], wall_time: float
+        self,
+        engine: str,
+        scene: Scene,
+        names: tuple[str, ...],
+        settings: Mapping[str, Any],
+        thread_time: float,
     ) -> Trajectory:
-        """Return the motion of the scene's bodies."""
+        """Return the motion of the scene's bodies.
+
+        Args:
+            engine: name and version of the engine.
+            scene: imported scene.
+            names: name of the scene's body for each rigid group; other bodies rest.
+            settings: settings of the run, by name.
+            thread_time: processor time of the steps, s.
+        """
         bodies = scene.mechanism.body_names
         count = len(self.times)
         position, quaternion = np.zeros((count, len(bodies), 3)), np.zeros((count, len(bodies), 4))
         position[:], quaternion[:] = initial_state(scene).position, initial_state(scene).quaternion
-        for k, name in enumerate(names):
-            place = bodies.index(name)
-            position[:, place] = np.array(self.positions)[:, k]
-            quaternion[:, place] = np.array(self.turns)[:, k]
+        for group, name in enumerate(names):
+            body = bodies.index(name)
+            position[:, body] = np.array(self.positions)[:, group]
+            quaternion[:, body] = np.array(self.quaternions)[:, group]
         potential, kinetic = np.array(self.energies).T
         return Trajectory(
             engine,
             dict(settings),
-            wall_time,
+            thread_time,
             np.array(self.times),
             bodies,
             scene.mechanism.joint_names,
             position,
+            # signs of quaternions such that they do not jump from output to output
             continuous(quaternion, quaternion[0]),
             kinetic_energy=kinetic,
             potential_energy=potential,
@@ -463,37 +544,45 @@ class _Recorder:
         )
 
 
-class _Watch:
-    """First contact, and first action of each limit and dry friction, in a run."""
+class _EventRecorder:
+    """First contact of each pair of bodies, and first action of each limit and dry friction, in a run.
+
+    Attributes:
+        events: events so far, in the order of time.
+    """
 
     def __init__(self, model: Any, data: Any) -> None:
+        """Take a model and the data of the run."""
         self._model, self._data = model, data
-        self._known: set[tuple[int, int]] = set()
+        # (type of constraint row, number of the element), or numbers of the bodies of a contact
+        self._known_limits: set[tuple[int, int]] = set()
+        self._known_contacts: set[tuple[int, ...]] = set()
         self.events: list[Event] = []
 
-    def look(self) -> None:
-        """Note what acts in the last step."""
+    def record(self) -> None:
+        """Add an event for each element that acts in the last step for the first time."""
         model, data = self._model, self._data
+        # the first `ne` of the `nefc` constraint rows are those of equalities
         if data.nefc == data.ne:
             return
-        kinds, numbers = data.efc_type[data.ne :], data.efc_id[data.ne :]
-        for kind, number in {*zip(kinds.tolist(), numbers.tolist(), strict=True)}:
-            named = EVENT_KINDS.get(mujoco.mjtConstraint(kind))
-            if named is None:  # a contact; the numbers of contacts change from step to step
+        row_types, numbers = data.efc_type[data.ne :], data.efc_id[data.ne :]
+        for row_type, number in {*zip(row_types.tolist(), numbers.tolist(), strict=True)}:
+            topic_and_kind = EVENT_KINDS.get(mujoco.mjtConstraint(row_type))
+            if topic_and_kind is None:  # a contact; the numbers of contacts change from step to step
                 contact = data.contact[number]
-                pair = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom if geom >= 0)
-                key = (-1, hash(tuple(pair)))
-                if key not in self._known:
-                    names = " and ".join(repr(model.body(body).name or "world") for body in pair)
-                    self._note(key, f"contact of {names}")
-                continue
-            key = (kind, number)
-            if key in self._known:
-                continue
-            topic, of = named
-            owner = int(model.dof_jntid[number]) if topic == "dry friction" and of == "joint" else number
-            self._note(key, f"{topic} of {element_name(model, of, owner)}")
+                bodies = tuple(sorted(int(model.geom_bodyid[geom]) for geom in contact.geom if geom >= 0))
+                if bodies not in self._known_contacts:
+                    self._known_contacts.add(bodies)
+                    names = " and ".join(repr(model.body(body).name or "world") for body in bodies)
+                    self._add_event(f"contact of {names}")
+            elif (row_type, number) not in self._known_limits:
+                self._known_limits.add((row_type, number))
+                topic, kind = topic_and_kind
+                # MuJoCo numbers the friction of joints by degree of freedom
+                is_of_dof = topic == "dry friction" and kind == "joint"
+                owner = int(model.dof_jntid[number]) if is_of_dof else number
+                self._add_event(f"{topic} of {element_name(model, kind, owner)}")
 
-    def _note(self, key: tuple[int, int], element: str) -> None:
-        self._known.add(key)
+    def _add_event(self, element: str) -> None:
+        """Add an event of an element at the beginning of the last step."""
         self.events.append(Event(float(self._data.time - self._model.opt.timestep), element))

@@ -1,13 +1,14 @@
-"""Write the forces of a scene as MJCF elements, for `mjcf.write`.
+"""Write the forces of a scene (a mechanism with forces and control laws) as MJCF elements, for `mjcf.write`.
 
-- Springs and armatures of hinges and slides are attributes of MuJoCo's joints.
-- Springs of balls rest at qpos0 in MuJoCo. Only a yielding spring, whose rest is part of the state, can rest
-  elsewhere. Such a spring is written with a yield angle that is never reached, and the keyframe has its rest.
+- Springs and armatures (rotor inertias) of hinges and slides are attributes of MuJoCo's joints.
+- Springs of balls rest at qpos0 in MuJoCo. Only a spring with the attribute `springyield`, whose rest is part
+  of MuJoCo's state, can rest elsewhere. A spring that rests elsewhere gets a yield angle that is never
+  reached, and the keyframe has its rest.
 - Springs between points are spatial tendons.
 - A wrench, a constant force and torque, is a motor on a site with control 1. The motor turns with its site
   unless its `refsite` is a site of the world.
-- Wind on a plate is three motors on a site with the axes of the plate: the force along the normal and the
-  moments about the sides. `mjcf.model` computes the controls.
+- Wind on a rectangular plate is three motors on a site with the axes of the plate: the force along the normal
+  and the moments about both sides. `mjcf.model` computes the controls.
 
 Names of the elements contain a space, so that they cannot clash with names of the scene.
 """
@@ -39,14 +40,21 @@ UNREACHED_YIELD_ANGLE = 4.0
 """Yield angle, rad, of springs that must not yield: deflections of balls are at most pi."""
 
 WIND_MOTORS = {"force": 2, "first moment": 3, "second moment": 4}
-"""Index of each motor of a wind load in `gear`: three forces, then three torques along the site's axes."""
+"""Index, for each motor of a wind load, of the only nonzero element of MuJoCo's `gear`.
+
+A gear is three forces, then three torques, along x, y, z of the site: the sides and the normal of the plate.
+"""
 
 TENDON_WIDTH = 0.003
 """Radius of a tendon, as a fraction of the mechanism's size."""
 
 
 def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
-    """Return the attributes of springs and armatures, by name of MuJoCo's joint."""
+    """Return the attributes of springs and armatures, by name of MuJoCo's joint.
+
+    Joint coordinates are zero at the initial pose in the scene and in the MJCF file, so that both have the
+    same rest positions.
+    """
     attributes: dict[str, dict[str, str]] = {}
     for armature in scene.armatures:
         attributes[_mujoco_joint_name(scene.mechanism, armature)] = {"armature": number(armature.inertia)}
@@ -70,21 +78,34 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
 
 def _mujoco_joint_name(mechanism: Mechanism, element: OnCoordinate | OnBall) -> str:
     """Return the name of MuJoCo's joint that a spring or armature of the scene belongs to."""
-    joint, coordinate = mechanism.joint(element.joint), element.key[1]
-    return ball_name(joint) if element.on_ball else coordinate_name(joint, coordinate)
+    joint = mechanism.joint(element.joint)
+    if element.on_ball:
+        return ball_name(joint)
+    _, coordinate = element.key  # joint name, index of the hinge or slide within the joint
+    return coordinate_name(joint, coordinate)
 
 
 def ball_spring_rests(scene: Scene, tree: SpanningTree, layout: Layout) -> Array:
-    """Return rest quaternions (4 n,) of the n ball springs that do not rest at qpos0, in MuJoCo's order."""
+    """Return rest quaternions (4 n,) of the n ball springs that do not rest at qpos0.
+
+    The order is that of MuJoCo's joints.
+
+    Args:
+        scene: scene with the springs.
+        tree: spanning tree of the bodies in the file.
+        layout: map from the coordinates q of the tree to MuJoCo's qpos.
+    """
     mechanism = scene.mechanism
     rest_of_joint = {
         mechanism.joint_index(force.joint): force.rest for force in scene.forces if _rests_elsewhere(force)
     }
     quaternions, qpos_index = [np.zeros(0)], 0
     for tree_joint in layout.order:
-        for motion, in_q, _ in tree_joint.places:
+        for motion, in_q, _ in tree_joint.places:  # `in_q`: slice of the motion's coordinates in q
             size = in_q.stop - in_q.start
             if motion.kind == "ball" and tree_joint.joint in rest_of_joint:
+                # coordinates of the tree with this ball at its rest; a ball's rest is a rotation vector from
+                # the first to the second body of the joint, which is the tree's parent if `forward`
                 rest, q = rest_of_joint[tree_joint.joint], np.zeros(tree.nq)
                 q[in_q] = from_rotation_vector(rest if tree_joint.forward else -rest)
                 quaternions.append((layout.to_qpos @ q)[qpos_index : qpos_index + size])
@@ -101,7 +122,7 @@ def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
     """Add the sites of point springs, wrenches and wind loads to the XML elements of bodies.
 
     Args:
-        elements: XML element of each body, by number of the body in the mechanism.
+        elements: XML element of each body, by number of the body in the mechanism; the ground is body 0.
         scene: scene with the forces.
     """
     mechanism = scene.mechanism
@@ -135,6 +156,7 @@ def add_site(
         point: (3,) m, world frame at the initial pose.
     """
     index = mechanism.body_index(body)
+    # MuJoCo's world body (index 0) has the world frame
     local = mechanism.bodies[index].pose.point_to_body(point) if index else point
     size = number(SITE_SIZE * mechanism.size)
     return ET.SubElement(elements[index], "site", name=name, pos=numbers(local), size=size)

@@ -1,6 +1,7 @@
 """Maps between newton_euler's spanning tree of a mechanism and its MuJoCo model, and texts of MJCF numbers.
 
-Hinges and slides have the same coordinates in both, but two things differ:
+The spanning tree has the joints that carry coordinates q and velocities v; other joints close loops. Hinges
+and slides have the same coordinates in the tree and in MuJoCo, but two things differ:
 
 - MuJoCo numbers bodies and coordinates depth first.
 - The quaternion and the angular velocity of a ball are relative to the body frame of the child in MuJoCo. In
@@ -30,8 +31,8 @@ class Layout:
     """Body numbers and linear maps between a spanning tree and its MuJoCo model.
 
     Attributes:
-        order: joints of the tree, depth first; the child of joint k is MuJoCo's body k + 1.
-        body_id: MuJoCo's number of each body of the tree; the ground is the world body 0.
+        order: joints of the tree, depth first; the child body of `order[k]` is MuJoCo's body k + 1.
+        body_id: MuJoCo's number of each body of the mechanism; the ground is the world body 0.
         to_qpos: (nq, nq) orthogonal matrix of qpos = to_qpos @ q.
         to_qvel: (nv, nv) orthogonal matrix of qvel = to_qvel @ v.
     """
@@ -66,7 +67,7 @@ class Layout:
                     qpos, qvel, q, v = qpos + 1, qvel + 1, q + 1, v + 1
 
     def children(self, body: int) -> list[TreeJoint]:
-        """Return the joints whose parent is a body, in the order of the MJCF file."""
+        """Return the joints whose parent is the body with a number, in the order of the MJCF file."""
         return self._children.get(body, [])
 
 
@@ -81,5 +82,5 @@ def numbers(values: Iterable[float]) -> str:
 
 
 def element_name(model: Any, kind: str, index: int) -> str:
-    """Return kind and name of an element of a compiled model, such as "joint hip"; its number if unnamed."""
+    """Return kind and name of an element of an `MjModel`, such as "joint hip"; its number if unnamed."""
     return f"{kind} {getattr(model, kind)(index).name or index!r}"

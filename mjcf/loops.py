@@ -1,7 +1,7 @@
 """Loop closures of a MuJoCo model: points, forces and second derivatives of equality constraints.
 
-Loops of a mechanism are closed in MuJoCo by `connect`, `weld` and `tendon` equalities. The functions work on
-any `MjModel`, at the state in its `MjData`.
+In MuJoCo, `connect`, `weld` and `tendon` equalities close the loops of a mechanism; equalities of joints
+couple coordinates instead. The functions work on any `MjModel`, at the state in its `MjData`.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ def body_acceleration(model: Any, data: Any, body: int) -> tuple[Array, Array]:
 class Loop:
     """Equality constraint that closes a loop, at the state in `data`.
 
-    MuJoCo computes the constraint Jacobian efc_J. A hard constraint also needs Jdot v, the second time
-    derivative of the residuals at qacc = 0. It follows from the residuals of MuJoCo's documentation
-    (Computation, section Equality), which are, for bodies 1 and 2 of a constraint,
+    MuJoCo computes the constraint Jacobian J = efc_J. A rigid constraint also needs Jdot v, the second time
+    derivative of the residuals at qacc = 0. Jdot v follows from the residuals of MuJoCo's documentation
+    (Computation, section Equality), which are, for the points p1, p2 on bodies 1 and 2 of a constraint,
 
         connect:  p1 - p2                                             (world frame)
-        weld:     p1 - p2,  vec(conj(q2) q1)                          (halves share their frame)
+        weld:     p1 - p2,  vec(conj(q2) q1)                          (of bodies with coinciding frames)
         tendon:   |p2 - p1| - its length at the initial pose          (of a rod)
 
     where vec is the vector part of a quaternion. With w = omega1 - omega2, the first derivative is
@@ -58,8 +58,8 @@ class Loop:
     Attributes:
         index: MuJoCo's number of the equality.
         name: name of the joint that closes the loop.
-        kind: `mjtEq`.
-        rows: numbers of the constraint rows.
+        kind: type of the equality, `mjtEq`.
+        rows: numbers of the equality's constraint rows in `data`.
         bodies: MuJoCo's numbers of bodies 1 and 2.
         points: constrained points (3,) on bodies 1 and 2, m, world frame.
     """
@@ -107,10 +107,10 @@ class Loop:
         return -multipliers
 
     def velocity_product(self) -> Array:
-        """Return Jdot v, one element for each row of the constraint.
+        """Return Jdot v, one element for each row of the constraint, m/s^2 or 1/s^2.
 
         `data` needs the accelerations of `mj_rnePostConstraint` for qacc = 0. `mj_jacDot` is not used because
-        it is wrong for a ball on a body with slides after the ball.
+        it is wrong for a ball that a slide of the same body follows.
         """
         # motion of the constrained point on each body; omegas as quaternions (0, omega)
         point_velocities, point_accelerations, angular_accelerations, omegas = [], [], [], []
@@ -172,7 +172,7 @@ def closes_loop(model: Any, index: int) -> bool:
 
 
 def active_loops(model: Any, data: Any) -> list[Loop]:
-    """Return the loop of each active equality that closes one, at the state in `data`."""
+    """Return a `Loop` for each active equality that closes a loop, at the state in `data`."""
     indices = [index for index in np.flatnonzero(data.eq_active).tolist() if closes_loop(model, index)]
     return [Loop(model, data, index) for index in indices]
 
@@ -180,6 +180,7 @@ def active_loops(model: Any, data: Any) -> list[Loop]:
 def loops_with_rows(model: Any, data: Any) -> list[Loop]:
     """Return the active loops that have constraint rows in `data`.
 
-    MuJoCo drops the rows of a loop that no motion can open, such as a ball on the axis of the only hinge.
+    MuJoCo drops rows of zeros: those of a loop that no motion can open, such as a ball on the axis of the
+    only hinge.
     """
     return [loop for loop in active_loops(model, data) if len(loop.rows)]

@@ -1,8 +1,8 @@
-"""A scene compiled by MuJoCo: its model and data, and the map between coordinates of both.
+"""A scene (a mechanism with forces, control laws and initial state) compiled by MuJoCo.
 
 `MujocoScene` writes a scene as MJCF and compiles it. The class sets states and controls in MuJoCo's data,
-and reads poses, velocities and energies from the data. `mjcf.rigid` and `mjcf.soft` derive the equations of
-motion with hard and with soft constraints from it.
+and reads poses, velocities and energies from the data. Subclasses in `mjcf.rigid` and `mjcf.soft` add the
+equations of motion with rigid and with soft constraints.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array, Scalar
 
 MIN_MUJOCO_MASS = 1e-14
-"""Largest mass, kg, and principal moment, kg m^2, that MuJoCo's compiler refuses."""
+"""Mass, kg, and principal moment, kg m^2, up to which MuJoCo's compiler refuses a body."""
 
 
 def _reason_of_refusal(mechanism: Mechanism, error: ValueError) -> str:
@@ -48,22 +48,23 @@ def _reason_of_refusal(mechanism: Mechanism, error: ValueError) -> str:
 class MujocoScene:
     """Scene with its `MjModel` and `MjData`.
 
-    MuJoCo can close a loop by a ball, a rod or a weld only. At any other joint that closes a loop, one of the
-    bodies is cut into two halves, which a weld joins: the welded mechanism. Coordinates q (nq,) and
-    velocities v (nv,) belong to the spanning tree of this mechanism; quaternions are (w, x, y, z). MuJoCo's
-    qpos and qvel stay inside this class.
+    MuJoCo can close a loop by a ball, a rod (a massless link with a ball at each end) or a weld only. At any
+    other joint that closes a loop, one of the bodies is cut into two halves, which a weld joins: the welded
+    mechanism. Coordinates q (nq,) and velocities v (nv,) belong to the spanning tree of this mechanism;
+    quaternions are (w, x, y, z). MuJoCo's qpos and qvel stay inside this class.
 
     Attributes:
         scene: the scene; results are for the bodies and joints of its mechanism.
         mechanism: mechanism of the scene.
         welded: welded mechanism, which MuJoCo models.
         tree: spanning tree of the welded mechanism.
-        quaternions: places of the quaternions in q.
+        quaternions: slices of the quaternions in q.
         layout: map between coordinates of the tree and of MuJoCo.
         model: `MjModel`.
         data: `MjData`, which every call may overwrite.
-        body_id: MuJoCo's body of each body of `welded.mechanism`; halves of cut bodies are last.
-        couplings: gears, screws and prescribed motions, in the order of MuJoCo's last equalities.
+        body_id: MuJoCo's number of each body of `welded.mechanism`; added halves of cut bodies are last.
+        couplings: gears, screws and prescribed motions; their equalities are MuJoCo's last ones, in the same
+            order.
         time: time, s, of prescribed motions, control laws and wind.
         nq: number of coordinates.
         nv: number of velocities.
@@ -73,6 +74,7 @@ class MujocoScene:
         """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         self.scene = scene
         self.mechanism = scene.mechanism
+        # loaded: joints whose ball has a spring, damper or armature, which an equality could not have
         self.welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self.tree = self.welded.tree
         self.quaternions = self.tree.quaternions
@@ -88,7 +90,7 @@ class MujocoScene:
         self.data: Any = mujoco.MjData(self.model)
         self._restore_inertias()
         self._set_ball_spring_rests()
-        # coordinates that control laws measure: first those of the actuators, one for each law
+        # joint coordinates that control laws measure: first those of the actuators, one for each law
         self._sensed, actuated_joints = scene.sensed, self.model.actuator_trnid[: len(scene.control), 0]
         other_joints = [
             self.model.joint(coordinate_name(self.mechanism.joint(joint), k)).id
@@ -103,7 +105,7 @@ class MujocoScene:
         self._winds = [
             (site, slice(first, first + motor_count)) for site, first in zip(sites, first_motors, strict=True)
         ]
-        # inverse dynamics, if a control law uses a model of the mechanism
+        # inverse dynamics, if a control law uses a model of the mechanism (`roles` lists such laws)
         self._model_control = self.engine_control(scene) if roles(scene) else None
         self.set_controls()
 
@@ -121,7 +123,8 @@ class MujocoScene:
     def _set_ball_spring_rests(self) -> None:
         """Set the rest orientations of ball springs to those of the keyframe.
 
-        A rest in the model, unlike a rest in the state, stays in every later reset of `data`.
+        The keyframe has the rests of springs with a yield angle (`plastic`). A rest in `model.qpos_spring`,
+        unlike a rest in the state, stays in every later reset of `data`.
         """
         model = self.model
         for joint in np.flatnonzero(model.jnt_plasticadr >= 0):
@@ -135,10 +138,11 @@ class MujocoScene:
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
-        # arrays of the scene; all rows except those of the ground are overwritten
+        # start from the declared values, which remain for the ground; overwrite all others by MuJoCo's values
         properties = MassProperties.of(self.mechanism)
         mass, center, inertia = properties.mass, properties.center_of_mass, properties.inertia
         for body in range(1, len(mass)):
+            # `origin` has, for each body of the welded mechanism, the body of the scene that it is a part of
             halves = zip(self.body_id, self.welded.origin, strict=True)
             parts = [index for index, whole in halves if whole == body]
             axes = data.ximat[parts].reshape(-1, 3, 3)
@@ -150,6 +154,7 @@ class MujocoScene:
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """Return coordinates q (nq,) and velocities v (nv,) of a state."""
         q, v = self.tree.coordinates(self.welded.state(state))
+        # poses give angles up to full revolutions; `turned` adds the revolutions that couplings need
         return self.couplings.turned(q, state, self.time), v
 
     def set_state(self, q: Array, v: Array) -> None:
@@ -166,11 +171,12 @@ class MujocoScene:
         self.data.ctrl[: len(values)] = values
 
     def engine_control(self, scene: Scene) -> EngineControl:
-        """Return the inverse dynamics for control laws that use a model of the mechanism."""
+        """Return the inverse dynamics for control laws that use a model of the mechanism; subclasses define
+        it."""
         raise NotImplementedError
 
     def model_forces(self, data: Any, readings: Readings) -> Mapping[Key, float]:
-        """Return the part of control forces that needs a model of the mechanism, such as its weight.
+        """Return the part of control forces that laws compute by inverse dynamics, such as the weight.
 
         Args:
             data: `MjData` with the state.
@@ -182,6 +188,7 @@ class MujocoScene:
         if self._model_control is None:
             return NO_FORCES
         q, v = self.layout.to_qpos.T @ data.qpos, self.layout.to_qvel.T @ data.qvel
+        # accelerations that computed-torque laws command, m/s^2 or rad/s^2
         accelerations = commands(self.scene.control, readings, data.time)
         return self._model_control.forces(q, v, data.time, accelerations)
 
@@ -192,18 +199,20 @@ class MujocoScene:
         velocity = np.zeros(6)  # angular, then linear, in the axes of the site
         for load, (site, motors) in zip(wind_loads(self.scene), self._winds, strict=True):
             axes = data.site_xmat[site].reshape(3, 3)
-            mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
+            in_site_axes = 1
+            mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, in_site_axes)
+            # normal force, N, and two moments, N m, of the wind relative to the plate's center
             data.ctrl[motors] = wind_on_plate(load, axes.T @ load.velocity(data.time) - velocity[3:])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Return coordinates, m or rad, and rates of the coordinates `Scene.sensed`, at a state."""
+        """Return value, m or rad, and rate of each coordinate that control laws measure (`Scene.sensed`)."""
         self.set_state(q, v)
         return list(self.readings(self.data).values())
 
     def readings(self, data: Any) -> dict[Key, tuple[float, float]]:
-        """Return coordinate, m or rad, and rate of each of `Scene.sensed`, at the state in `data`.
+        """Return value, m or rad, and rate of each coordinate that control laws measure (`Scene.sensed`).
 
-        `Scene.sensed` are the joint coordinates that control laws measure.
+        Keys are (joint name, index of the coordinate). `data` has the state.
         """
         x, x_rate = data.qpos[self._sensed_q], data.qvel[self._sensed_v]
         return dict(zip(self._sensed, zip(x, x_rate, strict=True), strict=True))
@@ -221,7 +230,7 @@ class MujocoScene:
         return self.read_state()
 
     def coupling_phi(self, q: Array) -> Array:
-        """Return residuals (c,) of the couplings, m or rad."""
+        """Return residuals (c,) of the c couplings at q (nq,) and `time`, m or rad."""
         return self.couplings.phi(q, self.time)
 
     def observe(self, q: Array, v: Array) -> Observation:
@@ -250,5 +259,6 @@ class MujocoScene:
             np.vstack([ground.quaternion, self.data.xquat[bodies]]),
             linear,
             angular,
+            # hinge angles with their full revolutions, on which couplings and springs depend
             angles=self.couplings.angles(self.layout.to_qpos.T @ self.data.qpos),
         )

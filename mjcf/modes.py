@@ -1,8 +1,11 @@
 """Small motions of an MJCF model in MuJoCo: linearized accelerations, and the map of one `mj_step`.
 
-Both matrices are central differences of MuJoCo's own functions, with the soft constraints, the integrator and
-the time step of the run. They show which mode of a model is too fast for a time step, see
-`crosscheck.own_run.stability`. Contacts, limits and dry friction are switched off, as in the imported scene.
+A small motion x about a state of a run has n = 2 nv + na elements: changes of position (nv,), velocity (nv,)
+and activations (na,). Two matrices describe small motions: the rates A of dx/dt = A x, and the map M of one
+time step, x_next = M x. Both are central differences of MuJoCo's own functions, with the soft constraints,
+the integrator and the time step of the run. `crosscheck.own_run.stability` finds from them the mode of a
+model that is too fast for a time step, and the force element that causes the mode. Contacts, limits and dry
+friction are switched off, as in the scene that is imported from the file.
 """
 
 from __future__ import annotations
@@ -21,95 +24,114 @@ from newton_euler.reading.small_motions import ForceElement, ModelChange, Moving
 from newton_euler.scalars import Array
 
 DIFFERENCE = 1e-6
-"""Change of a coordinate or velocity in central differences, rad, m, rad/s or m/s: the square, the relative
-error of a difference, is far below the round-off of a difference, 1e-10."""
+"""Change of a coordinate or velocity in central differences, rad, m, rad/s or m/s.
+
+The relative truncation error, the square of the change, is 1e-12, far below the round-off, about 1e-10."""
 
 KINEMATIC_TIME = 1e-4
-"""Time, s, over which velocities move a configuration in the differences of its rate."""
+"""Time, s, over which velocities move a configuration, for a difference that gives the rate of a position."""
 
 CONVERGED_ITERATIONS = 100
-"""Iterations of MuJoCo's Newton solver, which needs one or two without contacts."""
-
+"""Iterations that MuJoCo's Newton solver may use; without contacts it needs one or two."""
 
 _Entries = tuple[tuple[str, Any], ...]
+"""Pairs of the name of an array of the model, and an index of entries of the array."""
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A force element, and the entries of the model's arrays that it is proportional to.
+class _RemovableElement:
+    """A force element, and how to remove or weaken the element in a model.
 
     Attributes:
-        element: name and value.
-        entries: arrays of the model, and the index of the entries in each.
-        equality: number of the equality, which is switched off instead; -1 for other elements.
-        stops: whether the element is the motion itself: velocities are set to zero.
+        element: name and value of the element.
+        entries: entries of the model's arrays to which the force is proportional.
+        equality: number of an equality, which is switched off; -1 for other elements.
+        is_motion: True for the forces that depend on the velocity of the state; they are removed by setting
+            velocities to zero.
     """
 
     element: ForceElement
     entries: _Entries = ()
     equality: int = -1
-    stops: bool = False
+    is_motion: bool = False
 
 
-def _actuator_parts(model: Any, k: int) -> Iterator[_Part]:
-    """Yield the gains of an actuator by position and by velocity; an actuator of another kind as a whole."""
+def _actuator_elements(model: Any, k: int) -> Iterator[_RemovableElement]:
+    """Yield the gains by position and by velocity, and the damping, of actuator number `k`.
+
+    An actuator whose force is not affine in length and velocity is one element.
+    """
     name = element_name(model, "actuator", k)
     gain, bias = model.actuator_gainprm[k], model.actuator_biasprm[k]
-    known_gains = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE
-    known_biases = mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE
+    affine_gains = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE
+    affine_biases = mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE
     gain_kind = mujoco.mjtGain(model.actuator_gaintype[k])
     bias_kind = mujoco.mjtBias(model.actuator_biastype[k])
-    if gain_kind not in known_gains or bias_kind not in known_biases:
-        yield _Part(ForceElement(name, can_be_scaled=False), (("actuator_gear", k),))
+    if gain_kind not in affine_gains or bias_kind not in affine_biases:
+        yield _RemovableElement(ForceElement(name, can_be_scaled=False), (("actuator_gear", k),))
         return
+    # elements 0, 1, 2 of gain and bias are the factors of 1, length and velocity
     has_bias = bias_kind == mujoco.mjtBias.mjBIAS_AFFINE
     by_position = gain[1] != 0.0 or (has_bias and bias[1] != 0.0)
     by_velocity = gain[2] != 0.0 or (has_bias and bias[2] != 0.0)
-    # the factor of the control belongs to the gain that pulls toward the control
+    # scaling a gain also scales the factor of the control, element 0, so that the actuator still pulls
+    # towards the same position or velocity; if there are both gains, element 0 belongs to the position
     entries: _Entries
     if by_position:
         entries = (("actuator_gainprm", (k, slice(0, 2))), ("actuator_biasprm", (k, slice(0, 2))))
-        yield _Part(ForceElement(f"kp of {name}", abs(float(bias[1] or gain[1]))), entries)
+        yield _RemovableElement(ForceElement(f"kp of {name}", abs(float(bias[1] or gain[1]))), entries)
     if by_velocity:
         factors = (k, 2) if by_position else (k, slice(0, 3))
         entries = (("actuator_gainprm", factors), ("actuator_biasprm", (k, 2)))
-        yield _Part(ForceElement(f"kv of {name}", abs(float(bias[2] or gain[2]))), entries)
+        yield _RemovableElement(ForceElement(f"kv of {name}", abs(float(bias[2] or gain[2]))), entries)
     if np.any(model.actuator_damping[k]) or np.any(model.actuator_dampingpoly[k]):
         entries = (("actuator_damping", k), ("actuator_dampingpoly", k))
-        yield _Part(ForceElement(f"damping of {name}", float(np.max(model.actuator_damping[k]))), entries)
+        yield _RemovableElement(
+            ForceElement(f"damping of {name}", float(np.max(model.actuator_damping[k]))), entries
+        )
 
 
-def _parts(model: Any) -> Iterator[_Part]:
-    """Yield the elements of a model that make forces by position or velocity."""
+def _removable_elements(model: Any) -> Iterator[_RemovableElement]:
+    """Yield the elements of a model whose forces depend on position or velocity."""
     for k in range(model.nactuator):
-        yield from _actuator_parts(model, k)
+        yield from _actuator_elements(model, k)
     for k in range(model.njnt):
         name, dofs = element_name(model, "joint", k), model.dof_jntid == k
         if model.jnt_stiffness[k] or np.any(model.jnt_stiffnesspoly[k]):
             entries: _Entries = (("jnt_stiffness", k), ("jnt_stiffnesspoly", k))
-            yield _Part(ForceElement(f"stiffness of {name}", float(model.jnt_stiffness[k])), entries)
+            yield _RemovableElement(
+                ForceElement(f"stiffness of {name}", float(model.jnt_stiffness[k])), entries
+            )
         if np.any(model.dof_damping[dofs]) or np.any(model.dof_dampingpoly[dofs]):
             entries = (("dof_damping", dofs), ("dof_dampingpoly", dofs))
-            yield _Part(ForceElement(f"damping of {name}", float(np.max(model.dof_damping[dofs]))), entries)
+            yield _RemovableElement(
+                ForceElement(f"damping of {name}", float(np.max(model.dof_damping[dofs]))), entries
+            )
     for k in range(model.ntendon):
         name = element_name(model, "tendon", k)
         for what in ("stiffness", "damping"):
             fields = f"tendon_{what}", f"tendon_{what}poly"
             if any(np.any(getattr(model, field)[k]) for field in fields):
                 value = float(getattr(model, fields[0])[k])
-                yield _Part(ForceElement(f"{what} of {name}", value), tuple((field, k) for field in fields))
+                yield _RemovableElement(
+                    ForceElement(f"{what} of {name}", value), tuple((field, k) for field in fields)
+                )
     for k in range(model.neq):
         name = element_name(model, "equality", k)
-        yield _Part(ForceElement(name, can_be_scaled=False, is_constraint=True), equality=k)
+        yield _RemovableElement(ForceElement(name, can_be_scaled=False, is_constraint=True), equality=k)
     for what in ("viscosity", "density"):
         if getattr(model.opt, what):
-            yield _Part(ForceElement(f"{what} of the medium", getattr(model.opt, what)), (("opt", what),))
-    yield _Part(ForceElement("gyroscopic forces of the motion", can_be_scaled=False), stops=True)
+            yield _RemovableElement(
+                ForceElement(f"{what} of the medium", getattr(model.opt, what)), (("opt", what),)
+            )
+    yield _RemovableElement(
+        ForceElement("gyroscopic forces of the motion", can_be_scaled=False), is_motion=True
+    )
 
 
-def _scale(model: Any, part: _Part, factor: float) -> None:
-    """Multiply the forces of an element by a factor, in a model that is changed."""
-    for array, index in part.entries:
+def _scale(model: Any, removable: _RemovableElement, factor: float) -> None:
+    """Multiply the forces of an element by a factor; the model is changed."""
+    for array, index in removable.entries:
         if array == "opt":
             setattr(model.opt, index, factor * getattr(model.opt, index))
         else:
@@ -117,7 +139,13 @@ def _scale(model: Any, part: _Part, factor: float) -> None:
 
 
 class MujocoSmallMotions(SmallMotions[Any]):
-    """Small motions of an MJCF file about states of a run in MuJoCo."""
+    """Small motions of an MJCF file about states of a run in MuJoCo.
+
+    Attributes:
+        times: (k,) time of each state, s.
+        elements: force elements of the model; other methods name them by their number.
+        velocities: slice of the velocities in a small motion.
+    """
 
     def __init__(
         self, settings: Any, model: Any, active: Array, times: Array, states: Sequence[tuple[Array, ...]]
@@ -126,121 +154,145 @@ class MujocoSmallMotions(SmallMotions[Any]):
 
         Args:
             settings: settings of the file, see `mjcf.file_run.MujocoSettings`.
-            model: compiled model of the reduced run.
-            active: (neq,) equalities that act in the run.
+            model: compiled model of the run.
+            active: (neq,) 1 for equalities that act in the run.
             times: (k,) time of each state, s.
             states: configuration (nq,), velocities (nv,), activations (na,) and controls (nu,) of each state.
         """
         self._settings, self._model, self._active = settings, model, active
         self.times, self._states = times, states
-        self._parts = tuple(_parts(model))
-        self.elements = tuple(part.element for part in self._parts)
+        self._removable = tuple(_removable_elements(model))
+        self.elements = tuple(each.element for each in self._removable)
         self.velocities = slice(model.nv, 2 * model.nv)
 
     def at_timestep(self, settings: Any, timestep: float) -> Any:
+        """Return settings with another time step, s."""
         return replace(settings, timestep=timestep)
 
     def rates(self, state: int, settings: Any, without: Collection[int] = ()) -> Array:
+        """Return the matrix A (n, n) of dx/dt = A x.
+
+        Args:
+            state: number of the state.
+            settings: settings; the stiffness of constraints may depend on the time step.
+            without: numbers of the elements that are removed.
+        """
         model, data = self._prepared(state, settings, without)
-        base, moved = data.qpos.copy(), [np.zeros(model.nq), np.zeros(model.nq)]
-        own = base.copy(), data.qvel.copy()
-        change = np.zeros(model.nv)
+        base_q, base_v = data.qpos.copy(), data.qvel.copy()
+        moved_base, change = np.zeros(model.nq), np.zeros(model.nv)
 
         def evaluate(q: Array, v: Array, activation: Array) -> Array:
-            """Return the rates of the small motion (n,): of position, velocity and activations."""
+            """Return the rates (n,) of position relative to the base state, velocity and activations."""
             data.qpos[:], data.qvel[:], data.act[:] = q, v, activation
             mujoco.mj_forward(model, data)
-            # the distance from the moving base state, just after and just before
-            apart = []
-            for k, sign in enumerate((1.0, -1.0)):
-                moved[k][:], other = own[0], q.copy()
-                mujoco.mj_integratePos(model, moved[k], own[1], sign * KINEMATIC_TIME)
-                mujoco.mj_integratePos(model, other, v, sign * KINEMATIC_TIME)
-                mujoco.mj_differentiatePos(model, change, 2.0 * KINEMATIC_TIME, moved[k], other)
-                apart.append(sign * change)
-            return np.concatenate([apart[0] + apart[1], data.qacc, data.act_dot])
+            # rate of the position relative to the base state, which moves, too: central difference over time
+            half_differences = []
+            for sign in (1.0, -1.0):
+                moved_base[:], moved = base_q, q.copy()
+                mujoco.mj_integratePos(model, moved_base, base_v, sign * KINEMATIC_TIME)
+                mujoco.mj_integratePos(model, moved, v, sign * KINEMATIC_TIME)
+                mujoco.mj_differentiatePos(model, change, 2.0 * KINEMATIC_TIME, moved_base, moved)
+                half_differences.append(sign * change)
+            position_rate = half_differences[0] + half_differences[1]
+            return np.concatenate([position_rate, data.qacc, data.act_dot])
 
         return self._differences(data, evaluate)
 
     def step(self, state: int, settings: Any, without: Collection[int] = ()) -> Array:
+        """Return the map M (n, n) of one time step, x_next = M x; for the arguments see `rates`."""
         model, data = self._prepared(state, settings, without)
         start, now = (data.qpos.copy(), data.qvel.copy(), data.act.copy()), data.time
-        change, reached = np.zeros(model.nv), None
+        change, base_end = np.zeros(model.nv), None
 
         def evaluate(q: Array, v: Array, activation: Array) -> Array:
-            """Return the state after one step (n,), its position relative to the base state's."""
+            """Return position relative to the base state's, velocity and activations (n,) after one step."""
             data.time = now
             data.qpos[:], data.qvel[:], data.act[:] = q, v, activation
             data.qacc_warmstart[:] = 0.0
             mujoco.mj_step(model, data)
-            if reached is not None:
-                mujoco.mj_differentiatePos(model, change, 1.0, reached, data.qpos)
+            if base_end is not None:
+                mujoco.mj_differentiatePos(model, change, 1.0, base_end, data.qpos)
             return np.concatenate([change, data.qvel, data.act])
 
+        # configuration to which a step moves the base state
         evaluate(*start)
-        reached = data.qpos.copy()
+        base_end = data.qpos.copy()
         data.qpos[:], data.qvel[:], data.act[:] = start
         return self._differences(data, evaluate)
 
     def _prepared(self, state: int, settings: Any, without: Collection[int]) -> tuple[Any, Any]:
-        """Return a model with these settings and without some elements, and its data at a state."""
+        """Return a model with settings and without the elements `without`, and its data at a state."""
         model = copy.copy(self._model)
+        # an exact solution of the constraints, and no reset of states that diverge
         replace(settings, solver="Newton", iterations=CONVERGED_ITERATIONS, tolerance=0.0).apply(model)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         data = mujoco.MjData(model)
         data.time, data.eq_active[:] = self.times[state], self._active
         data.qpos[:], data.qvel[:], data.act[:], data.ctrl[:] = self._states[state]
-        for part in (self._parts[k] for k in without):
-            _scale(model, part, 0.0)
-            if part.equality >= 0:
-                data.eq_active[part.equality] = 0
-            if part.stops:
+        for removed in (self._removable[k] for k in without):
+            _scale(model, removed, 0.0)
+            if removed.equality >= 0:
+                data.eq_active[removed.equality] = 0
+            if removed.is_motion:
                 data.qvel[:] = 0.0
         return model, data
 
     def _differences(self, data: Any, evaluate: Callable[[Array, Array, Array], Array]) -> Array:
-        """Return the derivatives (n, n) of a function of configuration, velocities and activations."""
+        """Return the derivatives (n, n) of a function (n,) by small motions about the state in `data`.
+
+        `evaluate` takes configuration (nq,), velocities (nv,) and activations (na,).
+        """
         model = self._model
         q, v, activation = data.qpos.copy(), data.qvel.copy(), data.act.copy()
         columns = []
         with collected_warnings():
-            for place in range(2 * model.nv + model.na):
-                ends = []
+            for k in range(2 * model.nv + model.na):
+                values = []
                 for sign in (1.0, -1.0):
-                    step = np.zeros(2 * model.nv + model.na)
-                    step[place] = sign * DIFFERENCE
+                    motion = np.zeros(2 * model.nv + model.na)
+                    motion[k] = sign * DIFFERENCE
                     moved = q.copy()
-                    mujoco.mj_integratePos(model, moved, step[: model.nv], 1.0)
-                    ends.append(evaluate(moved, v + step[self.velocities], activation + step[2 * model.nv :]))
-                columns.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE))
+                    mujoco.mj_integratePos(model, moved, motion[: model.nv], 1.0)
+                    moved_v = v + motion[self.velocities]
+                    values.append(evaluate(moved, moved_v, activation + motion[2 * model.nv :]))
+                forward, backward = values
+                columns.append((forward - backward) / (2.0 * DIFFERENCE))
         return np.array(columns).T
 
     def moving(self, state: int, velocity: Array) -> MovingBody:
-        model, data = self._prepared(state, self._settings, ())
+        """Return the body with most kinetic energy, and its heaviest neighbor.
+
+        Args:
+            state: number of the state.
+            velocity: (nv,) complex amplitudes of the velocities in a mode.
+        """
+        model, data = self._prepared(state, self._settings, without=())
         mujoco.mj_fwdPosition(model, data)
+        # twice the kinetic energy of each body; inertias are about principal axes
         energies = np.zeros(model.nbody)
-        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        linear_jacobian, angular_jacobian = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         for body in range(1, model.nbody):
-            mujoco.mj_jacBodyCom(model, data, linear, angular, body)
-            turn = data.ximat[body].reshape(3, 3).T @ angular @ velocity
-            along = linear @ velocity
-            energies[body] = model.body_mass[body] * np.sum(np.abs(along) ** 2)
-            energies[body] += np.sum(model.body_inertia[body] * np.abs(turn) ** 2)
+            mujoco.mj_jacBodyCom(model, data, linear_jacobian, angular_jacobian, body)
+            angular = data.ximat[body].reshape(3, 3).T @ angular_jacobian @ velocity
+            linear = linear_jacobian @ velocity
+            energies[body] = model.body_mass[body] * np.sum(np.abs(linear) ** 2)
+            energies[body] += np.sum(model.body_inertia[body] * np.abs(angular) ** 2)
         body = int(np.argmax(energies))
         neighbor = max(self._neighbors(body), key=lambda k: float(model.body_mass[k]), default=0)
         return MovingBody(
-            model.body(body).name or f"body_{body}",
-            float(model.body_mass[body]),
-            float(energies[body] / max(np.sum(energies), 1e-300)),
-            (model.body(neighbor).name or f"body_{neighbor}") if neighbor else "",
-            float(model.body_mass[neighbor]) if neighbor else 0.0,
+            name=model.body(body).name or f"body_{body}",
+            mass=float(model.body_mass[body]),
+            share=float(energies[body] / max(np.sum(energies), 1e-300)),
+            neighbor=(model.body(neighbor).name or f"body_{neighbor}") if neighbor else "",
+            neighbor_mass=float(model.body_mass[neighbor]) if neighbor else 0.0,
         )
 
     def _neighbors(self, body: int) -> set[int]:
-        """Return the moving bodies that a joint or an acting equality of bodies connects to a body."""
+        """Return the moving bodies that a joint or an acting equality connects to a body, by number."""
         model = self._model
         found = {int(model.body_parentid[body]), *np.flatnonzero(model.body_parentid == body).tolist()}
         for k in np.flatnonzero(self._active).tolist():
+            # numbers of two bodies, or of two joints or sites on bodies
             ends: tuple[int, ...] = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
             kind = mujoco.mjtEq(model.eq_type[k])
             if kind == mujoco.mjtEq.mjEQ_JOINT:
@@ -251,26 +303,40 @@ class MujocoSmallMotions(SmallMotions[Any]):
                 ends = tuple(int(model.site_bodyid[end]) for end in ends)
             if body in ends:
                 found.update(ends)
-        return {k for k in found if k != body and model.body_weldid[k]}
+        return {k for k in found if k != body and model.body_weldid[k]}  # not fixed to the world
 
     def scaled(self, elements: Collection[int], factor: float) -> ModelChange:
+        """Return a function that multiplies the forces of elements, by number, by a factor in a model."""
+
         def change(model: Any) -> None:
+            """Scale the elements in a compiled model."""
             for k in elements:
-                _scale(model, self._parts[k], factor)
+                _scale(model, self._removable[k], factor)
 
         return change
 
     def with_armature(self, state: int, velocity: Array, factor: float) -> tuple[ModelChange, str]:
-        model, data = self._prepared(state, self._settings, ())
+        """Add armature (rotor inertia) to the joint that moves most.
+
+        Args:
+            state: number of the state.
+            velocity: (nv,) complex amplitudes of the velocities in a mode.
+            factor: added armature, divided by the inertia of the joint if no other joint moves.
+
+        Returns:
+            A function that changes a model, and its words, such as 'armature="0.01" of joint lift'.
+        """
+        model, data = self._prepared(state, self._settings, without=())
         mujoco.mj_fwdPosition(model, data)
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        # the joint whose motion alone would have most energy, and the inertia that it feels
+        # the joint whose motion alone has most kinetic energy; two digits of armature are enough
         dof = int(np.argmax(np.diag(mass) * np.abs(velocity) ** 2))
         joint = int(model.dof_jntid[dof])
         armature = float(f"{factor * mass[dof, dof]:.2g}")
 
         def change(model: Any) -> None:
+            """Add the armature in a compiled model, and update the constants that depend on it."""
             model.dof_armature[model.dof_jntid == joint] += armature
             mujoco.mj_setConst(model, mujoco.MjData(model))
 

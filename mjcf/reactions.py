@@ -1,8 +1,9 @@
 """Compute joint reactions from the forces that MuJoCo transmits between bodies.
 
 `mj_rnePostConstraint` computes `cfrc_int`, the force and torque that each body receives from its parent. The
-reaction of a joint is this wrench without the forces of actuators, springs, dampers and rotors of the joint
-(its drives). Wrenches of this module are (6,): force, then torque.
+reaction of a joint is this wrench minus the joint's drives: the forces of actuators, springs, dampers and
+rotors on the joint's hinges, slides and ball. Wrenches in this module are (6,): force, then torque; only
+MuJoCo's `cfrc_int` has the torque first.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ from newton_euler.scalars import Array
 class Reactions:
     """Reactions of a scene's joints at the state in MuJoCo's `data`, after `mj_rnePostConstraint`.
 
-    A tree joint carries `cfrc_int` of its child minus its drives. A ball or rod that closes a loop carries
-    its multipliers. A weld that joins the halves of a cut body belongs to no joint of the mechanism.
+    The reaction of a joint in the tree of bodies is `cfrc_int` of the joint's child minus the joint's drives.
+    The reaction of a ball or rod (a link of constant length) that closes a loop follows from the multipliers
+    of its equality. At other joints that close a loop, a body is cut into halves; the weld that joins the
+    halves belongs to no joint of the mechanism.
     """
 
     def __init__(self, compiled: MujocoScene) -> None:
@@ -37,7 +40,7 @@ class Reactions:
         # tree joints of the mechanism; the tree has additional free joints for bodies that only rods hold
         tree_joints = [each for each in compiled.tree.joints if each.joint < len(mechanism.joints)]
         self._tree_joints = np.array([each.joint for each in tree_joints], dtype=int)
-        # -1 if the child of the tree is the first body of the joint
+        # reactions act on the second body: -1 if the child in the tree is the first body of the joint
         self._signs = np.array([1.0 if each.forward else -1.0 for each in tree_joints])[:, None]
         self._children = np.array([compiled.body_id[each.child] for each in tree_joints], dtype=int)
         second_bodies = [mechanism.equations[joint].second for joint in self._tree_joints]
@@ -54,10 +57,11 @@ class Reactions:
         self._balls = np.flatnonzero(types == mujoco.mjtJoint.mjJNT_BALL).tolist()
         self._slides = np.flatnonzero(types == mujoco.mjtJoint.mjJNT_SLIDE)
         self._hinges = np.flatnonzero(types == mujoco.mjtJoint.mjJNT_HINGE)
-        # rows: several hinges, or several slides, of one body; one array (rows, count) for each count
+        # groups of several hinges, or several slides, of one body: for each size of a group an array
+        # (groups, size) of MuJoCo's joints
         body_and_type = 4 * bodies + types  # MuJoCo has four types of joints
         counts = np.bincount(body_and_type)
-        self._rows_of_joints = [
+        self._groups_by_size = [
             np.array([np.flatnonzero(body_and_type == value) for value in np.flatnonzero(counts == count)])
             for count in set(counts[counts > 1].tolist())
         ]
@@ -67,6 +71,7 @@ class Reactions:
         for number, child in enumerate(self._children):
             slides = self._slides[bodies[self._slides] == child]
             hinges = self._hinges[bodies[self._hinges] == child]
+            # a joint of two hinges with parallel axes at the ends of a link
             if mechanism.joints[self._tree_joints[number]].kind == ParallelHinges.kind:
                 self._parallel_hinges.append((number, hinges))
             elif len(slides) and len(hinges) > 1:
@@ -83,7 +88,8 @@ class Reactions:
         for loop in loops_with_rows(model, data):
             if loop.index in self._joint_of_equality:
                 forces[self._joint_of_equality[loop.index]] = loop.force_on_second()
-        # tree joints: cfrc_int (torque, then force) is about the center of mass of the subtree of the root
+        # tree joints: cfrc_int (torque, then force) is about the center of mass of the whole kinematic tree,
+        # the subtree of its root body
         points = self._joint_points()
         drives = self._drive_wrenches(points)[self._children]
         transmitted = data.cfrc_int[self._children]
@@ -102,19 +108,20 @@ class Reactions:
     def _drive_wrenches(self, points: Array) -> Array:
         """Return the wrench (nbody, 6) of actuators, springs, dampers and rotors on the child of each joint.
 
-        Wrenches are about the joint point, in the world frame. By definition, the force on one of several
-        hinges or slides does no work on the others: it acts along a dual axis. The force on a slide has no
-        torque about the joint point, where all hinges meet.
+        Wrenches are about the joint point, in the world frame. By newton_euler's definition of reactions, the
+        drive of one of several hinges or slides does no work on the others: its torque or force is along a
+        dual axis d_k, with d_k . a_m = 0 for the axes a_m of the others and d_k . a_k = 1. The force on a
+        slide has no torque about the joint point, where all hinges meet.
 
         Args:
             points: (k, 3) points of the tree joints, m, world frame.
         """
         model, data = self._compiled.model, self._compiled.data
         q_index, v_index = model.jnt_qposadr, model.jnt_dofadr
-        # generalized force of each hinge and slide; entries of balls are not used
+        # generalized force of each hinge and slide, N or N m; entries of balls are not used
         stretch = data.qpos[q_index] - model.qpos_spring[q_index]
         forces = -model.jnt_stiffness * stretch - model.dof_damping[v_index] * data.qvel[v_index]
-        # cfrc_int does not include armatures
+        # inertia forces of the rotors (armatures)
         forces -= model.dof_armature[v_index] * data.qacc[v_index]
         count = self._law_count
         np.add.at(forces, model.actuator_trnid[:count, 0], data.actuator_force[:count])
@@ -125,8 +132,8 @@ class Reactions:
             wrenches[model.jnt_bodyid[ball], 3:] += to_world @ self._ball_torque(ball)
         # slides and hinges along their dual axes; a single hinge or slide is its own dual
         duals = np.array(data.xaxis)
-        for row in self._rows_of_joints:
-            duals[row] = dual_axes(duals[row])
+        for group in self._groups_by_size:
+            duals[group] = dual_axes(duals[group])
         along_duals = forces[:, None] * duals
         np.add.at(wrenches[:, :3], model.jnt_bodyid[self._slides], along_duals[self._slides])
         np.add.at(wrenches[:, 3:], model.jnt_bodyid[self._hinges], along_duals[self._hinges])
@@ -136,7 +143,7 @@ class Reactions:
             child = self._children[number]
             work = np.sum(np.cross(axes, arms) * wrenches[child, :3], axis=1)
             wrenches[child, 3:] -= work @ dual_axes(axes)
-        # parallel hinges of one joint
+        # two parallel hinges of one joint: their torques are replaced by a force and a torque of equal power
         for number, hinges in self._parallel_hinges:
             axes, arms = data.xaxis[hinges], points[number] - data.xanchor[hinges]
             wrench = driving_wrench(axes, np.cross(axes, arms), forces[hinges])

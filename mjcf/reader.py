@@ -1,13 +1,15 @@
 """Import an MJCF file as a scene of newton_euler, with an import report on every element of the file.
 
-MuJoCo compiles the file and resolves its defaults, includes, angles and inertias. The scene is built from the
-compiled model at its start state: a keyframe or qpos0, moved slightly so that all loops are closed. Bodies
-that are fixed to each other become one body.
+A scene is a mechanism with its forces, control laws and initial state. MuJoCo compiles the file and resolves
+its defaults, includes, angles and inertias. The scene is built from the compiled model at its start state: a
+keyframe or qpos0, moved slightly so that all loops are closed. Bodies that are fixed to each other become one
+body.
 
 The scene is then verified: its masses, motions and forces are compared with those of the compiled model
 (`newton_euler.reading`, `mjcf.reference`). A model with actuators is imported and verified a second time with
 random controls, because a wrong actuator has no effect while its control is zero. On request, the scene is
-excited: controls follow sines and joints get start velocities, see `mjcf.reading.laws`.
+excited, because a run of a model at rest tests little: controls follow sines and joints get start velocities,
+see `mjcf.reading.laws`.
 """
 
 from __future__ import annotations
@@ -73,7 +75,8 @@ class Reading:
         scene: imported scene.
         report: import report: for each element of the file, what the element became or why it is left out.
         start: MuJoCo's model and data at the start state, without contacts, limits and dry friction.
-        drives: actuators whose controls excitation can vary, by number of the actuator.
+        drives: actuators whose controls excitation can vary, by number of the actuator, with the range in
+            which no limit is exceeded.
     """
 
     scene: Scene
@@ -120,6 +123,7 @@ def read(
             if root is not None:
                 raise OptionError("root", root, "no root for a model in memory, which refers to no files")
         check_memory(source_name, compiled_model)
+        # likely mistakes in the file: inertias of meshes, and keyframes with too few numbers
         file_findings = [*mesh_findings(compiled_model), *key_findings(compiled_model, keyframe_sizes)]
         # import; every import and every reference model changes its own copy of the compiled model
         reading = _import(source_name, copy.copy(compiled_model), key, request)
@@ -129,14 +133,16 @@ def read(
             references: list[tuple[ReferenceModel, Scene]] = [reference]
             if compiled_model.nu:
                 references.append(_reference_with_random_controls(source_name, compiled_model, key, request))
+            # constant controls, or on request the sines of the excitation
             start = reading.start.data
-            inputs = Inputs(compiled_model, np.array(start.ctrl), np.array(start.act), {})
+            inputs = Inputs(compiled_model, np.array(start.ctrl), np.array(start.act), sines={})
             if request.excitation:
                 reading, inputs = _excite(source_name, copy.copy(compiled_model), key, request, reading)
-            # the file in MuJoCo as it stands, likely mistakes, and verification
+            # the file as MuJoCo simulates it with the file's own settings, likely mistakes, and verification
             report = reading.report
             simulation = MujocoFile(compiled_model, reference[0], reading.scene, report, inputs)
             if compiled_model.neq and isinstance(model, str | os.PathLike):
+                # equalities that the `solref` and `solimp` of <default> do not reach
                 simulation.own_softness = equalities_with_own_softness(source_name)
             report.simulation = simulation
             report.references.extend(references)
@@ -182,6 +188,7 @@ def _random_control(model: Any) -> Array:
     low, high = np.full((2, model.nu), [[-1.0], [1.0]])
     limited = model.actuator_ctrllimited.astype(bool)
     for actuator in np.flatnonzero(limited):
+        # in MuJoCo 4 an actuator may have several controls
         first = model.actuator_ctrladr[actuator]
         controls = slice(first, first + model.actuator_ctrlnum[actuator])
         low[controls], high[controls] = model.actuator_ctrlrange[actuator].reshape(-1, 2).T
@@ -203,6 +210,9 @@ def _excite(
         key: name of the keyframe, see `read`.
         request: options of the scene.
         reading: scene with the controls of the file, and its report.
+
+    Returns:
+        The new reading, and its controls for a run in MuJoCo.
     """
     start = reading.start
     excitation = choose_excitation(
@@ -229,9 +239,9 @@ def _excite(
             f"{_count(constant, 'actuator')} with the controls of the file ({_join_first(constant)})"
         )
     if not np.any(start.data.qvel):
-        moving_scene, speeds = with_start_velocities(excited.scene, excited.report.bounds)
+        moving_scene, largest_speeds = with_start_velocities(excited.scene, excited.report.bounds)
         excited = replace(excited, scene=moving_scene)
-        phrases.append(speeds)
+        phrases.append(largest_speeds)
     description = ", ".join(phrases) or "the velocities of the start are enough"
     excited.report.start.append(f"excited: {description}")
     return excited, Inputs(model, excitation.control, np.array(start.data.act), excitation.sines)
@@ -263,7 +273,7 @@ def _import(
         key: name of the keyframe, see `read`.
         request: options of the scene.
         control: (nu,) controls; None for the controls of the keyframe.
-        sines: sines that are added to controls, by number of the actuator.
+        sines: sines of the excitation that are added to controls, by number of the actuator.
     """
     report = ImportReport()
     start = ModelAtStart(source_name, model, key, report, request.redundancy_tolerance, control)
@@ -291,7 +301,7 @@ def _build_scene(
         bodies: imported bodies.
         report: report that receives one entry for each element.
         request: options of the scene.
-        sines: sines that are added to controls, by number of the actuator.
+        sines: sines of the excitation that are added to controls, by number of the actuator.
 
     Returns:
         The scene, and the actuators whose controls excitation can vary, by number.
@@ -299,6 +309,7 @@ def _build_scene(
     path, model = start.path, start.model
     if len(bodies.bodies) < 2:  # the ground is the first body
         raise SourceError(path, "no body can move")
+    # each of these classes imports one kind of element, and reports it
     joints = Joints(start, bodies, driven_joints(model), report)
     loops = Loops(start, bodies, joints, report)
     gravity = np.array(model.opt.gravity)
@@ -308,14 +319,16 @@ def _build_scene(
     coordinate_armatures, ball_armatures = armatures(start, joints, gear_groups, report)
     for key, inertia in actuators.armatures.items():
         coordinate_armatures[key] = coordinate_armatures.get(key, 0.0) + inertia
-    report_leftovers(start, bodies, joints, report)
+    report_leftovers(start, bodies, joints, report)  # contacts, limits and other elements not simulated
     report.names = _file_names(start, bodies, joints, actuators.drives)
     # the name of the scene is the name of the model, or of the file
     given_name = model_name(model)
     name = unique_name(Path(path).stem if given_name in ("", UNNAMED) else given_name, "model", ())
+    # `unweld_loops` merges the body halves by which `mjcf.write` closes loops in exported files
+    mechanism = unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.couplings))
     scene = Scene(
         name[:100].strip(".") or "model",
-        unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.couplings)),
+        mechanism,
         request.duration,
         request.output_period,
         gravity,
@@ -335,7 +348,10 @@ def _build_scene(
 def _file_names(
     start: ModelAtStart, bodies: Bodies, joints: Joints, drives: ReadOnlyMapping[int, Drive]
 ) -> FileNames:
-    """Record how joints, body frames and actuators of the file correspond to the scene."""
+    """Record how joints, body frames and actuators of the file correspond to the scene.
+
+    Logs of MuJoCo's runs use the file's names and zeros; the record translates them to the scene.
+    """
     model, data = start.model, start.data
     names = FileNames()
     for joint, key in joints.coordinate_keys.items():
@@ -346,6 +362,7 @@ def _file_names(
     for k in range(1, model.nbody):
         if not (name := model.body(k).name):
             continue
+        # frame of the file's body in the frame of the scene's body
         body = bodies_by_name[bodies.names[k]]
         point = rotation(body.quaternion).T @ (data.xpos[k] - body.center_of_mass)
         turn = product(conjugate(body.quaternion), data.xquat[k] / np.linalg.norm(data.xquat[k]))
@@ -369,18 +386,21 @@ def _with_file_velocities(scene: Scene, start: ModelAtStart, bodies: Bodies, rep
     for k, body in enumerate(mechanism.bodies[1:], start=1):
         linear[k], angular[k] = bodies.velocity(bodies.root(body.name), body.center_of_mass)
     at_rest = State.initial(mechanism)
+    # the nearest state that satisfies the constraints
     state = assemble(scene, replace(at_rest, linear_velocity=linear, angular_velocity=angular))
-    # report the adjustment: largest change of linear and of angular velocities, and its fraction
+    # report the adjustment: largest change of linear and of angular velocities, and the change as a fraction
+    # of the largest velocity
     pairs = ((state.linear_velocity, linear), (state.angular_velocity, angular))
     changes = [float(np.max(np.abs(adjusted - given))) for adjusted, given in pairs]
     largest = [float(np.max(np.abs(given))) for _, given in pairs]
     fractions = [change / size for change, size in zip(changes, largest, strict=True) if size]
+    linear_change, angular_change = changes
     report.changed_velocities = ChangedVelocities(
-        start.key, changes[0], changes[1], max(fractions, default=0.0)
+        start.key, linear_change, angular_change, max(fractions, default=0.0)
     )
     report.start.append(
-        f"velocities of {start.key}, changed by at most {changes[0]:.2e} m/s and {changes[1]:.2e} rad/s "
-        "to fit"
+        f"velocities of {start.key}, changed by at most {linear_change:.2e} m/s and "
+        f"{angular_change:.2e} rad/s to fit"
     )
     if max(np.max(np.abs(state.linear_velocity)), np.max(np.abs(state.angular_velocity))) < REST_SPEED:
         return scene

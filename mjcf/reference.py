@@ -1,9 +1,9 @@
 """Reference model of an MJCF file: the compiled model, against which the imported scene is verified.
 
 `newton_euler.reading` compares masses, motions, constraints and forces of an imported scene with those of a
-`ReferenceModel`. The class here computes them by MuJoCo's own functions. The module shares only the compiled
-model and the names of elements with the reader, `mjcf.reading`, so that both cannot make the same mistake.
-Elements that the import report leaves out are switched off in the compiled model.
+`ReferenceModel`. `MjcfReference` computes these quantities by MuJoCo's own functions. The module shares only
+the compiled model and the names of elements with the reader, `mjcf.reading`, so that both cannot make the
+same mistake. Elements that the import report leaves out are switched off in the compiled model.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, 
 from newton_euler.scalars import Array, cross
 
 PASSIVE_ROUND_OFF = 1e-14
-"""Relative round-off of the difference between MuJoCo's passive forces and its springs and dampers."""
+"""Round-off of the difference between all passive forces of MuJoCo and its springs and dampers, relative to
+springs and dampers. Smaller differences count as zero."""
 
 UNSIMULATED_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS")
 """Features that scenes do not simulate; the import report lists their elements instead."""
 
-FORCE_ARRAYS = {
+PROPORTIONAL_ARRAYS = {
     "jnt": ("stiffness", "stiffnesspoly"),
     "dof": ("damping", "dampingpoly"),
     "tendon": ("stiffness", "stiffnesspoly", "damping", "dampingpoly"),
@@ -41,13 +42,12 @@ FORCE_ARRAYS = {
 
 Damping of joints is stored by degree of freedom ("dof")."""
 
-
-GRAVITY_INDEX, OTHER_THAN_GRAVITY = FORCE_KINDS.index("gravity"), slice(1, None)
-"""Row of gravity, and rows of the other kinds of forces, in arrays (4, nv) of all `FORCE_KINDS`."""
+GRAVITY_ROW, ROWS_BUT_GRAVITY = FORCE_KINDS.index("gravity"), slice(1, None)
+"""Row of gravity, and rows of springs, dampers and actuators, in arrays (4, nv) of all `FORCE_KINDS`."""
 
 
 class WatchedForceLimit(NamedTuple):
-    """Limit of a force that the scene does not simulate, and that runs are watched for.
+    """Limit of a force that the scene does not simulate; after a run, a watch tests whether it was passed.
 
     Attributes:
         element: name of the actuator or joint in the report.
@@ -66,7 +66,7 @@ class MjcfReference(ReferenceModel):
     """Reference model of a compiled MJCF file.
 
     Configurations q (nq,) and velocities v (nv,) are MuJoCo's qpos and qvel. Bodies that no joint separates
-    form a rigid group, which the scene has as one body.
+    form a rigid group, which is one body of the scene. The root of a group is its first body.
     """
 
     def __init__(
@@ -86,13 +86,14 @@ class MjcfReference(ReferenceModel):
             scene: imported scene; its initial pose selects the start among the closed configurations.
             controls: controls (nu,) and activations (na,); None for the controls of the keyframe.
         """
-        # the model without unsimulated features; early activations belong to the next time step
+        # the model without unsimulated features, and with the activations of the present time instead of the
+        # next time step (`actearly`)
         self._model: Any = model
         self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         for name in UNSIMULATED_FEATURES:
             self._model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
         self._model.actuator_actearly[:] = 0
-        # otherwise MuJoCo replaces inertial frames that are nearly the body frame
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame
         self._model.body_sameframe[self._model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         # the state in the file
         self._data = mujoco.MjData(self._model)
@@ -107,13 +108,14 @@ class MjcfReference(ReferenceModel):
         self._group_bodies(scene)
         self._set_units(scene)
         self._equalities = Equalities(self._model, self._data, self.units, self.size)
-        # the closed start, `self.start`, by `begin`; elements without an entry in the report
+        # elements without an entry in the report; the closed start `self.start`
         self.unaccounted = tuple(unaccounted(self._model, self._roots, report))
         self.find_start(scene)
         self.unaccounted += tuple(self._changing_activations(report, self._data.act == keyframe_activations))
-        # leave out the same elements as the scene, after their names were compared
+        # switch off the elements that the scene leaves out, after all elements were compared with the report
         self._force_limits = tuple(self._watched_force_limits(report))
         self._leave_out(report)
+        # the scene keeps the loop-closure errors of the start, and so does the reference
         self.keep_offsets()
 
     def _set_keyframe(self, key: str | None) -> None:
@@ -141,7 +143,8 @@ class MjcfReference(ReferenceModel):
         names = ["ground"]
         for k in self._roots:
             names.append(unique_name(model.body(k).name, f"body_{k}", names))
-        self.names = whole_body_names(names[1:], scene.mechanism.body_names)
+        # two halves of a body that an export has cut at a loop have the name of the scene's body
+        self.names = names_of_wholes(names[1:], scene.mechanism.body_names)
 
     def _set_units(self, scene: Scene) -> None:
         """Set the names, units and largest random displacements of the velocities, see `ReferenceModel`."""
@@ -151,7 +154,9 @@ class MjcfReference(ReferenceModel):
         self.size = scene.mechanism.size
         self.motions = tuple(element_name(self._model, "joint", int(k)) for k in model.dof_jntid)
         self.lengths = slides[model.dof_jntid]
-        self.ranges = np.full(model.nv, 3.0)  # nearly half a revolution, or three sizes
+        # largest random displacements: nearly half a revolution, or three sizes of the mechanism; less for
+        # several hinges in a row
+        self.ranges = np.full(model.nv, 3.0)
         for dof, joint in enumerate(model.dof_jntid.tolist()):
             # the first three velocities of a free joint are translations
             if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and dof < model.jnt_dofadr[joint] + 3:
@@ -162,7 +167,7 @@ class MjcfReference(ReferenceModel):
         self.units = np.where(self.lengths, self.size, 1.0)
 
     def _watched_force_limits(self, report: ImportReport) -> Iterator[WatchedForceLimit]:
-        """Yield the limits of forces in the report that runs are watched for."""
+        """Yield the limits of forces for which the report has watches."""
         model = self._model
         for topic, kind, count in (
             ("limit of the force", "actuator", model.nactuator),
@@ -178,13 +183,14 @@ class MjcfReference(ReferenceModel):
                     yield WatchedForceLimit(entry.element, kind, numbers[entry.element], watch)
 
     def _changing_activations(self, report: ImportReport, unchanged: Array) -> Iterator[str]:
-        """Yield a message for each actuator of the scene whose activation changes at the start.
+        """Yield a message for each imported actuator whose activation changes at the start.
 
         Scenes hold activations constant, so that such an actuator is not imported correctly.
 
         Args:
             report: import report.
-            unchanged: (na,) False for activations that differ from those of the keyframe, which are skipped.
+            unchanged: (na,) True for activations of the keyframe; activations that `controls` replaced are
+                not examined.
         """
         model, data, omitted = self._model, self._data, elements_left_out(report)
         self._evaluate(self.start, self._velocity)
@@ -199,7 +205,7 @@ class MjcfReference(ReferenceModel):
         """Switch off the elements and topics that the report leaves out."""
         self._equalities.active[switch_off_left_out(self._model, report)] = 0
 
-    # Quantities by MuJoCo
+    # Quantities that MuJoCo computes
 
     def _evaluate(self, q: Array, v: Array) -> None:
         """Compute positions, velocities and actuator forces of a state in MuJoCo's data."""
@@ -254,8 +260,8 @@ class MjcfReference(ReferenceModel):
         self._evaluate(q, v)
         centers = self._centers()
         jacobians, drift = np.zeros((len(centers), 6, model.nv)), np.zeros((len(centers), 6))
-        # accelerations for qacc = 0; mj_jacDot is not used, because it is wrong for a slide above a ball or
-        # hinge of the same body
+        # accelerations for qacc = 0; mj_jacDot is not used, because it is wrong for a ball that a slide of
+        # the same body follows
         data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(model, data)
         world_acceleration = data.cacc[0, 3:]  # MuJoCo gives the world body the acceleration -gravity
@@ -281,7 +287,7 @@ class MjcfReference(ReferenceModel):
         self._equalities.keep_offsets(self.start)
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
-        """Return the mass matrices (nv, nv) of bodies, and of the armatures of all elements."""
+        """Return two mass matrices (nv, nv): of the bodies, and of the armatures (rotor inertias)."""
         model, joint_armatures = self._model, np.diag(self._model.dof_armature)
         has_other_armatures = np.any(model.tendon_armature) or np.any(model.actuator_armature)
         with_joints = self._full_mass_matrix(q)
@@ -310,6 +316,7 @@ class MjcfReference(ReferenceModel):
     def forces(self, q: Array, v: Array) -> Forces:
         """Return the generalized forces (nv,) of gravity, springs, dampers, actuators, and bias."""
         data = self._data
+        # MuJoCo's bias force at rest is minus the gravity force
         self._evaluate(q, np.zeros(len(v)))
         gravity = -data.qfrc_bias
         self._evaluate(q, v)
@@ -318,7 +325,13 @@ class MjcfReference(ReferenceModel):
         others = data.qfrc_passive - springs - dampers
         round_off = PASSIVE_ROUND_OFF * np.abs(springs) + PASSIVE_ROUND_OFF * np.abs(dampers)
         others[np.abs(others) <= round_off] = 0.0
-        return Forces(gravity, springs, dampers, data.qfrc_actuator + others, data.qfrc_bias + gravity)
+        return Forces(
+            gravity=gravity,
+            springs=springs,
+            dampers=dampers,
+            actuators=data.qfrc_actuator + others,
+            bias=data.qfrc_bias + gravity,
+        )
 
     def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
         """Return the watched limits, with the force at this state and the limits in the file."""
@@ -347,26 +360,29 @@ class MjcfReference(ReferenceModel):
     # One element at a time
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
-        """Yield each element with its forces at all samples, while all other elements have none."""
+        """Yield each element with its forces at all samples, while all other elements have none.
+
+        The forces are a list of variants of the element, see `_force_variants`.
+        """
         model = self._model
         # save all arrays that forces are proportional to, and set them to zero
-        array_names = {f"{kind}_{field}" for kind, fields in FORCE_ARRAYS.items() for field in fields}
+        array_names = {f"{kind}_{field}" for kind, fields in PROPORTIONAL_ARRAYS.items() for field in fields}
         saved = {name: getattr(model, name).copy() for name in array_names}
         saved_gravity = model.opt.gravity.copy()
         for name in array_names:
             getattr(model, name)[:] = 0.0
-        # gravity of 1 m/s^2 along each axis
+        # gravity of 1 m/s^2 along each axis; other forces that depend on gravity are another element
         gravity_variants = []
         for axis in np.eye(3):
             model.opt.gravity[:] = axis
             by_sample = self._force_kinds(samples)
             for forces in by_sample:
-                forces[OTHER_THAN_GRAVITY] = 0.0
+                forces[ROWS_BUT_GRAVITY] = 0.0
             gravity_variants.append(by_sample)
         yield "gravity", gravity_variants
         model.opt.gravity[:] = 0.0
         # one element at a time: restore its values, evaluate, set them to zero again
-        for kind, fields in FORCE_ARRAYS.items():
+        for kind, fields in PROPORTIONAL_ARRAYS.items():
             count = model.njnt if kind == "dof" else len(saved[f"{kind}_{fields[0]}"])
             for k in range(count):
                 rows = model.dof_jntid == k if kind == "dof" else np.arange(count) == k
@@ -374,11 +390,10 @@ class MjcfReference(ReferenceModel):
                     continue
                 for field in fields:
                     getattr(model, f"{kind}_{field}")[rows] = saved[f"{kind}_{field}"][rows]
+                # stiffness and damping of a joint are separate elements; the fields of others act together
                 topic = {"jnt": ": stiffness", "dof": ": damping"}.get(kind, "")
-                yield (
-                    element_name(self._model, "joint" if topic else kind, k) + topic,
-                    self._force_variants(kind, k, samples, saved_gravity),
-                )
+                name = element_name(self._model, "joint" if topic else kind, k) + topic
+                yield name, self._force_variants(kind, k, samples, saved_gravity)
                 for field in fields:
                     getattr(model, f"{kind}_{field}")[rows] = 0.0
         # restore the model
@@ -395,7 +410,7 @@ class MjcfReference(ReferenceModel):
         one axis of a force on a site.
 
         Args:
-            kind: key of `FORCE_ARRAYS`.
+            kind: key of `PROPORTIONAL_ARRAYS`.
             k: number of the element.
             samples: states at which forces are evaluated.
             gravity: (3,) gravity of the model, m/s^2; the present gravity is zero.
@@ -409,7 +424,7 @@ class MjcfReference(ReferenceModel):
             by_sample = self._force_kinds(samples)
             model.opt.gravity[:] = 0.0
             for forces in by_sample:
-                forces[GRAVITY_INDEX] = 0.0
+                forces[GRAVITY_ROW] = 0.0
             return [by_sample]
         variants = [self._force_kinds(samples)]
         if kind == "tendon":
@@ -425,8 +440,9 @@ class MjcfReference(ReferenceModel):
         return variants
 
     def _force_kinds(self, samples: Sequence[Sample]) -> list[Array]:
-        """Return forces (4, nv) of all `FORCE_KINDS` for each sample, without the bias, the last field."""
-        return [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
+        """Return forces (4, nv) of all `FORCE_KINDS` for each sample."""
+        without_bias = slice(len(FORCE_KINDS))  # the bias is the last field of `Forces`
+        return [np.array(self.forces(sample.q, sample.v)[without_bias]) for sample in samples]
 
     def armatures(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """Yield each element that has an armature, with its mass matrix (nv, nv) at each sample."""

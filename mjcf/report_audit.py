@@ -1,10 +1,11 @@
 """Check the import report of an MJCF file against the compiled model, for `mjcf.reference`.
 
-An import report lists what the reader made of every element of a file, and which elements it left out. This
-module lists acting elements that the report does not mention. It switches off the elements that the report
-leaves out, so that the rest of the compiled model can be compared with the imported scene. `Equalities`
-computes residuals and Jacobian of MuJoCo's equality constraints by MuJoCo's own functions. The module shares
-only the names of elements with the reader, so that a mistake of the reader is not repeated here.
+An import report lists how the reader imported every element of a file, and which elements the reader left
+out: whole elements, or one topic of an element, such as "armature". `unaccounted` lists acting elements that
+the report does not mention. `switch_off_left_out` switches off in the compiled model what the report leaves
+out, so that the rest of the model can be compared with the imported scene. `Equalities` computes residuals
+and Jacobian of MuJoCo's equality constraints by MuJoCo's own functions. The module shares only the names of
+elements with the reader, so that a mistake of the reader is not repeated here.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from newton_euler.reading.quantities import Constraints
 from newton_euler.scalars import Array
 
 TORQUE_SCALE_INDEX = 10
-"""Index of `torquescale`, the factor of rotational residuals, in `eq_data` of a weld."""
+"""Index, in `eq_data` of a weld, of `torquescale`: MuJoCo's factor of the weld's rotational residuals."""
 
 WELD_ANCHORS_AND_POSE = slice(0, 10)
 """Part of `eq_data` of a weld: anchor in body 2, anchor in body 1, orientation of body 2 in body 1."""
@@ -63,7 +64,7 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
     Args:
         model: compiled model, which is changed.
         kind: kind of the element, such as "joint"; for elements without number, the whole name in the report,
-            such as "option wind". Equalities are switched off by `Equalities.active`.
+            such as "option wind". Equalities are not switched off here, but by `Equalities.active`.
         k: number of the element.
         topic: property in the report, such as "armature"; "" for the whole element. Topics without effect on
             forces, such as "limits", need no change.
@@ -106,7 +107,11 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
 
 
 def switch_off_left_out(model: Any, report: ImportReport) -> list[int]:
-    """Switch off the elements and topics that the report leaves out; return the equalities among them."""
+    """Switch off the elements and topics that the report leaves out.
+
+    Returns:
+        Numbers of the equalities among these elements, which are not switched off yet.
+    """
     counts = {
         "joint": model.njnt,
         "equality": model.neq,
@@ -116,7 +121,7 @@ def switch_off_left_out(model: Any, report: ImportReport) -> list[int]:
     numbers = {element_name(model, kind, k): (kind, k) for kind, n in counts.items() for k in range(n)}
     equalities = []
     for element, topics in left_out(report).items():
-        kind, k = numbers.get(element, (element, -1))
+        kind, k = numbers.get(element, (element, -1))  # -1: an element without number
         for topic in topics:
             if kind == "equality":
                 equalities.append(k)
@@ -133,7 +138,7 @@ class Equalities:
     """
 
     def __init__(self, model: Any, data: Any, units: Array, size: float) -> None:
-        """Take a compiled model and its data. Later calls change both.
+        """Take a compiled model and its data; the methods change both.
 
         Args:
             model: `MjModel`.
@@ -151,7 +156,8 @@ class Equalities:
     def constraints(self, q: Array) -> Constraints:
         """Return residuals (k,) and Jacobian (k, nv) of all equalities at a configuration q (nq,).
 
-        Rows of equalities that are not active are zero. MuJoCo also drops equalities whose Jacobian is zero.
+        Rows of equalities that are not active are zero, and so are rows of equalities with a zero Jacobian,
+        which MuJoCo drops.
         """
         model, data = self._model, self._data
         data.qpos[:] = q
@@ -161,17 +167,19 @@ class Equalities:
         mujoco_rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         mujoco_rows &= np.isin(data.efc_id, self._equality_of_row)
         residual, jacobian = np.zeros(len(self._row_units)), np.zeros((len(self._row_units), model.nv))
-        # both row sets are in the order of the equalities
+        # rows here and rows of MuJoCo are both in the order of the equalities
         present = np.isin(self._equality_of_row, data.efc_id[mujoco_rows])
         residual[present] = data.efc_pos[mujoco_rows]
         jacobian[present] = data.efc_J.reshape(-1, model.nv)[mujoco_rows]
         names = [element_name(self._model, "equality", int(k)) for k in self._equality_of_row]
         return Constraints(
-            residual / self._row_units, jacobian / self._row_units[:, None] * self._velocity_units, names
+            residual=residual / self._row_units,
+            jacobian=jacobian / self._row_units[:, None] * self._velocity_units,
+            owners=names,
         )
 
     def _units_of_rows(self, equality: int) -> Array:
-        """Return the unit of each row of an equality: m for lengths, 1 or `torquescale` for angles."""
+        """Return the units of an equality's rows: `size` (m) for lengths, 1 or `torquescale` for angles."""
         model, size = self._model, self._size
         first = int(model.eq_obj1id[equality])
         match mujoco.mjtEq(model.eq_type[equality]):
@@ -193,6 +201,7 @@ class Equalities:
 
         The rounded numbers of a file close its loops only approximately. Scenes keep the remaining offsets.
         """
+        # residuals in the units of the file; `constraints` also sets the state in `data` to `start`
         model, data, residuals = self._model, self._data, self.constraints(start).residual
         residuals = residuals * self._row_units
         for k in np.flatnonzero(self.active).tolist():

@@ -1,4 +1,4 @@
-"""Equations of motion with hard constraints, from the matrices of a MuJoCo model.
+"""Equations of motion with rigid constraints, from the matrices of a MuJoCo model.
 
 MuJoCo's equality constraints are soft, so that its own accelerations differ from those of rigid constraints
 for any model. This module takes the mass matrix, bias forces, applied forces and constraint Jacobian of the
@@ -7,7 +7,8 @@ compiled MJCF, and solves
     M qacc = qfrc_passive + qfrc_actuator - qfrc_bias + J^T lambda
     J qacc = -Jdot qvel + f''(t)                 (f: functions of prescribed motions)
 
-If the result differs from another engine, the compiled model is wrong: softness cannot be the reason.
+If these accelerations differ from those of another engine, the compiled model is wrong: softness cannot be
+the reason.
 """
 
 from __future__ import annotations
@@ -30,11 +31,13 @@ from newton_euler.scalars import Array
 
 
 class RigidMuJoCo(EvaluatedScene):
-    """A `newton_euler.equations.system.System` with hard constraints and MuJoCo's matrices.
+    """A `newton_euler.equations.system.System` (an engine's equations) with rigid constraints and MuJoCo's
+    matrices.
 
     Coordinates q (nq,) and velocities v (nv,) belong to newton_euler's spanning tree; MuJoCo's velocities are
     qvel = layout.to_qvel v. Constraint rows (k,) are those of MuJoCo's equalities, in the order of the MJCF:
-    first all loop closures, then all couplings (gears, screws and prescribed motions).
+    first all loop closures (balls, welds and rods, which are tendons of constant length), then all couplings
+    (gears, screws and prescribed motions). `time` is the time, s, of prescribed motions.
     """
 
     name = "mujoco_rigid"
@@ -63,7 +66,7 @@ class RigidMuJoCo(EvaluatedScene):
         return EngineControl(scene, RigidMuJoCo)
 
     def rate(self, q: Array, v: Array) -> Array:
-        """Return qdot (nq,)."""
+        """Return dq/dt (nq,) for velocities v (nv,)."""
         return self.tree.rate(q, v)
 
     def retract(self, q: Array, step: Array) -> Array:
@@ -71,7 +74,7 @@ class RigidMuJoCo(EvaluatedScene):
         return self.tree.retract(q, step)
 
     def _present_rows(self) -> Array:
-        """Return a mask (k,) of the rows that MuJoCo has at this state; MuJoCo drops rows of zeros."""
+        """Return a mask (k,) of the rows in `data`; MuJoCo drops rows of zeros."""
         if self.data.nefc == len(self._equality_of_row):
             return np.ones(self.data.nefc, dtype=bool)
         return np.isin(self._equality_of_row, self.data.efc_id)
@@ -130,8 +133,9 @@ class RigidMuJoCo(EvaluatedScene):
         return float(-second_derivative(x) * data.qvel[model.jnt_dofadr[driver]] ** 2)
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """Return vdot (nv,)."""
-        return self._solve(q, v)[0]
+        """Return dv/dt (nv,)."""
+        acceleration, _ = self._solve(q, v)
+        return acceleration
 
     def velocity_transformation(self, q: Array) -> Array:
         """Return the body Jacobian (6 b, nv) by MuJoCo: linear and angular velocity of each body per v.
@@ -162,6 +166,7 @@ class RigidMuJoCo(EvaluatedScene):
             return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
 
         geometry = geometry_in_tree(self.welded, read)
+        # joints that close loops; welds join halves of cut bodies, and are no joints of the mechanism
         for loop in active_loops(model, data):
             if loop.kind != mujoco.mjtEq.mjEQ_WELD:
                 kind = "rod" if loop.kind == mujoco.mjtEq.mjEQ_TENDON else "ball"
@@ -176,12 +181,13 @@ class RigidMuJoCo(EvaluatedScene):
         return self.evaluation(self.layout.to_qvel @ acceleration, multipliers[self._present_rows()])
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Solve for vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows.
+        """Solve for dv/dt (nv,) and the multipliers (k,) of MuJoCo's constraint rows.
 
-        Redundant rows are set to zero. Their multipliers are zero, too.
+        Almost redundant rows are set to zero, with zero multipliers. The rank of the other rows, which may be
+        exactly dependent, is that of newton_euler's mobility analysis (`constraint_rank`).
         """
         unused = rows_left_out(self)
-        gamma = self._gamma(q, v)
+        gamma = self._gamma(q, v)  # first, because it sets the state in `data`
         mass, force = self._mass_and_force()
         rows, gamma = with_zero_rows(self._jacobian(), unused), with_zero_rows(gamma, unused)
         units = self.phi_units, self.velocity_units
@@ -193,15 +199,15 @@ class RigidMuJoCo(EvaluatedScene):
         Args:
             q: (nq,) tree coordinates.
             v: (nv,) tree velocities.
-            keys: joint and coordinate of each force.
+            keys: joint name and number of the coordinate of each force.
             accelerations: accelerations of these coordinates, m/s^2 or rad/s^2.
 
         Returns:
             Forces, N or N m.
         """
-        gamma = self._gamma(q, v)
-        terms, jacobian = self._mass_and_force(), self._jacobian()
-        return servo_forces(self, self.tree, terms, (jacobian, gamma), keys, accelerations)
+        gamma = self._gamma(q, v)  # first, because it sets the state in `data`
+        mass_and_force, jacobian = self._mass_and_force(), self._jacobian()
+        return servo_forces(self, self.tree, mass_and_force, (jacobian, gamma), keys, accelerations)
 
     def _gamma(self, q: Array, v: Array) -> Array:
         """Return gamma (k,), the right side of J vdot = gamma = -Jdot v + f''(t)."""
@@ -233,7 +239,7 @@ class RigidMuJoCo(EvaluatedScene):
         equality = model.equality(self._closing_equality(joint)).id
         is_weld = model.eq_type[equality] == mujoco.mjtEq.mjEQ_WELD
         rotation = data.xmat[model.eq_obj2id[equality]].reshape(3, 3)
-        # eq_data: a weld has the anchor in body 2 first, a connect the anchor in body 1, then in body 2
+        # eq_data: a weld has its anchor in body 2, then in body 1; a connect in body 1, then in body 2
         anchor_in_second = slice(0, 3) if is_weld else slice(3, 6)
         model.eq_data[equality, anchor_in_second] += rotation.T @ shift
 
@@ -241,7 +247,8 @@ class RigidMuJoCo(EvaluatedScene):
         """Return the name of the equality that closes the loop of a joint.
 
         A joint that MuJoCo has no equality for, such as a hinge, stays in the tree. One of its bodies is cut
-        into two halves instead, and a weld joins the halves.
+        into two halves instead, and a weld closes the loop: it joins the whole body (first) and the half that
+        was added (second). The joint is at the added half.
         """
         mechanism, welded = self.mechanism, self.welded.mechanism
         closing_joint = welded.joints[mechanism.joint_index(joint)]

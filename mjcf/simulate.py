@@ -1,7 +1,8 @@
 """Simulate a scene by MuJoCo's own time stepping, with a fixed step that divides all intervals.
 
-Outputs, samples of digital controllers, and jumps of controls divide the run into intervals. Each interval
-has a whole number of equal steps.
+A scene is a mechanism with its forces, control laws and initial state. Output times, samples of digital
+controllers, and jumps of set-points divide the run into intervals. Each interval has a whole number of equal
+steps.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
     from mjcf.soft import SoftMuJoCo
 
 MIN_TIMESTEP = 1e-6
-"""Smallest common divisor, s, of the output period and the periods of controllers."""
+"""Smallest common divisor, s, of the output period and the periods of controllers; the time step divides it.
+"""
 
 IntegratorName = Literal["RK4", "Euler", "implicit", "implicitfast"]
 """Names of MuJoCo's integrators in MJCF."""
@@ -51,8 +53,8 @@ def simulate(
 ) -> Trajectory:
     """Simulate a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
-    Reactions at an output come from MuJoCo's forward dynamics at that state. If the scene tracks work, the
-    work is done by the forces that the steps apply, see `mjcf.soft`.
+    Reactions at an output come from MuJoCo's forward dynamics at that state. If the scene tracks the work of
+    forces without potential, the work is that of the forces that the steps apply, see `mjcf.soft`.
 
     Args:
         scene: scene to simulate.
@@ -71,7 +73,8 @@ def simulate(
         >>> mjcf.simulate(load("pendulum"), timestep=0.001)
         <Trajectory of mujoco: 1001 outputs to 10 s, bodies: 2, joints: 1>
     """
-    # the steps of each interval: a list with one entry for each part of the interval between two outputs
+    # intervals in which controls do not jump, each with its parts between output times; each part has a
+    # number of equal steps
     largest_allowed = _chosen_timestep(scene, timestep)
     plan = [
         (interval, [_equal_steps(float(length), largest_allowed) for length in np.diff(interval.times)])
@@ -103,25 +106,33 @@ def simulate(
     if steps[-1].size != largest:
         settings["last_timestep"] = steps[-1].size
     evaluations, coupling_residuals = [], []
-    for (system, q, v, step_size, work), now in zip(outputs, scene.times, strict=stopped is None):
-        system.use_step(step_size, checked_solref)  # the softness of constraints depends on the step
-        system.time = float(now)
-        evaluation = system.evaluate(q, v) if scene.needs_accelerations else system.observe(q, v)
-        evaluations.append(replace(evaluation, work=work))
-        coupling_residuals.append(system.coupling_phi(q))
+    for output, now in zip(outputs, scene.times, strict=stopped is None):  # fewer outputs if stopped
+        at_output, q, v = output.system, output.q, output.v
+        at_output.use_step(output.step, checked_solref)  # the softness of constraints depends on the step
+        at_output.time = float(now)
+        evaluation = at_output.evaluate(q, v) if scene.needs_accelerations else at_output.observe(q, v)
+        evaluations.append(replace(evaluation, work=output.work))
+        coupling_residuals.append(at_output.coupling_phi(q))
     return trajectory_from(scene, "mujoco", settings, wall_time, evaluations, coupling_residuals, stopped)
 
 
 class Steps(NamedTuple):
-    """Number and size of the equal steps of one interval."""
+    """Equal time steps of a part of an interval.
+
+    Attributes:
+        number: number of steps.
+        size: s.
+    """
 
     number: int
     size: float
-    """Step, s."""
 
 
 def _equal_steps(interval: float, largest: float) -> Steps:
-    """Divide an interval into the fewest equal steps of at most `largest`, s."""
+    """Divide an interval, s, into the fewest equal steps of at most `largest`, s.
+
+    If `largest` divides the interval to round-off (1e-9), the size of the steps is `largest` itself.
+    """
     number = max(1, int(np.ceil(interval / largest * (1.0 - 1e-9))))
     divides = abs(number * largest - interval) <= 1e-9 * interval
     return Steps(number, largest if divides else interval / number)
@@ -150,7 +161,8 @@ def _chosen_timestep(scene: Scene, timestep: float | None) -> float:
         OptionError: for a time step that is no divisor, or leads to too many steps, and for periods without
             common divisor.
     """
-    # common divisor of the output period and the periods of sampled controllers
+    # common divisor of the output period and the periods of sampled controllers, which hold their force
+    # between samples
     sampled_laws = [law for law in scene.sampled if law.period < scene.duration]
     periods = [scene.output_period] if scene.output_period < scene.duration else []
     periods += [law.period for law in sampled_laws]
@@ -172,6 +184,7 @@ def _chosen_timestep(scene: Scene, timestep: float | None) -> float:
     if scene.duration / step > MAX_FIXED_STEPS:
         least = f"at least {scene.duration / MAX_FIXED_STEPS:.3g} s, {MAX_FIXED_STEPS} steps"
         raise OptionError("timestep", timestep, least)
+    # lengths that the step must divide, and their names in the message
     lengths = [(float(interval), "between outputs") for interval in np.diff(scene.times)]
     lengths += [(law.period, f"period of joint {law.joint!r}") for law in sampled_laws]
     for length, what in lengths:
@@ -206,7 +219,8 @@ class Output(NamedTuple):
     """State at an output time.
 
     Attributes:
-        system: compiled scene whose control laws have their values after the output time.
+        system: compiled scene; set-points that jump, and forces of sampled controllers, have their values
+            right after the output time.
         q: (nq,) tree coordinates.
         v: (nv,) tree velocities.
         step: time step before the output, s.
@@ -235,6 +249,7 @@ def _run(
     """
     import mujoco
 
+    # initial state; `layout` maps between tree coordinates and qpos, qvel
     model, data, layout = system.model, system.data, system.layout
     q, v = system.coordinates(initial_state(system.scene))
     system.set_state(q, v)
@@ -249,7 +264,8 @@ def _run(
         q, v = layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel
         outputs.append(Output(system, q, v, step_size, work))
 
-    # values of the scene that are constant in an interval: set-points that jump, and sampled controls
+    # values of the scene that change between intervals, by name: the present pieces of set-points that jump,
+    # and the forces of sampled controllers
     original, held_values = system, dict[str, Any]()
     with collected_warnings(data) as warnings:
         for interval, steps in plan:
@@ -261,11 +277,12 @@ def _run(
                 except IntegrationError as error:
                     return outputs, error
             if held_values:
-                system = with_held_values(original, held_values)
+                system = with_held_values(original, held_values)  # a copy that shares `model` and `data`
                 system.set_controls()
             if interval.wanted[0]:
                 record()
-            # steps to each time of the interval; `wanted` is True for output times
+            # steps to each time of the interval; `wanted` is True for output times. In the context, MuJoCo
+            # calls back for controls, wind and motions that depend on time.
             with system.following():
                 for (number, step_size), wanted in zip(steps, interval.wanted[1:], strict=True):
                     system.use_step(step_size, solref)
@@ -287,7 +304,10 @@ def _run(
 def _divergence(warning: str, time: float, outputs: Sequence[Output]) -> DivergenceError:
     """Return the error of a diverged run, with the fastest joint and the largest force at the last output.
 
-    Only the first sentence of MuJoCo's warning is kept.
+    Args:
+        warning: MuJoCo's warning, of which only the first sentence is kept.
+        time: s, when MuJoCo warned.
+        outputs: outputs of the run; the first is at the start.
     """
     last = outputs[-1]
     scene, state = last.system.scene, last.system.state(last.q, last.v)

@@ -1,7 +1,8 @@
 """A scene with MuJoCo's own soft constraints: evaluation of states, and the work of MuJoCo's time steps.
 
-`mjcf.simulate` steps a `SoftMuJoCo`. Control laws, wind and prescribed motions that MuJoCo has no element for
-are evaluated in a callback. The work of forces without potential is needed for the energy balance.
+`mjcf.simulate` steps a `SoftMuJoCo`. MuJoCo has no element for prescribed motions, wind, and control laws
+other than PD laws with constant targets; a callback evaluates them. The work of forces without potential
+(actuators, dampers, prescribed motions) is needed for the energy balance of a run.
 
 A step of size h changes velocities from v0 to v1 by the impulse h F, where F is a mean of the forces of the
 integrator's stages. The work of the impulse is h F (v0 + v1) / 2. This is exact for a constant mass matrix,
@@ -36,14 +37,13 @@ from newton_euler.model.control import PD, DeclaredLaw, TimeDependentPD
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
+RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+"""Weights of the four stages in a step of RK4."""
+
 
 def stiffest_solref(step: float, damping_ratio: float = 1.0) -> tuple[float, float]:
     """Return the stiffest solref that MuJoCo allows for a step, s: a time constant of two steps."""
     return 2.0 * step, damping_ratio
-
-
-RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-"""Weights of the four stages in a step of RK4."""
 
 
 class SoftMuJoCo(EvaluatedScene):
@@ -51,9 +51,9 @@ class SoftMuJoCo(EvaluatedScene):
 
     Attributes:
         prescribed: (m,) numbers of MuJoCo's velocities that follow prescribed motions.
-        driven: PD laws that depend on time continuously. Laws that jump are constant between jumps, and the
-            scene has their present values.
-        evaluated: control laws of the scene without an equivalent actuator of MuJoCo, by number.
+        driven: PD laws that depend on time, evaluated together. `driven.places` are their numbers.
+        evaluated: control laws of the scene without an equivalent actuator of MuJoCo (state feedback,
+            computed torque, gravity compensation), by number.
     """
 
     name = "mujoco"
@@ -68,9 +68,9 @@ class SoftMuJoCo(EvaluatedScene):
         self.driven = TimeDependentPD(scene.control)
         declared = [(k, law) for k, law in enumerate(scene.control) if isinstance(law, DeclaredLaw)]
         self.evaluated = {k: law for k, law in declared if law.uses_model or not isinstance(law, PD)}
-        # The first list has a_ref and the stiffness D of the rows of prescribed motions in the latest stage
-        # of a step. The second list has the multipliers (m,) of the completed stages. Copies of this object
-        # share both lists, because MuJoCo calls the callback of one copy.
+        # The first list has at most one pair: a_ref and D (m,) of the rows of prescribed motions in the
+        # latest stage of a step. The second list has the multipliers (m,) of the completed stages. Both are
+        # lists, because copies of this object share them: MuJoCo calls the callback of one copy.
         self._latest_reference: list[tuple[Array, Array]] = []
         self._stage_multipliers: list[Array] = []
 
@@ -93,7 +93,8 @@ class SoftMuJoCo(EvaluatedScene):
         self.data.qacc_warmstart[:] = 0.0  # the result must not depend on the previous state
         with self.following():
             mujoco.mj_forward(self.model, self.data)
-        return self.evaluation(np.array(self.data.qacc), np.array(self.data.efc_force))
+        acceleration, multipliers = np.array(self.data.qacc), np.array(self.data.efc_force)
+        return self.evaluation(acceleration, multipliers)
 
     @contextmanager
     def following(self) -> Iterator[None]:
@@ -103,11 +104,13 @@ class SoftMuJoCo(EvaluatedScene):
         that stay constant during a step, the integration would be of second order at best.
 
         MuJoCo's equalities do not depend on time. The residual r of a constraint row enters only the
-        reference acceleration (MuJoCo's documentation, Computation, section Reference),
+        reference acceleration (MuJoCo's documentation, Computation, section Reference), with stiffness k,
+        damping b and impedance d of the row,
 
             a_ref = -b dr/dt - k d r.
 
-        Before each solution, a_ref is changed to the reference acceleration of r = x - f(t),
+        Before MuJoCo solves for accelerations, the callback changes a_ref to the reference acceleration of
+        r = x - f(t), where x is the joint coordinate and f its prescribed motion,
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
@@ -125,29 +128,31 @@ class SoftMuJoCo(EvaluatedScene):
 
     def _control_callback(self, model: Any, data: Any) -> None:
         """Set time-dependent controls, wind and motions; MuJoCo calls this method in each evaluation."""
-        if len(self.driven.law_indices):  # other PD laws do not change between jumps
-            data.ctrl[self.driven.law_indices] = self.driven.forces_at(self.scene.control, data.time)
+        if len(self.driven.places):  # controls of other PD laws are constant
+            data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
         if self.evaluated:
             readings = self.readings(data)
             model_forces = self.model_forces(data, readings)
-            for k in self.evaluated:  # the scene of this copy has the present laws
+            for k in self.evaluated:
+                # not `evaluated[k]`: the scene of a copy of this object may have other set-points
                 data.ctrl[k] = control(self.scene.control[k], data.time, readings, model_forces)
         self.set_wind(data)
         if len(self.prescribed):
             self._follow_motions(data)
 
     def _follow_motions(self, data: Any) -> None:
-        """Change a_ref of the rows of prescribed motions to MuJoCo's time, see `following`.
+        """Change a_ref of the rows of prescribed motions to the values at `data.time`, see `following`.
 
-        If a stage precedes this evaluation, its multipliers D (a_ref - a) are stored.
+        If a stage of the same step precedes this evaluation, the multipliers of that stage are stored. They
+        are D (a_ref - a) with MuJoCo's constraint mass D (`efc_D`) and the resulting acceleration a.
         """
         rows, motions = self._rows_of_motions(data), slice(len(self.prescribed))
         if self._latest_reference:  # qacc still has the accelerations of the previous stage
-            reference, stiffness = self._latest_reference.pop()
-            self._stage_multipliers.append(stiffness * (reference - data.qacc[self.prescribed]))
+            reference, constraint_mass = self._latest_reference.pop()
+            self._stage_multipliers.append(constraint_mass * (reference - data.qacc[self.prescribed]))
         # the equalities are compiled with the values f(0)
         displacement = self.couplings.value(data.time)[motions] - self.couplings.value(0.0)[motions]
-        k, b, impedance = data.efc_KBIP[rows, :3].T
+        k, b, impedance = data.efc_KBIP[rows, :3].T  # k, b, d of `following`
         data.efc_aref[rows] += (
             self.couplings.acceleration(data.time)[motions]
             + b * self.couplings.rate(data.time)[motions]
@@ -186,7 +191,7 @@ class SoftMuJoCo(EvaluatedScene):
                 return work
             if not uses_impulses:
                 continue
-            # h (v0 + v1) / 2
+            # work of the step's impulse: F . h (v0 + v1) / 2
             displacement = 0.5 * step * (v0 + data.qvel)
             if len(self.prescribed):
                 # the force of a soft constraint is D (a_ref - a), with the resulting acceleration a
@@ -226,7 +231,7 @@ class SoftMuJoCo(EvaluatedScene):
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:  # only dampers of joints are implicit
             damper_change = -model.dof_damping * (data.qvel - v0)
             return np.asarray(data.qfrc_actuator + data.qfrc_damper + damper_change)
-        # data has positions before the step and velocities after the step
+        # `data` has the quantities that depend on positions from before the step, and velocities after it
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
         return np.asarray(data.qfrc_actuator + data.qfrc_damper)

@@ -1,14 +1,14 @@
-"""Write a scene as MJCF.
+"""Write a scene (a mechanism with its forces, control laws and initial state) as MJCF.
 
 - Body frames have their origin at the center of mass and the orientation `Body.quaternion`. The ground of the
   mechanism is MuJoCo's world body.
-- `<connect>` and `<weld>` equalities close loops. A rod is a tendon, whose length an equality keeps constant.
-  Gears and screws are equalities of joints.
-- MuJoCo has no time-dependent equality. The file holds a joint with prescribed motion at its start, and
-  `mjcf.simulate` moves the joint.
-- PD laws are `<position>` actuators. If a PD law depends on time, the control is the part of its force that
-  depends on time. All other control laws are `<motor>` elements whose control is the force. `mjcf.soft` sets
-  the controls of both.
+- `<connect>` and `<weld>` equalities close loops. A rod (a massless link with a ball at each end) is a
+  tendon, whose length an equality keeps constant. Gears and screws are equalities of joints.
+- MuJoCo has no time-dependent equality. In the file, an equality holds a joint with prescribed motion at the
+  joint's initial position, and `mjcf.simulate` moves the joint.
+- PD laws are `<position>` actuators. If a PD law depends on time or compensates gravity, the actuator is
+  `<general>`, and its control is the part of the force that is not linear feedback. All other control laws
+  are `<motor>` elements whose control is the force. `mjcf.soft` sets the controls during a run.
 - Springs, wrenches and wind: see `mjcf.forces`.
 
 The keyframe `start` has the initial state and the initial controls. After loading this keyframe, MuJoCo's
@@ -66,16 +66,22 @@ TIMESTEP = 0.001
 """Time step of a written model, s."""
 
 SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Constraint impedance in MuJoCo's five numbers: 0.9999 is the largest impedance that MuJoCo allows."""
+"""Attribute `solimp` of equalities: 0.9999 is the largest impedance that MuJoCo allows."""
 
 START_KEY = "start"
 """Name of the keyframe with the initial state."""
 
-REALISABLE_SLACK = 1e-12
-"""Relative amount by which written principal moments satisfy A + B >= C, for the round-off of MuJoCo."""
+REALIZABLE_SLACK = 1e-12
+"""Least value of (A + B - C) / C that written principal moments A <= B <= C have.
+
+The margin is above round-off, because MuJoCo refuses moments for which it computes A + B < C.
+"""
 
 MAX_PRINCIPAL_TILT = 1e-5
-"""Angle between body axes and principal axes, rad, below which inertias are written in principal axes."""
+"""Angle between body axes and principal axes, rad, below which inertias are written in principal axes.
+
+MuJoCo ignores angles up to about 1e-6 rad, see `_loses_products`.
+"""
 
 BODY_COLORS = (
     "0.12 0.47 0.71 1",
@@ -90,7 +96,7 @@ BODY_COLORS = (
 """Colors of moving bodies, used cyclically."""
 
 MAX_NESTED_BODIES = 490
-"""Largest depth of the tree of bodies: MuJoCo's parser allows 500 nested elements."""
+"""Largest depth of the tree of bodies: MuJoCo's parser allows 500 nested elements of any kind."""
 
 GROUND_COLOR = "0.6 0.6 0.6 1"
 """Color of the shapes of the ground: red, green, blue, opacity."""
@@ -119,14 +125,19 @@ def to_xml(scene: Scene) -> str:
         >>> mjcf.to_xml(load("pendulum"))[:7]
         '<mujoco'
     """
-    return welded_to_xml(scene, weld_loops(scene.mechanism, keep_bodies=True, loaded=scene.loaded_balls))
+    # keep_bodies: close loops at fixed joints of the mechanism where possible, because readers of MJCF merge
+    # bodies that have no joint between them; loaded: joints whose ball has a spring, damper or armature,
+    # which an equality could not have
+    welded = weld_loops(scene.mechanism, keep_bodies=True, loaded=scene.loaded_balls)
+    return welded_to_xml(scene, welded)
 
 
 def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
-    """Return the MJCF document of a scene for its welded mechanism.
+    """Return the MJCF document of a scene for its welded mechanism, as `weld_loops` makes it.
 
     In the welded mechanism, only balls, rods and welds close loops: at other joints that close a loop, a body
-    is cut into halves, which a weld joins. Raises `ModelError` for a mechanism that MJCF cannot represent.
+    is cut into halves, which a weld joins. The halves follow the bodies of the scene. Raises `ModelError` for
+    a mechanism that MJCF cannot represent.
     """
     for body in welded.mechanism.bodies[1:]:
         if body.name == "world":
@@ -152,7 +163,10 @@ def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
 
 
 def _add_settings(root: ET.Element, scene: Scene) -> None:
-    """Add options of the compiler and the solver, and defaults of shapes and equalities."""
+    """Add options of the compiler and the solver, and defaults of shapes and equalities.
+
+    Shapes have neither contacts nor mass. Equalities are as stiff as the time step allows.
+    """
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     ET.SubElement(
         root,
@@ -172,7 +186,7 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
 def _add_camera(root: ET.Element, scene: Scene) -> None:
     """Point the initial camera of viewers at the mechanism, and set the light."""
     mechanism = scene.mechanism
-    points = [body.center_of_mass for body in mechanism.bodies[1:]]
+    points = [body.center_of_mass for body in mechanism.bodies[1:]]  # without the ground
     points += [joint.point for joint in mechanism.joints]
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     extent = max(float(np.linalg.norm(high - low)), mechanism.size)
@@ -183,18 +197,18 @@ def _add_camera(root: ET.Element, scene: Scene) -> None:
 
 
 def _add_world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
-    """Add the tree of bodies with their shapes and sites."""
+    """Add the tree of bodies with their shapes, and the sites to which forces and rods are attached."""
     _add_camera(root, scene)
     world = ET.SubElement(root, "worldbody")
     world_pose = Pose(np.zeros(3), np.eye(3))
     for shape in scene.mechanism.shapes(0):
         add_geom(world, shape, GROUND_COLOR, world_pose, np.array([1.0, 0.0, 0.0, 0.0]))
     elements = {0: world}  # XML element by number of the body
-    springs = joint_attributes(scene)
-    for tree_joint in layout.order:
-        element = _add_body(elements[tree_joint.parent], tree_joint, welded, springs)
+    force_attributes = joint_attributes(scene)
+    for tree_joint in layout.order:  # depth first, as MuJoCo numbers bodies
+        element = _add_body(elements[tree_joint.parent], tree_joint, welded, force_attributes)
         elements[tree_joint.child] = element
-        # second halves of cut bodies have no shapes
+        # added halves of cut bodies have no shapes
         if tree_joint.child < len(scene.mechanism.bodies):
             body = scene.mechanism.bodies[tree_joint.child]
             color = BODY_COLORS[(tree_joint.child - 1) % len(BODY_COLORS)]
@@ -202,23 +216,25 @@ def _add_world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: 
                 add_geom(element, shape, color, body.pose, body.quaternion)
     add_sites(elements, scene)
     for rod in rods(welded):
-        for end, point in ((rod.first, rod.point), (rod.second, rod.reaction_point)):
-            add_site(elements, welded.mechanism, f"rod {rod.name} on {end}", end, point)
+        # `point` is the rod's end on the first body, `reaction_point` on the second
+        for body_name, point in ((rod.first, rod.point), (rod.second, rod.reaction_point)):
+            add_site(elements, welded.mechanism, f"rod {rod.name} on {body_name}", body_name, point)
 
 
 def _add_body(
     parent_element: ET.Element,
     tree_joint: TreeJoint,
     welded: WeldedMechanism,
-    springs: dict[str, dict[str, str]],
+    force_attributes: dict[str, dict[str, str]],
 ) -> ET.Element:
     """Add a body with its inertia and joints, without shapes, sites and children; return its element.
 
     Args:
         parent_element: XML element of the parent body.
-        tree_joint: joint of the spanning tree between parent and body.
+        tree_joint: joint of the spanning tree between parent and body. MuJoCo has a joint for each of its
+            elementary motions (hinge, slide, ball).
         welded: welded mechanism.
-        springs: attributes of springs and armatures, by name of MuJoCo's joint.
+        force_attributes: attributes of springs and armatures, by name of MuJoCo's joint.
     """
     mechanism = welded.mechanism
     body, parent = mechanism.bodies[tree_joint.child], mechanism.bodies[tree_joint.parent]
@@ -237,18 +253,19 @@ def _add_body(
         attributes["pos"] = numbers(body.pose.point_to_body(point))
         if motion.kind != "ball":
             attributes["axis"] = numbers(body.pose.vector_to_body(motion.axis))
-        ET.SubElement(element, "joint", attributes | springs.get(name, {}))
+        ET.SubElement(element, "joint", attributes | force_attributes.get(name, {}))
     return element
 
 
 def _add_inertial(element: ET.Element, body: Body) -> None:
     """Add mass and inertia of a body.
 
-    MuJoCo refuses principal moments that violate A + B >= C, even by round-off. They are raised if necessary.
+    MuJoCo refuses principal moments A <= B <= C that violate A + B >= C, even by round-off. If necessary, all
+    three are raised, and a comment in the file reports by how much.
     """
     inertia = body.inertia
     a, b, c = np.linalg.eigvalsh(inertia)
-    increase = c - a - b + REALISABLE_SLACK * c
+    increase = c - a - b + REALIZABLE_SLACK * c
     if increase > 0.0:
         # an equal increase of all three moments keeps the principal axes
         inertia = inertia + increase * np.eye(3)
@@ -266,7 +283,7 @@ def _add_inertial(element: ET.Element, body: Body) -> None:
 
 
 def _loses_products(inertia: Array) -> bool:
-    """Return True if MuJoCo would drop a product of inertia of (3, 3).
+    """Return True if MuJoCo would drop a product of the inertia (3, 3) about body axes, kg m^2.
 
     MuJoCo's principal axes ignore an angle of about 1e-6 rad between body axes and principal axes.
     """
@@ -280,7 +297,7 @@ def _loses_products(inertia: Array) -> bool:
 def principal(inertia: Array) -> tuple[Array, Array]:
     """Return principal moments (3,) of an inertia (3, 3), and its axes as columns of a rotation matrix."""
     moments, axes = np.linalg.eigh(inertia)
-    axes[:, 0] *= np.linalg.det(axes)
+    axes[:, 0] *= np.linalg.det(axes)  # a reflection (determinant -1) becomes a rotation
     return moments, axes
 
 
@@ -333,7 +350,7 @@ def _add_tendons(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> Non
 
 
 def _add_equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
-    """Add equalities of loop closures, then of couplings."""
+    """Add equalities of loop closures, then of couplings (gears, screws, prescribed motions)."""
     equality = ET.Element("equality")
     _add_loop_closures(equality, welded)
     for coupling in couplings(scene):
@@ -343,18 +360,18 @@ def _add_equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> 
 
 
 def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> None:
-    """Add the equality of a coupling.
+    """Add the equality of a coupling, a sum of polynomials of joint coordinates that equals f(t).
 
     For one or two coordinates, MuJoCo's equality is x_1 = constant + p(x_2) with a polynomial p. A prescribed
-    motion has one coordinate, and the constant is its value at t = 0. For more coordinates, the equality
-    keeps the length of the coupling's tendon constant.
+    motion has one coordinate, and the constant is its value at t = 0. Couplings of more coordinates are
+    linear. Their equality keeps the length of a fixed tendon, the weighted sum of the coordinates, constant.
     """
     names = [_mujoco_joint_name(scene, key) for key in coupling.factors]
     if len(names) > 2:
         attributes = {"name": f"coupling {coupling.name}", "tendon1": f"coupling {coupling.name}"}
         ET.SubElement(equality, "tendon", attributes, polycoef="0 0 0 0 0")
         return
-    # first x_1 + second x_2 + sum_k higher_k x_2^(k + 2) = f(t)
+    # first x_1 + second x_2 + sum_k higher_k x_2^(k + 2) = f(t), k = 0, 1, 2; only x_2 has higher powers
     first, *second = coupling.factors.values()
     constant = coupling.function.value(0.0) / first if coupling.function else 0.0
     higher = [factor for powers in coupling.powers.values() for factor in powers]
@@ -367,24 +384,27 @@ def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> Non
 
 
 def _mujoco_joint_name(scene: Scene, key: Key) -> str:
-    """Return the name of MuJoCo's hinge or slide for a joint coordinate."""
-    mechanism = scene.mechanism
-    return coordinate_name(mechanism.joint(key[0]), key[1])
+    """Return the name of MuJoCo's hinge or slide for a joint coordinate (joint name, index)."""
+    joint_name, index = key
+    return coordinate_name(scene.mechanism.joint(joint_name), index)
 
 
 def _add_loop_closures(equality: ET.Element, welded: WeldedMechanism) -> None:
     """Add equalities of balls, rods and welds that close loops."""
     mechanism = welded.mechanism
     ground = mechanism.body_names[0]
-    for index in welded.tree.cuts:
+    for index in welded.tree.cuts:  # joints that are not in the tree of bodies
         joint = mechanism.joints[index]
-        first, second = ("world" if n == ground else n for n in (joint.first, joint.second))
+        first, second = (
+            "world" if body_name == ground else body_name for body_name in (joint.first, joint.second)
+        )
         attributes = {"name": joint.name, "body1": first, "body2": second}
         if isinstance(joint, Rod):
             length = {"tendon1": f"rod {joint.name}", "polycoef": "0 0 0 0 0"}
             ET.SubElement(equality, "tendon", name=joint.name, attrib=length)
             continue
-        # MuJoCo's world body is at the origin, not at the pose of the ground
+        # position and quaternion of both body frames; MuJoCo's world body is at the origin, not at the pose
+        # of the ground
         poses = []
         for body in (mechanism.body(joint.first), mechanism.body(joint.second)):
             if body is mechanism.bodies[0]:
@@ -419,7 +439,8 @@ def _add_actuators(root: ET.Element, scene: Scene) -> None:
         gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
         control_is_force = law.depends_on_time or law.uses_model
         if law.feedforward or control_is_force:
-            # force = gain ctrl + constant - stiffness x - damping dx/dt; ctrl is the target or a force
+            # force = gain ctrl + constant - stiffness x - damping dx/dt. Either ctrl is the whole part of the
+            # force that is not feedback (feedforward, target, gravity compensation), or ctrl is the target.
             element.tag = "general"
             gain, constant = (1.0, 0.0) if control_is_force else (law.stiffness, law.feedforward_at(0.0))
             bias = numbers([constant, -law.stiffness, -law.damping])
@@ -439,8 +460,9 @@ def controls(
     Args:
         scene: scene with the control laws.
         time: s.
-        readings: measured coordinates and rates, by joint coordinate.
-        model: forces of the laws that need a model of the mechanism, N or N m, by joint coordinate.
+        readings: measured coordinates (m or rad) and rates, by joint coordinate.
+        model: forces that laws compute from a model of the mechanism (computed torque, gravity compensation),
+            N or N m, by joint coordinate.
     """
     return [control(law, time, readings, model) for law in scene.control] + [1.0] * len(wrenches(scene))
 
@@ -448,42 +470,49 @@ def controls(
 def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float]) -> float:
     """Return the control of a law's actuator.
 
-    The control of a PD law is its target, m or rad. If the law depends on time or on a model of the
-    mechanism, the control is the time-dependent part of its force, N or N m. The control of other laws is
-    their force. For the arguments see `controls`.
+    The control of a PD law is its target, m or rad. If a PD law depends on time or on a model of the
+    mechanism, its control is its force at x = dx/dt = 0, N or N m; the actuator adds the feedback. The
+    control of other laws is their force. For the arguments see `controls`.
     """
-    if isinstance(law, HeldLaw):
+    if isinstance(law, HeldLaw):  # a digital law, whose force is constant between samples
         return law.held
     if isinstance(law, StateFeedback | ComputedTorque):
         return float(law.towards(law.references(time), readings, time, model))
     if not isinstance(law, PD):
         assert_never(law)
     if law.uses_model:
-        return float(law.force(0.0, 0.0, time) + model[law.key])
-    if law.depends_on_time:
-        return float(law.force(0.0, 0.0, time))
+        return float(law.force(x=0.0, x_rate=0.0, time=time) + model[law.key])
+    if law.is_driven:
+        return float(law.force(x=0.0, x_rate=0.0, time=time))
     return float(law.references(time)[law.key].value)
 
 
 def _add_start_keyframe(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
-    """Add the keyframe with the initial state, the initial controls, and the rests of ball springs."""
+    """Add the keyframe with the initial state, the initial controls, and the rests of ball springs.
+
+    The attribute `plastic` of a key has the rest orientations of yielding ball springs, see `mjcf.forces`.
+    """
     state = initial_state(scene)
     q, v = welded.tree.coordinates(welded.state(state))
-    q = TreeCouplings(scene, welded.tree).turned(q, state, 0.0)
+    # poses give angles up to full revolutions; couplings and springs need the revolutions too
+    q = TreeCouplings(scene, welded.tree).turned(q, state, time=0.0)
     attributes = {"name": START_KEY}
     if len(q):
         attributes["qpos"] = numbers(layout.to_qpos @ q)
         attributes["qvel"] = numbers(layout.to_qvel @ v)
-    # measured coordinates and rates; `place` gives their indices in q and v
+    # coordinates and rates that control laws measure; `place` gives their indices in q and v, or None for a
+    # joint that closes a loop
     readings = {}
     for key in scene.sensed:
         if indices := welded.tree.place(*key):
             q_index, v_index = indices
             readings[key] = q[q_index], v[v_index]
+    # forces of computed torque and gravity compensation, by the joint-coordinate formulation (`Relative`)
     model_forces: Mapping[Key, float] = {}
-    if roles(scene):
+    if roles(scene):  # the laws that use a model of the mechanism
         system = Relative(scene)
         model_forces = system.model_forces(*system.coordinates(state))
+    # each wind load has three controls: its normal force, N, and two moments, N m
     forces_at_start = Wrenches(scene.mechanism, state)
     winds = [value for load in wind_loads(scene) for value in forces_at_start.wind(load)]
     if ctrl := controls(scene, 0.0, readings, model_forces) + winds:

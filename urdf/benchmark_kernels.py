@@ -1,7 +1,8 @@
 """Benchmark kernels of Pinocchio: right-hand sides and runs with as little Python overhead as possible.
 
-crosscheck's benchmarks measure Pinocchio's speed with these kernels. States y = (q, v) have Pinocchio's order
-and SI units, so that nothing is converted during a run. The kernels store poses at output times only.
+crosscheck's benchmarks measure Pinocchio's speed with these kernels, on scenes (mechanisms with forces,
+control laws and initial state). States y = (q, v) have Pinocchio's order and SI units, so that nothing is
+converted during a run. The kernels store poses at output times only.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ REGULARIZATIONS = ((0.0, 1), (1e-8, 1), (1e-8, 3), (1e-6, 3), (1e-6, 10), (1e-6,
 Redundant closures need a regularization; the iterations remove its effect (see `urdf.proximal`)."""
 
 MAX_REGULARIZATION_ERROR = 1e-9
-"""Largest relative error of accelerations by a regularization."""
+"""Largest error of accelerations that a regularization may cause, relative to the largest acceleration."""
+
+SMALLEST_SCALE = 1e-6
+"""Smallest scale of this error, m/s^2 or rad/s^2, for a mechanism at rest."""
 
 MAX_LSODA_STEPS = 1000
 """Largest number of steps of LSODA per output interval."""
@@ -66,15 +70,20 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
 
     `lcaba` is Pinocchio's articulated-body algorithm for closed loops.
 
+    For elements that `constraintDynamics` does not support, such as wind, the equations are those of
+    `PinocchioSystem`, which are slower.
+
     Args:
         scene: scene to simulate.
         alpha: parameter, 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
-        lcaba: mu and number of iterations of `lcaba`; None for `constraintDynamics`.
+        lcaba: regularization mu and number of iterations of `lcaba`; None for `constraintDynamics`.
 
     Raises:
         UrdfError: for a scene with elements that `lcaba` does not support.
     """
-    scene = replace(scene, outputs=frozenset())  # otherwise the work may be one of the coordinates
+    scene = replace(
+        scene, outputs=frozenset()
+    )  # with output "energy", the work would be one of the coordinates
     system = PinocchioSystem(scene, alpha)
     unsupported = _unsupported_elements(scene)
     if unsupported and lcaba:
@@ -83,7 +92,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     if unsupported:
         return _equations_by_system(system)
     model, constraints = system.closed.model, system.closed.constraints
-    # arrays that every call reuses
+    # arrays that every call reuses; forces of control laws and springs are tau = gains y + constant
     data = model.createData()
     nq, nv = model.nq, model.nv
     gains, constant = _affine_laws(scene, system)
@@ -106,7 +115,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     # the regularization, and the indices of balls and of other coordinates
     settings = _proximal_settings(*lcaba) if lcaba else _cheapest_accurate_settings(system, accelerate)
     joints = list(model.joints)[1:]
-    balls = [(joint.idx_q, joint.idx_v) for joint in joints if joint.nq == 4]
+    balls = [(joint.idx_q, joint.idx_v) for joint in joints if joint.nq == 4]  # quaternions
     single_q = [joint.idx_q for joint in joints if joint.nq == 1]
     single_v = [joint.idx_v for joint in joints if joint.nq == 1]
     is_actuated = bool(scene.joint_forces)
@@ -138,7 +147,8 @@ def articulated_bodies(scene: Scene) -> Callable[[], Array]:
     Raises:
         UrdfError: for a scene with loops, and for a force that `lcaba` does not know.
     """
-    equations = equations_of(scene, 0.0, (0.0, 1))
+    # `lcaba` without regularization, because it refuses other forces than gravity and affine laws
+    equations = equations_of(scene, alpha=0.0, lcaba=(0.0, 1))
     system, start, nq = equations.system, equations.start, equations.nq
     if system.closed.constraints:
         raise UrdfError(f"scene {scene.name!r}: Pinocchio's aba knows no loops")
@@ -195,7 +205,7 @@ def _affine_laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
         gains[row, tree_q.index(q_index)] -= law.stiffness
         gains[row, tree.nq + row] -= law.damping
         if isinstance(law, PD):
-            constant[row] += law.force(0.0, 0.0, 0.0)
+            constant[row] += law.force(x=0.0, x_rate=0.0, time=0.0)
         else:
             constant[row] += law.stiffness * law.rest
     return gains, constant
@@ -203,7 +213,8 @@ def _affine_laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
 
 def _proximal_settings(mu: float, iterations: int) -> Any:
     """Return `pinocchio.ProximalSettings` with a regularization mu and a largest number of iterations."""
-    return pin.ProximalSettings(0.0, 1e-13, mu, iterations)
+    absolute_accuracy, relative_accuracy = 0.0, 1e-13
+    return pin.ProximalSettings(absolute_accuracy, relative_accuracy, mu, iterations)
 
 
 def _cheapest_accurate_settings(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
@@ -220,9 +231,9 @@ def _cheapest_accurate_settings(system: PinocchioSystem, accelerate: Callable[[A
     for mu, iterations in REGULARIZATIONS:
         settings = _proximal_settings(mu, iterations)
         error = np.max(np.abs(accelerate(settings) - exact))
-        if error <= MAX_REGULARIZATION_ERROR * max(float(np.max(np.abs(exact))), 1e-6):
+        if error <= MAX_REGULARIZATION_ERROR * max(float(np.max(np.abs(exact))), SMALLEST_SCALE):
             break
-    return settings
+    return settings  # the last pair if no pair is accurate
 
 
 def _quaternion_rate(p: list[float], omega: list[float]) -> tuple[float, float, float, float]:
@@ -286,7 +297,10 @@ class Kinematics:
         self._balls = [slice(joint.idx_q, joint.idx_q + 4) for joint in joints if joint.nq == 4]
 
     def __call__(self, rows: Array) -> Array:
-        """Return placements (n, joints, 12) of all joints except the universe, for y (n, nq + nv)."""
+        """Return placements (n, joints, 12) of all joints except the universe, for states y (n, nq + nv).
+
+        Quaternions in `rows` are normalized in place.
+        """
         for ball in self._balls:
             rows[:, ball] /= np.linalg.norm(rows[:, ball], axis=1, keepdims=True)
         model, data, view, nq = self._model, self._data, self._placements, self._equations.nq
@@ -310,12 +324,13 @@ class Kinematics:
         bodies = self._equations.system.mechanism.bodies
         poses = np.empty((len(placements), len(bodies), 7))  # position, then quaternion (x, y, z, w)
         for k, body in enumerate(bodies):
+            # frame that `PinocchioSystem` adds at the center of mass of each body
             frame = self._model.frames[self._model.getFrameId(f"{body.name}_body", pin.FrameType.OP_FRAME)]
-            if frame.parentJoint == 0:
+            if frame.parentJoint == 0:  # fixed to the ground
                 poses[:, k] = pin.SE3ToXYZQUAT(frame.placement)
                 continue
             for pose, placement in zip(poses[:, k], placements[:, frame.parentJoint - 1], strict=True):
-                joint = pin.SE3(placement[:9].reshape(3, 3).T, placement[9:])
-                pose[:] = pin.SE3ToXYZQUAT(joint * frame.placement)
+                rotation, translation = placement[:9].reshape(3, 3).T, placement[9:]
+                pose[:] = pin.SE3ToXYZQUAT(pin.SE3(rotation, translation) * frame.placement)
         w_x_y_z = [6, 3, 4, 5]
         return poses[..., :3], poses[..., w_x_y_z]

@@ -1,14 +1,14 @@
 """Residuals and Jacobians of constraints from Pinocchio's kinematics, for `urdf.dynamics`.
 
-`Closures` are points and frames that coincide, which Pinocchio's `constraintDynamics` supports. `Rows` are
-rods, couplings and prescribed motions, which it does not support. With points p1 and p2 of a rod of length L,
-d = p2 - p1 and l = |d|,
+`Closures` close loops: points or frames on two bodies coincide. Pinocchio's `constraintDynamics` supports
+them. `Rows` are rods, couplings and prescribed motions, which `constraintDynamics` does not support. With
+points p1 and p2 of a rod of length L, d = p2 - p1 and l = |d|,
 
     Phi = l - L,    Phi_q = d^T (J2 - J1) / l
     Phi_q qddot + (d . (a2 - a1) + |dd/dt|^2 - (dl/dt)^2) / l = 0
 
-with accelerations a1 and a2 of the points at qddot = 0. The residual of a prescribed motion is linear in q.
-Couplings are sums of polynomials p(x) of joint coordinates,
+with Jacobians J1 and J2 of the points and their accelerations a1 and a2 at qddot = 0. The residual of a
+prescribed motion f(t) is Phi = x - f(t). Couplings are sums of polynomials p(x) of joint coordinates,
 
     Phi = sum p(x),    Phi_x = p'(x),    Phi_q qddot + sum p''(x) (dx/dt)^2 = 0
 """
@@ -33,7 +33,7 @@ class Closures:
     weld also has the rotation vector from the first frame to the second, rad, in the first frame.
 
     Attributes:
-        units: (k,) scales of the rows: `length` for rows in m, 1 for angles; residuals are divided by them.
+        units: (k,) divisors that make the rows dimensionless: `length` for rows in m, 1 for angles.
         pairs: numbers of the two frames of each constraint, and True for a weld.
     """
 
@@ -77,7 +77,8 @@ class Closures:
     def gamma(self, data: Any) -> Array:
         """Return gamma (k,) of Phi_q qddot = gamma, for loops that are closed.
 
-        `data` needs `forwardKinematics` at qddot = 0.
+        `data` needs `forwardKinematics` at qddot = 0. For a weld, the rotation vector and its rate are zero,
+        so that its second derivative is the difference of the angular accelerations.
         """
         rows = [np.zeros(0)]
         for (first, second), is_weld in self.pairs:
@@ -102,8 +103,9 @@ class Closures:
             b = data.oMf[second]
             force, torque = -multipliers[row : row + 3], np.zeros(3)
             if is_weld:
-                rotation_rate = pin.Jlog3(data.oMf[first].rotation.T @ b.rotation) @ b.rotation.T
-                torque = rotation_rate.T @ multipliers[row + 3 : row + 6]
+                # derivative of the rotation vector by the angular velocity of the second body
+                rate_by_omega = pin.Jlog3(data.oMf[first].rotation.T @ b.rotation) @ b.rotation.T
+                torque = rate_by_omega.T @ multipliers[row + 3 : row + 6]
             wrenches.append(pin.Force(force, torque + np.cross(b.translation, force)))
             row += 6 if is_weld else 3
         return wrenches
@@ -122,12 +124,12 @@ def power_sums(powers: Array, x: Array, derivative: int) -> Array:
     """Evaluate polynomials of coordinates, or their derivatives, by Horner's rule.
 
     Args:
-        powers: (c, d, n) factors of the powers 1 to d.
-        x: coordinates, m or rad.
+        powers: (c, d, n) factors of the powers 1 to d of n coordinates, for c couplings.
+        x: (n,) coordinates, m or rad.
         derivative: order of the derivative, 0, 1 or 2.
 
     Returns:
-        (c, n) values.
+        (c, n) values; their sum over n is the value of the coupling.
     """
     total = np.zeros((len(powers), len(x)))
     for k in range(powers.shape[1], max(derivative, 1) - 1, -1):
@@ -139,7 +141,7 @@ class Rows:
     """Constraint rows that `constraintDynamics` does not support: rods, prescribed motions, screws, gears.
 
     Attributes:
-        units: (r,) scales of the rows: `length` for rows in m, 1 for angles; residuals are divided by them.
+        units: (r,) divisors that make the rows dimensionless: `length` for rows in m, 1 for angles.
     """
 
     def __init__(
@@ -193,7 +195,7 @@ class Rows:
         if self._motion_count:
             rows.append(self._couplings.jacobian(q)[: self._motion_count])
         x = self._map.displacements(q)  # (nv,) coordinates of hinges and slides, 0 for balls
-        return np.concatenate([*rows, power_sums(self._powers, x, 1)])
+        return np.concatenate([*rows, power_sums(self._powers, x, derivative=1)])
 
     def gamma(self, data: Any, q: Array, v: Array, time: float) -> Array:
         """Return gamma (r,) of Phi_q qddot = gamma; `data` needs `forwardKinematics` at qddot = 0."""
@@ -203,11 +205,12 @@ class Rows:
             v1, v2 = (pin.getFrameVelocity(model, data, frame, axes).linear for frame in rod)
             a1, a2 = (pin.getFrameClassicalAcceleration(model, data, frame, axes).linear for frame in rod)
             length, d_rate = np.linalg.norm(self._line(data, rod)), v2 - v1
-            u = self._direction(data, rod)
+            u = self._direction(data, rod)  # d / l; dl/dt = u . dd/dt
             of_rods.append(u @ (a2 - a1) + (d_rate @ d_rate - (u @ d_rate) ** 2) / length)
         # accelerations of prescribed motions, and -sum p''(x) (dx/dt)^2 of couplings
         of_couplings = self._couplings.acceleration(time)
-        of_couplings[self._motion_count :] -= power_sums(self._powers, self._map.displacements(q), 2) @ v**2
+        curvatures = power_sums(self._powers, self._map.displacements(q), derivative=2)
+        of_couplings[self._motion_count :] -= curvatures @ v**2
         return np.concatenate([-np.array(of_rods), of_couplings])
 
     def rod_wrenches(self, data: Any, multipliers: Array) -> list[Any]:
@@ -217,8 +220,9 @@ class Rows:
         """
         wrenches = []
         for rod, multiplier in zip(self._rods, multipliers, strict=False):
+            _, second = rod
             force = multiplier * self._direction(data, rod)
-            wrenches.append(pin.Force(force, np.cross(data.oMf[rod[1]].translation, force)))
+            wrenches.append(pin.Force(force, np.cross(data.oMf[second].translation, force)))
         return wrenches
 
     def motion_power(self, multipliers: Array, time: float) -> float:
@@ -227,7 +231,8 @@ class Rows:
 
     def _line(self, data: Any, rod: tuple[int, int]) -> Array:
         """Return the vector (3,), m, world frame, from the first point of a rod to the second."""
-        return np.asarray(data.oMf[rod[1]].translation - data.oMf[rod[0]].translation)
+        first, second = rod
+        return np.asarray(data.oMf[second].translation - data.oMf[first].translation)
 
     def _direction(self, data: Any, rod: tuple[int, int]) -> Array:
         """Return the unit vector (3,) of a rod from its first point to the second."""

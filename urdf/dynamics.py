@@ -1,4 +1,7 @@
-"""Equations of motion of a scene by Pinocchio, from the scene's URDF and loop file.
+"""Equations of motion of a scene by Pinocchio, from the exported URDF and loop file of the scene.
+
+A scene is a mechanism with its forces, control laws and initial state. The loop file lists what a URDF cannot
+describe, such as closed loops. Springs, wind and control laws are not in the files; `urdf.forces` adds them.
 
 Accelerations come from `pinocchio.constraintDynamics`, a sparse Cholesky factorization with rigid loop
 closures (Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained Dynamic
@@ -6,7 +9,7 @@ Equations", RSS 2021). In the following cases, the linear system of acceleration
 with Pinocchio's mass matrix, Jacobians and bias forces instead ("elimination" in this module):
 
 - rods, couplings and prescribed motions, which `constraintDynamics` does not support;
-- closures that are redundant up to the rounding of the file: `constraintDynamics` treats the rounding as
+- loop closures that are redundant up to the rounding of the file: `constraintDynamics` treats the rounding as
   constraints, and cannot omit rows;
 - bodies with almost no inertia that close a loop, for which `constraintDynamics` loses digits.
 """
@@ -14,7 +17,7 @@ with Pinocchio's mass matrix, Jacobians and bias forces instead ("elimination" i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -53,27 +56,45 @@ from urdf.reactions import (
 from urdf.write import closures, to_loops, to_urdf
 
 
+class Solution(NamedTuple):
+    """Accelerations and multipliers at a state.
+
+    Attributes:
+        acceleration: (nv,) dv/dt.
+        of_closures: multipliers of the rows of loop closures by balls and welds; empty if
+            `constraintDynamics` has solved, whose own data keep the forces of the closures.
+        of_others: (r,) multipliers of the rows of rods, prescribed motions and couplings.
+    """
+
+    acceleration: Array
+    of_closures: Array
+    of_others: Array
+
+
 class PinocchioSystem:
     """Equations of motion of a scene by Pinocchio, a `newton_euler.equations.system.System`.
 
-    At loops that Pinocchio cannot close by a joint, a body is cut into two halves, which a weld joins: the
-    welded mechanism. q (nq,) and v (nv,) are coordinates of its spanning tree, see
+    Loops are closed by a ball, a rod (a massless link with a ball at each end) or a weld only. At any other
+    joint that closes a loop, a body is cut into two halves, which a weld joins: the welded mechanism. q (nq,)
+    and v (nv,) are coordinates of the spanning tree of the welded mechanism, see
     `newton_euler.model.spanning_tree`: zero at the initial pose, quaternions (w, x, y, z). If the scene
-    tracks work, the work is the last element of q. Constraint rows (k,) are those of closures, then those of
-    rods, prescribed motions and couplings, see `urdf.constraints`.
+    tracks the work of forces without potential, this work, J, is the last element of q. Constraint rows (k,)
+    are those of loop closures by balls and welds, then those of rods, prescribed motions and couplings, see
+    `urdf.constraints`.
 
     Attributes:
-        scene: scene with the present values of control laws.
+        scene: scene; a copy of this object may have another scene, with the present values of sampled
+            controllers and jumping set-points.
         mechanism: mechanism of the scene.
         closed: Pinocchio's model with its loop closures, SI units.
         map: map between q, v and Pinocchio's coordinates.
         couplings: gears, screws and prescribed motions.
-        quaternions: places of the quaternions in q.
+        quaternions: slices of the quaternions in q.
         time: time, s, of prescribed motions, control laws and wind.
         nq: number of coordinates, including the work.
         nv: number of velocities.
-        phi_units: (k,) units of the constraint rows.
-        velocity_units: (nv,) units of the velocities.
+        phi_units: (k,) divisors that make the constraint rows dimensionless: the mechanism's size, m, or 1.
+        velocity_units: (nv,) divisors of the velocities: the mechanism's size, m, or 1.
     """
 
     name = "pinocchio"
@@ -91,6 +112,7 @@ class PinocchioSystem:
         """
         self.scene = scene
         self.mechanism = scene.mechanism
+        # loaded: never close a loop by a ball with a spring, damper or armature
         self._welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self._tree = self._welded.tree
         self.quaternions = self._tree.quaternions
@@ -100,7 +122,8 @@ class PinocchioSystem:
         self._work = slice(self._tree.nq, self.nq)
         if self.nv == 0:  # Pinocchio's bindings crash on empty Jacobians
             raise UrdfError(f"scene {scene.name!r}: no joint can move; Pinocchio needs a moving joint")
-        # the model, from the texts of URDF and loop file
+        # the model, from the texts of URDF and loop file; `keeps_axes` prevents the rounding of hinge axes by
+        # Pinocchio's parser
         text, loops = to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml")
         self.closed = build(text, loops, alpha, keeps_axes=True)
         self._model = self.closed.model
@@ -113,6 +136,7 @@ class PinocchioSystem:
         self._balls = BallForces(scene, self._tree)
         self._rotors = Rotors(scene, self._tree)
         self._model.armature = self.map.v_to_pinocchio(self._rotors.inertias)
+        # data of kinematics, and of mass matrices and bias forces, which do not overwrite the first
         self._data, self._dynamic_data = self._model.createData(), self._model.createData()
         # units, constraints and control laws
         self.velocity_units, length = self._tree.velocity_units, self._tree.mechanism.size
@@ -127,7 +151,7 @@ class PinocchioSystem:
         # joint coordinates that springs and laws act on, then other coordinates that laws measure; none of
         # these joints closes a loop
         actuated = [law.key for law in scene.joint_forces]
-        keys = actuated + [key for key in scene.sensed if key not in actuated]
+        keys = actuated + [key for key in scene.sensed if key not in actuated]  # (joint name, index)
         self._laws = JointLaws(scene.joint_forces, keys)
         indices = np.array([self._tree.place(*key) for key in keys], dtype=int).reshape(-1, 2)
         self._measured_q, self._measured_v = indices.T
@@ -137,13 +161,15 @@ class PinocchioSystem:
         self._model_control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
         self._rank = constraint_rank(self)
-        # choose between constraintDynamics and elimination: when a run drifts from closed loops, nearly
-        # redundant rows contradict each other
-        decision = mobility(scene)
-        needs_elimination = len(self._rows.units) > 0 or len(decision.exchangeable) > 0
-        self._eliminates = needs_elimination or decision.residual > 0.0
+        # choose between constraintDynamics and elimination. Elimination is needed for rows that
+        # constraintDynamics does not have, for a mechanism whose independent rows change along the motion
+        # (`exchangeable`), and for rows that are redundant up to rounding (`residual`): such rows contradict
+        # each other when a run drifts from closed loops
+        analysis = mobility(scene)
+        needs_elimination = len(self._rows.units) > 0 or len(analysis.exchangeable) > 0
+        self._eliminates = needs_elimination or analysis.residual > 0.0
         # state and result of the latest elimination
-        self._latest_solution: tuple[Any, tuple[Array, Array, Array]] | None = None
+        self._latest_solution: tuple[Any, Solution] | None = None
         if not self._eliminates:
             q, _ = self.coordinates(initial_state(scene))
             self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, self._rank)
@@ -161,6 +187,7 @@ class PinocchioSystem:
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
         numbers = []
+        # the tree has additional halves of cut bodies at the end
         for body, rotation in zip(self.mechanism.bodies, self._tree.initial_rotations, strict=False):
             index = self._model.getFrameId(body.name, pin.FrameType.BODY)
             link = self._model.frames[index]
@@ -171,11 +198,14 @@ class PinocchioSystem:
         return numbers
 
     def mass_matrix(self, q: Array) -> Array:
-        """Compute the mass matrix (nv, nv) with rotors."""
+        """Compute the mass matrix (nv, nv) with the inertias of rotors."""
         return mass_matrix(self._model, self._dynamic_data, self.map, self.map.q_to_pinocchio(q))
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute M (nv, nv) and f (nv,) of M vdot = f + J^T lambda, by Pinocchio."""
+        """Compute M (nv, nv) and f (nv,) of M dv/dt = f + J^T lambda, by Pinocchio.
+
+        J is the constraint Jacobian; lambda are the multipliers of its rows.
+        """
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         bias = pin.nonLinearEffects(self._model, self._dynamic_data, pin_q, pin_v)
         return self.mass_matrix(q), self.generalized_force(q, v) - self.map.v_from_pinocchio(bias)
@@ -183,26 +213,28 @@ class PinocchioSystem:
     # The interface of integrators, projection and assembly
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """Return coordinates q (nq,) and velocities v (nv,) of a state."""
+        """Return coordinates q (nq,) and velocities v (nv,) of a state; the work is zero."""
         q, v = self._tree.coordinates(self._welded.state(state))
+        # poses give angles up to full revolutions; `turned` adds the revolutions that couplings need
         q = self.couplings.turned(q, state, self.time)
         return np.concatenate([q, np.zeros(self.nq - len(q))]), v
 
     def rate(self, q: Array, v: Array) -> Array:
-        """Return qdot (nq,)."""
+        """Return dq/dt (nq,); the rate of the work is the power."""
         rates = self._tree.rate(q, v)
         return np.append(rates, self.power(q, v)) if self.scene.tracks_work else rates
 
     def power(self, q: Array, v: Array) -> float:
         """Compute the power of forces without potential, W."""
-        power = self._laws.power(self.actuation(q, v), self._measured(q, v)[1])
+        _, rates = self._measured(q, v)
+        power = self._laws.power(self.actuation(q, v), rates)
         if self._balls:
             power += self._balls.power(v)
         if self._forces:
             self._compute_kinematics(q, v)
             power += self._forces.power(self._data, self.scene, self.time)
         if self.scene.motions:
-            power += self._rows.motion_power(self._solve(q, v)[2], self.time)
+            power += self._rows.motion_power(self._solve(q, v).of_others, self.time)
         return power
 
     def retract(self, q: Array, step: Array) -> Array:
@@ -215,13 +247,16 @@ class PinocchioSystem:
         return list(zip(x[self._sensed], rate[self._sensed], strict=True))
 
     def _measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return coordinates, m or rad, and rates: of `Scene.joint_forces`, then of other measured ones."""
+        """Return coordinates, m or rad, and their rates, on which forces act or that control laws measure.
+
+        First are those of `Scene.joint_forces` (control laws and springs), then other measured coordinates.
+        """
         return q[self._measured_q], v[self._measured_v]
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
         (x, rate), model_forces = self._measured(q, v), NO_FORCES
-        if self._model_control:
+        if self._model_control:  # computed torque and gravity compensation
             accelerations = self._laws.commands(self.scene.control, x, rate, self.time)
             model_forces = self._model_control.forces(q[: self._tree.nq], v, self.time, accelerations)
         return self._laws.force(self.scene.joint_forces, x, rate, self.time, model_forces)
@@ -232,18 +267,22 @@ class PinocchioSystem:
         Args:
             q: (nq,) tree coordinates.
             v: (nv,) tree velocities.
-            keys: joint and coordinate of each force.
+            keys: joint name and number of the coordinate of each force.
             accelerations: accelerations of these coordinates, m/s^2 or rad/s^2.
 
         Returns:
             Forces, N or N m.
         """
-        terms = self.mass_and_force(q, v)
+        mass_and_force = self.mass_and_force(q, v)
         self._compute_kinematics(q, v)
-        gamma = np.concatenate(
+        gamma = self._gamma(q, v)
+        return servo_forces(self, self._tree, mass_and_force, (self._jacobian(q), gamma), keys, accelerations)
+
+    def _gamma(self, q: Array, v: Array) -> Array:
+        """Return gamma (k,), the right side of J dv/dt = gamma, after `_compute_kinematics`."""
+        return np.concatenate(
             [self._closures.gamma(self._data), self._rows.gamma(self._data, q, v, self.time)]
         )
-        return servo_forces(self, self._tree, terms, (self._jacobian(q), gamma), keys, accelerations)
 
     def _compute_kinematics(self, q: Array, v: Array) -> None:
         """Compute Pinocchio's joints, Jacobians and frames at a state, with zero joint accelerations."""
@@ -255,7 +294,8 @@ class PinocchioSystem:
     def generalized_force(self, q: Array, v: Array) -> Array:
         """Compute the generalized forces (nv,) except gravity.
 
-        If point forces or elimination need frames and Jacobians, they are computed for this state.
+        If the scene has forces at points, or if elimination follows, the method also computes frames and
+        joint Jacobians of this state in `_data`.
         """
         force = np.zeros(self.nv)
         np.add.at(force, self._actuated_v, self.actuation(q, v))
@@ -271,34 +311,30 @@ class PinocchioSystem:
         return force
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """Compute vdot (nv,); raises `SingularityError` if Pinocchio's result is not finite."""
-        return self._solve(q, v)[0]
+        """Compute dv/dt (nv,); raises `SingularityError` if Pinocchio's result is not finite."""
+        return self._solve(q, v).acceleration
 
-    def _solve(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Solve for vdot (nv,), the multipliers of closures, and the multipliers of rods and couplings.
-
-        With `constraintDynamics`, both arrays of multipliers are empty, and `wrenches` of the solver has the
-        forces of closures.
-        """
+    def _solve(self, q: Array, v: Array) -> Solution:
+        """Solve for accelerations and multipliers, by `constraintDynamics` or by elimination."""
         if not self._eliminates:
             # dimensionless forces and accelerations
             force = self.generalized_force(q, v) * self.velocity_units / self._units.moment
             acceleration = self._checked(self._proximal.acceleration(q, v, force))
-            return self.velocity_units * acceleration, np.zeros(0), np.zeros(0)
+            return Solution(self.velocity_units * acceleration, np.zeros(0), np.zeros(0))
         # keep the latest solution, which the power of prescribed motions also needs
         state = self.scene, q.tobytes(), v.tobytes(), self.time
         if self._latest_solution is None or self._latest_solution[0] != state:
             self._latest_solution = state, self._solve_by_elimination(q, v)
-        return self._latest_solution[1]
+        _, solution = self._latest_solution
+        return solution
 
-    def _solve_by_elimination(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Solve the linear system of accelerations and multipliers, see `_solve`."""
-        mass, force = self.mass_and_force(q, v)
-        data, jacobian = self._data, self._jacobian(q)
-        # J vdot = gamma - K_D dPhi/dt - K_P Phi
+    def _solve_by_elimination(self, q: Array, v: Array) -> Solution:
+        """Solve the linear system of accelerations and multipliers."""
+        mass, force = self.mass_and_force(q, v)  # also computes frames and joint Jacobians
+        jacobian = self._jacobian(q)
+        # Baumgarte's stabilization: J dv/dt = gamma - K_D dPhi/dt - K_P Phi, K_D = 2 alpha, K_P = alpha^2
         stabilization = 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
-        gamma = np.concatenate([self._closures.gamma(data), self._rows.gamma(data, q, v, self.time)])
-        gamma = gamma - stabilization
+        gamma = self._gamma(q, v) - stabilization
         try:
             acceleration, multipliers = solve_constrained(
                 mass,
@@ -311,8 +347,8 @@ class PinocchioSystem:
             )
         except np.linalg.LinAlgError:
             acceleration, multipliers = np.full(self.nv, np.nan), np.zeros(len(gamma))
-        of_closures, others = np.split(multipliers, [len(self._closures.units)])
-        return self._checked(acceleration), of_closures, others
+        of_closures, of_others = np.split(multipliers, [len(self._closures.units)])
+        return Solution(self._checked(acceleration), of_closures, of_others)
 
     def _checked(self, acceleration: Array) -> Array:
         """Return accelerations (nv,), or raise `SingularityError` if they are not finite."""
@@ -324,19 +360,19 @@ class PinocchioSystem:
             )
         return acceleration
 
-    def _closure_wrenches(self, of_closures: Array, others: Array) -> list[Any]:
+    def _closure_wrenches(self, solution: Solution) -> list[Any]:
         """Return the `pinocchio.Force` of each loop closure on its second body, about the world's origin.
 
-        The order is that of `SpanningTree.cuts`. For the arguments see `_solve`.
+        The order is that of `SpanningTree.cuts`, the joints that close loops.
         """
         if self._eliminates:
-            wrenches = self._closures.wrenches(self._data, of_closures)
+            wrenches = self._closures.wrenches(self._data, solution.of_closures)
         else:
             wrenches = self._proximal.wrenches()
-        closures = iter(wrenches)
-        rods = iter(self._rows.rod_wrenches(self._data, others))
+        of_balls_and_welds = iter(wrenches)
+        of_rods = iter(self._rows.rod_wrenches(self._data, solution.of_others))
         joints = [self._tree.joint(cut) for cut in self._tree.cuts]
-        return [next(rods if isinstance(joint, Rod) else closures) for joint in joints]
+        return [next(of_rods if isinstance(joint, Rod) else of_balls_and_welds) for joint in joints]
 
     def phi(self, q: Array) -> Array:
         """Return the residuals (k,) of all constraint rows, m or rad."""
@@ -348,7 +384,7 @@ class PinocchioSystem:
         return np.concatenate([self._closures.phi(self._data), self._rows.phi(self._data, q, self.time)])
 
     def coupling_phi(self, q: Array) -> Array:
-        """Return the residuals (c,) of the couplings, m or rad."""
+        """Return the residuals (c,) of the c couplings, m or rad."""
         return self.couplings.phi(q, self.time)
 
     def phi_t(self) -> Array:
@@ -417,17 +453,17 @@ class PinocchioSystem:
         Raises:
             SingularityError: if Pinocchio's accelerations are not finite.
         """
-        # accelerations, and wrenches of loop closures and forces
-        vdot, *multipliers = self._solve(q, v)
+        # accelerations, motion of the bodies, and wrenches of loop closures
+        solution = self._solve(q, v)
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
-        pin_a = self.map.v_to_pinocchio(vdot)
+        pin_a = self.map.v_to_pinocchio(solution.acceleration)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, pin_a)
         frames = self._frames()
-        closure_wrenches = self._closure_wrenches(*multipliers)
+        closure_wrenches = self._closure_wrenches(solution)
         # external forces on links: closures, with the opposite wrench on the first body, and other forces
         wrenches_on_links = []
         for ends, wrench in zip(closures(self._welded), closure_wrenches, strict=True):
-            for (link, _, _), sign in zip(ends, (-1.0, 1.0), strict=True):
+            for (link, _, _), sign in zip(ends, (-1.0, 1.0), strict=True):  # first body, second body
                 wrenches_on_links.append((self._model.getFrameId(link, pin.FrameType.BODY), sign * wrench))
         accelerations = self._frame_motions(pin.getFrameClassicalAcceleration)
         applied = self._applied_wrenches(q, v)
@@ -449,7 +485,7 @@ class PinocchioSystem:
         actuation = self.actuation(q, v)
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
-        drive_forces = -self._rotors.single * vdot
+        drive_forces = -self._rotors.single * solution.acceleration
         np.add.at(drive_forces, self._actuated_v, actuation)
         points = joint_points(self.mechanism, frames)
         drives = drive_wrenches(self._tree, columns, points, drive_forces)
@@ -471,9 +507,9 @@ class PinocchioSystem:
 
     def _observation(self, state: State, q: Array, v: Array) -> Observation:
         """Return a state and its energies, where the frames in `_data` are already placed."""
-        # pin.computeKineticEnergy includes armatures only in part
+        # not pin.computeKineticEnergy, which includes armatures only in part
         kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)
-        # pin.computePotentialEnergy omits bodies that are fixed to the ground
+        # pin.computePotentialEnergy omits bodies that are fixed to the ground (Pinocchio's joint 0)
         potential = pin.computePotentialEnergy(self._model, self._data, self.map.q_to_pinocchio(q))
         root, (x, _) = self._model.inertias[0], self._measured(q, v)
         fixed = -root.mass * float(self.scene.gravity @ root.lever)

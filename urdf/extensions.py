@@ -1,7 +1,8 @@
 """Data of the loops, springs and rotors that tools such as Gazebo and Drake add to a URDF.
 
-`urdf.reading.extensions` reads these elements. The reader converts them to joints and forces of a scene. For
-verification, `urdf.reference` independently converts them to constraints and forces of Pinocchio's model.
+`urdf.reading.extensions` reads these elements. `urdf.reader` converts them to joints and forces of a scene.
+To verify the scene, `urdf.reference` independently converts them to constraints and forces of Pinocchio's
+model.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ class Extensions:
         text: the URDF with a frame for each end of a loop and of a spring.
         closed_loop: pairs of frames that a loop closure connects.
         kinds: type of each loop closure, see `urdf.loops`.
-        springs: stiffness, N m/rad or N/m, and rest, rad or m, by joint name.
-        dampings: N m s/rad or N s/m in addition to `<dynamics>`, by joint name.
+        springs: stiffness, N m/rad or N/m, and rest position, rad or m, by joint name.
+        dampings: damping in addition to that of the joint's `<dynamics>`, N m s/rad or N s/m, by joint name.
         armatures: rotor inertias, kg m^2 or kg, by joint name.
         point_springs: springs between points of two links.
     """

@@ -1,9 +1,14 @@
-"""Simulate a URDF or a Pinocchio model in the loop that users of Pinocchio write.
+"""Simulate a URDF or a Pinocchio model in the kind of program loop that users of Pinocchio write.
 
-Each step computes accelerations by `pinocchio.constraintDynamics`, or by `pinocchio.aba` for a model without
-closures, and integrates them with a fixed step. Models with mimics use the mass matrix, like Pinocchio's
-examples/mimic_dynamics.py. Generalized forces are those of the springs and dampers of the file. Joint limits,
-limits of velocity and effort, dry friction and contacts do not act in such a loop.
+Each step of the loop computes accelerations by `pinocchio.constraintDynamics`, or by `pinocchio.aba` for a
+model without loop closures, and integrates them with a fixed step. Models with mimics (joints that follow
+others) use the mass matrix, like Pinocchio's examples/mimic_dynamics.py. Generalized forces are those of the
+springs and dampers of the file. Joint limits, limits of velocity and effort, dry friction and contacts do not
+act in such a loop.
+
+A scene is the mechanism with forces that `urdf.reader` imports from the model. crosscheck compares a run of
+the loop with an accurate reference solution of the scene, to measure the error of the loop's settings and the
+causes of the error. The run has the initial state of the scene.
 """
 
 from __future__ import annotations
@@ -38,23 +43,27 @@ from urdf.run_settings import (
 )
 
 FINE_STEP_DIVISORS = (10, 40)
-"""Divisors of the step of runs that show the error of the step: order 1 leaves a tenth of it, or less."""
+"""Divisors of the time step in runs that show the error of the step: methods of order 1 leave a tenth of the
+error, or a fortieth."""
 
 GAIN_FACTORS = (1.0, 0.1)
-"""Rates at which tried gains close loops, as factors on the fastest rate, one closure per step."""
+"""Factors of `closing_gains` for gains that are tried. The factor 1 closes loops fastest, in about a step."""
 
 CLOSING_FACTORS = {RK4: 0.1}
-"""Factor on the fastest rate of closing, if not 1, for a run that shows the error of its step. RK4 that
-closes loops in one step disturbs its own stages."""
+"""Factor of `closing_gains`, by integrator, if not 1, for runs that show the error of the time step.
+
+The stages of an RK4 step would be disturbed by loops that close within the step."""
 
 CONVERGED: dict[str, Any] = {"accuracy": 1e-12, "mu": 1e-10, "iterations": 100}
-"""Proximal settings whose iterations remove the effect of mu."""
+"""Settings of `constraintDynamics` with enough proximal iterations to remove the effect of mu."""
 
 MAX_VELOCITY = 1e10
 """Largest velocity, m/s or rad/s, of a run that has not diverged; MuJoCo has the same limit."""
 
 MAX_LOOP_EVALUATIONS = 20_000
-"""Largest number of evaluations in the judged run, and in a run with a smaller step: 0.2 s in Python."""
+"""Largest number of evaluations of accelerations in the judged run, and in a run with a smaller step.
+
+They take 0.2 s in Python."""
 
 Acceleration = Callable[[Array, Array], Array]
 """Function that returns the accelerations (nv,) at a configuration (nq,) and velocities (nv,)."""
@@ -64,9 +73,14 @@ def closing_gains(timestep: float, integrator: str, factor: float = 1.0) -> tupl
     """Return Baumgarte's gains kp, 1/s^2, and kd, 1/s, that close a loop at a rate of factor / timestep.
 
     A constraint error e obeys d2e/dt2 = -kd de/dt - kp e. With factor 1, two steps of an Euler integrator
-    remove a small error completely: both eigenvalues of a step are zero. Explicit Euler and RK4 have critical
-    damping, kd = 2 sqrt(kp). Semi-implicit Euler is unstable with these gains for factor 1, because its new
-    velocity moves the configuration in the same step. Its kd is smaller by kp times the step.
+    remove a small error completely: both eigenvalues of a step are zero. Explicit Euler and RK4 get critical
+    damping, kd = 2 sqrt(kp). Semi-implicit Euler would be unstable with these gains for factor 1, because its
+    new velocity moves the configuration in the same step. Its kd is smaller by kp times the step.
+
+    Args:
+        timestep: s.
+        integrator: one of `INTEGRATORS`.
+        factor: rate of closing, as a multiple of 1 / timestep.
     """
     rate = factor / timestep
     damping = 2.0 * rate - (rate * rate * timestep if integrator == SEMI_IMPLICIT else 0.0)
@@ -74,7 +88,7 @@ def closing_gains(timestep: float, integrator: str, factor: float = 1.0) -> tupl
 
 
 def unsupported(reference: PinocchioReference) -> str:
-    """Return why Pinocchio's loop cannot simulate a model; "" if it can."""
+    """Return the reason why a loop with Pinocchio cannot simulate a model; "" if the loop can."""
     if any(closure.kind == "rod" for closure in reference.closures):
         return "constraintDynamics has no rods"
     if reference.has_nonlinear_couplings:
@@ -85,7 +99,12 @@ def unsupported(reference: PinocchioReference) -> str:
 
 
 class PinocchioFile(FileSimulation[PinocchioSettings]):
-    """URDF or Pinocchio model in a user's simulation loop, at the start of an imported scene."""
+    """URDF or Pinocchio model in a user's simulation loop, at the start of an imported scene.
+
+    Attributes:
+        scene: imported scene.
+        settings: settings of the user's loop.
+    """
 
     max_evaluations = MAX_LOOP_EVALUATIONS
     engine = f"Pinocchio {pin.__version__}"
@@ -101,10 +120,11 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         """Take a reference model, which is not changed.
 
         Args:
-            reference: reference model of the scene, for which `unsupported` is "".
+            reference: Pinocchio's model with which the import of the scene is verified; `unsupported` is "".
             scene: imported scene.
             settings: settings of the loop.
-            are_assumed: True if the user has not given settings.
+            are_assumed: True if the user has given no settings, so that they are those of Pinocchio's
+                examples.
             gains: Baumgarte's gains kp, 1/s^2, and kd, 1/s, of each closure of a model in memory.
         """
         self.scene, self.settings = scene, settings
@@ -116,16 +136,16 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         if len(reference.couplings):
             rank = np.linalg.matrix_rank(reference.couplings)
             self._free = np.linalg.svd(reference.couplings)[2][rank:].T
-        # joint velocities from the velocities of the bodies
+        # joint velocities from the initial velocities of the scene's bodies
         state = initial_state(scene)
-        places = [scene.mechanism.body_names.index(name) for name in reference.names]
-        motion = np.hstack([state.linear_velocity[places], state.angular_velocity[places]]).ravel()
-        rows = reference.kinematics(self._start, np.zeros(reference.model.nv)).transformation
-        rows = rows.reshape(-1, reference.model.nv)
+        bodies = [scene.mechanism.body_names.index(name) for name in reference.names]
+        body_velocities = np.hstack([state.linear_velocity[bodies], state.angular_velocity[bodies]]).ravel()
+        jacobian = reference.kinematics(self._start, np.zeros(reference.model.nv)).transformation
+        jacobian = jacobian.reshape(-1, reference.model.nv)
         if self._free is None:
-            self._velocity = least_squares(rows, motion)
+            self._velocity = least_squares(jacobian, body_velocities)
         else:
-            self._velocity = self._free @ least_squares(rows @ self._free, motion)
+            self._velocity = self._free @ least_squares(jacobian @ self._free, body_velocities)
 
     def words(self) -> str:
         """Describe the settings of the loop in a few words, such as "RK4, 2 ms, kp 10, kd 6.32, mu 1e-10"."""
@@ -142,25 +162,29 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         return ", ".join(words)
 
     def changes(self, settings: PinocchioSettings) -> dict[str, str]:
-        """Map the keys of `own_run` that differ from the user's settings to their values."""
-        own = vars(self.settings)
-        return {name: _text(value) for name, value in vars(settings).items() if value != own[name]}
+        """Map the settings that differ from the user's settings to their values as text, by name."""
+        of_user = vars(self.settings)
+        return {name: _text(value) for name, value in vars(settings).items() if value != of_user[name]}
 
     def fragment(self, settings: PinocchioSettings) -> str:
-        """Return the content of the file `own_run` with these settings."""
+        """Return the lines of a YAML file `own_run` (see `urdf.run_settings`) with these settings."""
         given = {name: value for name, value in vars(settings).items() if value is not None}
-        if not self._reference.closures:
+        if not self._reference.closures:  # the other settings have no effect
             given = {name: given[name] for name in ("timestep", "integrator", "damping")}
         if settings.damping == EXPLICIT_DAMPING:
             del given["damping"]
         return "\n".join(f"{name}: {_text(given[name])}" for name in KEYS if name in given)
 
     def causes(self) -> Iterator[Cause[PinocchioSettings]]:
-        """Yield the properties of the settings that can cause an error, without those before it.
+        """Yield the properties of the user's settings that can cause an error.
 
-        A small step hides bad gains, because a drift of the loops is an error of the integration. The step
-        and the integrator are therefore examined with loops that are kept closed.
+        The contribution of a cause is the difference of two runs: with the settings `against`, and with the
+        settings `without` the cause. Causes that could hide a later cause are also removed from the settings
+        `against` of the later one. For example, a small step hides bad gains, because a drift of the loops is
+        an error of the integration. The step and the integrator are therefore examined with gains that keep
+        loops closed.
         """
+        # settings without the causes that were yielded before
         base = self.settings
         if self._has_dampers and base.integrator != RK4:
             base = replace(base, damping=IMPLICIT_DAMPING)
@@ -171,13 +195,15 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             for factor in GAIN_FACTORS:
                 yield Cause("Baumgarte stabilization", without=_closing(converged, factor), against=converged)
             base = _closing(converged, CLOSING_FACTORS.get(converged.integrator, 1.0))
+        first_divisor, *_ = FINE_STEP_DIVISORS
         for divisor in FINE_STEP_DIVISORS:
             fine = self._scaled(base, base.timestep / divisor)
             is_cheap = self.evaluations(fine) * self.scene.duration <= MAX_LOOP_EVALUATIONS
-            if is_cheap or divisor == FINE_STEP_DIVISORS[0]:
+            if is_cheap or divisor == first_divisor:
                 yield Cause("time step", without=fine, against=base)
         for name in INTEGRATORS:
             if name != base.integrator:
+                # a time step with equal cost per second of motion, and implicit damping if possible
                 cost = evaluations_per_step(name) / evaluations_per_step(base.integrator)
                 other = replace(base, integrator=name, timestep=base.timestep * cost)
                 other = replace(other, damping=self._dampings(name)[-1])
@@ -187,31 +213,39 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
                     yield Cause("integrator", without=_closing(other, factor), against=base)
 
     def alternatives(self, divisor: int) -> Iterator[PinocchioSettings]:
-        """Yield other integrators, gains and proximal settings with the time step divided by `divisor`."""
-        own = self.settings
-        usual: dict[str, Any] = {name: getattr(EXAMPLE_CLOSED, name) for name in CONVERGED}
-        for integrator in dict.fromkeys([own.integrator, SEMI_IMPLICIT, RK4]):
+        """Yield other settings that may reduce the error, with the user's time step divided by `divisor`.
+
+        They combine integrators, kinds of damping, the proximal settings of the user and of Pinocchio's
+        example, and gains: those of the user, and those of `closing_gains`.
+        """
+        of_user = self.settings
+        proximal_of_example: dict[str, Any] = {name: getattr(EXAMPLE_CLOSED, name) for name in CONVERGED}
+        for integrator in dict.fromkeys([of_user.integrator, SEMI_IMPLICIT, RK4]):
             for damping in self._dampings(integrator):
-                kind = replace(own, timestep=own.timestep / divisor, integrator=integrator, damping=damping)
+                step = of_user.timestep / divisor
+                changed = replace(of_user, timestep=step, integrator=integrator, damping=damping)
                 if not self._reference.closures:
-                    yield kind
+                    yield changed
                     continue
-                for proximal in dict.fromkeys([kind, replace(kind, **usual)]):
-                    yield proximal
-                    yield from (_closing(proximal, factor) for factor in GAIN_FACTORS)
+                for with_proximal in dict.fromkeys([changed, replace(changed, **proximal_of_example)]):
+                    yield with_proximal
+                    yield from (_closing(with_proximal, factor) for factor in GAIN_FACTORS)
 
     def _dampings(self, integrator: str) -> list[str]:
-        """Return the kinds of damping to try with an integrator; the user's own first."""
+        """Return the kinds of damping to try with an integrator, that of the user first; RK4 has one kind."""
         if integrator == RK4 or not self._has_dampers:
             return [EXPLICIT_DAMPING]
         return list(dict.fromkeys([self.settings.damping, IMPLICIT_DAMPING]))
 
     def at_divisor(self, settings: PinocchioSettings, divisor: float) -> PinocchioSettings:
-        """Return settings of the same kind with the user's time step divided by `divisor`."""
+        """Return the same settings with the user's time step divided by `divisor`, see `_scaled`."""
         return self._scaled(settings, self.settings.timestep / divisor)
 
     def _scaled(self, settings: PinocchioSettings, timestep: float) -> PinocchioSettings:
-        """Return settings with another time step, s; gains close loops in the same number of steps."""
+        """Return settings with another time step, s.
+
+        Gains of the user stay; other gains are scaled, so that they close loops in the same number of steps.
+        """
         ratio = settings.timestep / timestep
         settings = replace(settings, timestep=timestep)
         if settings.kp is None or settings.kd is None:
@@ -221,54 +255,64 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         return replace(settings, kp=settings.kp * ratio**2, kd=settings.kd * ratio)
 
     def _gains_of(self, settings: PinocchioSettings) -> list[tuple[float, float]]:
-        """Return the gains kp and kd of each closure."""
+        """Return the gains kp and kd of each closure: those of the settings, else those of the model."""
         count = len(self._reference.closures)
-        own = self._gains or [(0.0, 0.0)] * count
+        of_model = self._gains or [(0.0, 0.0)] * count
         return [
             (kp if settings.kp is None else settings.kp, kd if settings.kd is None else settings.kd)
-            for kp, kd in own
+            for kp, kd in of_model
         ]
 
     def run(self, settings: PinocchioSettings, steps: int, every: int, reduced: bool = False) -> FileRun:
-        """Simulate the model, see `FileSimulation.run`; the loop has nothing to switch off."""
+        """Simulate the model.
+
+        Args:
+            settings: settings of the run.
+            steps: number of time steps.
+            every: number of steps from one output to the next.
+            reduced: no effect; a complete run has no elements that the scene does not have.
+        """
         accelerations = self._accelerations(settings)
         step = STEPS[settings.integrator]
         q, v = self._start.copy(), self._velocity.copy()
         recorder = _Recorder(self._reference)
-        wall_time, stopped = 0.0, ""
+        thread_time, stopped = 0.0, ""
         with np.errstate(all="ignore"):  # a diverged run is reported
             recorder.record(0.0, q, v)
             for output in range(1, steps // every + 1):
                 start = time.thread_time()
                 for _ in range(every):
                     q, v = step(self._reference.model, accelerations, q, v, settings.timestep)
-                wall_time += time.thread_time() - start
+                thread_time += time.thread_time() - start
                 now = output * every * settings.timestep
                 if not np.all(np.abs(v) <= MAX_VELOCITY) or not np.all(np.isfinite(q)):
                     stopped = f"velocities are not finite or exceed {MAX_VELOCITY:g} at {now:.4g} s"
                     break
                 recorder.record(now, q, v)
-        return recorder.run(self.scene, settings, wall_time, stopped)
+        return recorder.run(self.scene, settings, thread_time, stopped)
 
     def _accelerations(self, settings: PinocchioSettings) -> Acceleration:
         """Return the function that computes accelerations with these settings."""
         reference, model = self._reference, self._reference.model
-        if settings.damping == IMPLICIT_DAMPING:
+        if settings.damping == IMPLICIT_DAMPING:  # see `urdf.run_settings.DAMPINGS`
             model = model.copy()
             model.armature = model.armature + settings.timestep * reference.damping
         data = model.createData()
         zeros = np.zeros(model.nv)
 
         def applied(q: Array, v: Array) -> Array:
+            """Return the generalized forces (nv,) of springs and dampers."""
             if not reference.has_springs_or_dampers:
                 return zeros
             springs, dampers = reference.springs_and_dampers(q, v)
             return springs + dampers
 
+        # mimics and couplings, but no closures
         if self._free is not None:
             free = self._free
 
             def by_mass_matrix(q: Array, v: Array) -> Array:
+                """Return the accelerations (nv,) of the velocities that mimics and couplings allow."""
                 upper = np.triu(pin.crba(model, data, q))
                 mass = upper + np.triu(upper, 1).T
                 force = applied(q, v) - pin.nonLinearEffects(model, data, q, v)
@@ -277,6 +321,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             return by_mass_matrix
         if not reference.closures:
             return lambda q, v: pin.aba(model, data, q, v, applied(q, v))
+        # loop closures
         constraints = _rigid_constraints(reference, self._gains_of(settings))
         constraint_data = pin.StdVec_RigidConstraintData([each.createData() for each in constraints])
         pin.initConstraintDynamics(model, data, constraints, constraint_data)
@@ -298,39 +343,39 @@ def _text(value: object) -> str:
 
 
 def _rounded(values: Sequence[float]) -> str:
-    """Write different values with three digits, joined by "and"."""
+    """Write the values that differ in three digits, ascending, joined by "and"."""
     return " and ".join(f"{value:g}" for value in sorted({float(f"{value:.3g}") for value in values}))
 
 
 def _rigid_constraints(reference: PinocchioReference, gains: Sequence[tuple[float, float]]) -> Any:
-    """Return `pinocchio.StdVec_RigidConstraintModel` of closures with gains kp and kd.
+    """Return `pinocchio.StdVec_RigidConstraintModel` of all loop closures, with gains kp and kd.
 
-    A hinge is two points on its axis, whose distance is the size of the mechanism.
+    A hinge is two points on its axis, the x axis of the frames, whose distance is the size of the mechanism.
     """
-    model, found = reference.model, pin.StdVec_RigidConstraintModel()
+    model, constraints = reference.model, pin.StdVec_RigidConstraintModel()
     for closure, (kp, kd) in zip(reference.closures, gains, strict=True):
         offsets = [0.0, reference.size] if closure.kind == REVOLUTE else [0.0]
         for offset in offsets:
-            beside = pin.SE3(np.eye(3), np.array([offset, 0.0, 0.0]))
+            along_x = pin.SE3(np.eye(3), np.array([offset, 0.0, 0.0]))
             first, second = (model.frames[frame] for frame in (closure.first, closure.second))
             constraint = pin.RigidConstraintModel(
                 pin.ContactType.CONTACT_6D if closure.kind == "6d" else pin.ContactType.CONTACT_3D,
                 model,
                 first.parentJoint,
-                first.placement * beside,
+                first.placement * along_x,
                 second.parentJoint,
-                second.placement * beside,
+                second.placement * along_x,
                 pin.ReferenceFrame.LOCAL,
             )
             constraint.setBaumgarteCorrectorParameters(pin.BaumgarteCorrectorParameters(kp, kd))
-            found.append(constraint)
-    return found
+            constraints.append(constraint)
+    return constraints
 
 
 def _semi_implicit_step(
     model: Any, accelerations: Acceleration, q: Array, v: Array, timestep: float
 ) -> tuple[Array, Array]:
-    """Return configuration and velocities after a step: first the velocities, then the configuration."""
+    """Return configuration and velocities after a step; the new velocities move the configuration."""
     v = v + accelerations(q, v) * timestep
     return pin.integrate(model, q, v * timestep), v
 
@@ -338,17 +383,17 @@ def _semi_implicit_step(
 def _explicit_step(
     model: Any, accelerations: Acceleration, q: Array, v: Array, timestep: float
 ) -> tuple[Array, Array]:
-    """Return configuration and velocities after a step from the old velocities and accelerations."""
+    """Return configuration and velocities after a step; the old velocities move the configuration."""
     return pin.integrate(model, q, v * timestep), v + accelerations(q, v) * timestep
 
 
 def _runge_kutta_step(
     model: Any, accelerations: Acceleration, q: Array, v: Array, timestep: float
 ) -> tuple[Array, Array]:
-    """Return configuration and velocities after a step of the classical method of order 4.
+    """Return configuration and velocities after a step of the classical Runge-Kutta method of order 4.
 
-    Stages are reached by `pinocchio.integrate` from the start of the step. Rotations in space have a lower
-    order, because velocities of different stages are added in different frames.
+    Stages are reached by `pinocchio.integrate` from the start of the step. Rotations of balls and free joints
+    have a lower order, because velocities of different stages are added although their frames differ.
     """
     half = 0.5 * timestep
     a1 = np.array(accelerations(q, v))
@@ -370,17 +415,19 @@ STEPS = {SEMI_IMPLICIT: _semi_implicit_step, EXPLICIT: _explicit_step, RK4: _run
 
 
 class _Recorder:
-    """Poses of bodies, energies and loop errors of a run."""
+    """Poses of bodies, energies and loop errors at the outputs of a run."""
 
     def __init__(self, reference: PinocchioReference) -> None:
+        """Take the model of the run."""
         self._reference, self._data = reference, reference.model.createData()
+        # both frames of each loop closure
         self._ends = [frame for closure in reference.closures for frame in (closure.first, closure.second)]
         self._times: list[float] = []
         self._poses: list[list[Array]] = []
         self._energies: list[tuple[float, float]] = []
 
     def record(self, now: float, q: Array, v: Array) -> None:
-        """Add the state at a time, s."""
+        """Add the state at a time, s, as an output."""
         data = self._data
         pin.framesForwardKinematics(self._reference.model, data, q)
         poses = [data.oMi[k] for k in self._reference.moving_bodies] + [data.oMf[k] for k in self._ends]
@@ -388,35 +435,38 @@ class _Recorder:
         self._poses.append([pin.SE3ToXYZQUAT(pose) for pose in poses])
         self._energies.append(self._reference.energies(q, v))
 
-    def run(self, scene: Scene, settings: PinocchioSettings, wall_time: float, stopped: str) -> FileRun:
+    def run(self, scene: Scene, settings: PinocchioSettings, thread_time: float, stopped: str) -> FileRun:
         """Return the motion of the scene's bodies and the errors of loops.
 
         Args:
             scene: imported scene.
             settings: settings of the run.
-            wall_time: processor time of the steps, s.
+            thread_time: processor time of the steps, s.
             stopped: reason why the run ended early, or "".
         """
         reference = self._reference
-        poses: Array = np.array(self._poses)  # (n, b + 2 c, 7): position, quaternion x y z w
-        translation, turns = poses[..., :3], np.roll(poses[..., 3:], 1, axis=-1)
+        # poses of b joints that carry bodies, then of both frames of c closures, at n outputs:
+        # (n, b + 2 c, 7) with position and quaternion (x, y, z, w)
+        poses: Array = np.array(self._poses)
+        translations, quaternions = poses[..., :3], np.roll(poses[..., 3:], 1, axis=-1)
         count = len(reference.moving_bodies)
         levers = np.array([reference.model.inertias[k].lever for k in reference.moving_bodies])
-        centers = translation[:, :count] + (rotations(turns[:, :count]) @ levers[..., None])[..., 0]
-        # bodies of the scene; those without a joint rest
+        centers = translations[:, :count] + (rotations(quaternions[:, :count]) @ levers[..., None])[..., 0]
+        # bodies of the scene; those without a joint rest. Body frames of scene and model may differ, so that
+        # rotations since the start are applied
         names, state = scene.mechanism.body_names, initial_state(scene)
         position = np.repeat(state.position[None], len(poses), axis=0)
         quaternion = np.repeat(state.quaternion[None], len(poses), axis=0)
         for k, name in enumerate(reference.names):
-            place = names.index(name)
-            position[:, place] = centers[:, k]
-            from_start = _products(turns[:, k], conjugate(turns[:1, k]))
-            quaternion[:, place] = _products(from_start, state.quaternion[None, place])
+            body = names.index(name)
+            position[:, body] = centers[:, k]
+            from_start = _products(quaternions[:, k], conjugate(quaternions[:1, k]))
+            quaternion[:, body] = _products(from_start, state.quaternion[None, body])
         kinetic, potential = np.array(self._energies).T
         trajectory = Trajectory(
             PinocchioFile.engine,
             vars(settings),
-            wall_time,
+            thread_time,
             np.array(self._times),
             names,
             scene.mechanism.joint_names,
@@ -426,13 +476,14 @@ class _Recorder:
             potential_energy=potential,
             mechanism=scene.mechanism,
         )
+        # largest error of any closure at each output, m or rad
         opening = np.zeros(len(poses))
         for k, closure in enumerate(reference.closures):
             first, second = count + 2 * k, count + 2 * k + 1
-            apart = np.linalg.norm(translation[:, first] - translation[:, second], axis=1)
-            bent = _bending(closure.kind, turns[:, first], turns[:, second])
-            opening = np.max([opening, apart, bent], axis=0)
-        return FileRun(trajectory, opening, (), stopped)
+            distances = np.linalg.norm(translations[:, first] - translations[:, second], axis=1)
+            angles = _angular_errors(closure.kind, quaternions[:, first], quaternions[:, second])
+            opening = np.max([opening, distances, angles], axis=0)
+        return FileRun(trajectory, opening, events=(), stopped=stopped)
 
 
 def _products(p: Array, q: Array) -> Array:
@@ -440,11 +491,17 @@ def _products(p: Array, q: Array) -> Array:
     return np.asarray(product(p.T, q.T)).T
 
 
-def _bending(kind: str, first: Array, second: Array) -> Array:
-    """Return the angular errors (n,), rad, of a closure whose frames have orientations (n, 4)."""
+def _angular_errors(kind: str, first: Array, second: Array) -> Array:
+    """Return the angular errors (n,), rad, of a loop closure.
+
+    Args:
+        kind: type of the closure: "6d" for coinciding frames, `REVOLUTE` for a hinge about the x axes of both
+            frames; other types have no angular errors.
+        first, second: (n, 4) orientations of the two frames of the closure.
+    """
     if kind == "6d":
         return angle_between(first, second)
     if kind == REVOLUTE:
-        axes = rotations(first)[:, :, 0], rotations(second)[:, :, 0]
+        axes = rotations(first)[:, :, 0], rotations(second)[:, :, 0]  # x axes
         return np.asarray(np.arcsin(np.minimum(1.0, np.linalg.norm(np.cross(*axes), axis=1))))
     return np.zeros(len(first))

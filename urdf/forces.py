@@ -1,9 +1,9 @@
-"""Forces of a scene for Pinocchio's equations of motion.
+"""Forces of a scene (a mechanism with forces and control laws) for Pinocchio's equations of motion.
 
-Control laws and springs of joints and balls are functions of the coordinates of the spanning tree. Point
-springs, wrenches and wind act on frames of Pinocchio's model. All forces are computed here from the
-attributes of the elements, and not by newton_euler's methods. A mistake in these methods therefore shows as a
-difference between the engines.
+Control laws and springs of joints and balls are functions of the coordinates of the mechanism's spanning
+tree. Point springs, wrenches and wind act on frames of Pinocchio's model. All forces are computed here from
+the attributes of the elements, and not by the methods that newton_euler's equations use. A mistake in those
+methods therefore shows as a difference between the engines. `Rotors` has the inertias of motors' rotors.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class JointLaws:
     """Springs and control laws on joint coordinates, in the order of `Scene.joint_forces`.
 
     Springs and PD laws are evaluated together as f = u_0 - (K_p (x - x_0) + K_d dx/dt), with u_0 = 0 for
-    springs. For laws that depend on time, x_0 is 0 and u_0 is the time-dependent part.
+    springs. For PD laws that depend on time, x_0 is 0 and u_0 is the time-dependent part. The a laws act on
+    the first a of the given joint coordinates.
     """
 
     def __init__(self, laws: Sequence[Law | JointSpring], keys: Sequence[Key]) -> None:
@@ -48,7 +49,7 @@ class JointLaws:
         self._index_of_key = {key: keys.index(key) for key in keys}
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
-        self._driven = TimeDependentPD(laws)
+        self._driven = DrivenLaws(laws)  # time-dependent part of the PD laws `_driven.places`
         self._other_laws = [k for k, law in enumerate(laws) if not isinstance(law, PD | JointSpring)]
         for k, law in enumerate(laws):
             if not isinstance(law, PD | JointSpring):
@@ -71,10 +72,11 @@ class JointLaws:
 
         Args:
             laws: laws with the present forces of sampled controllers.
-            x: coordinates of `keys`, m or rad.
+            x: coordinates of the `keys` of the constructor, m or rad.
             rate: rates of these coordinates.
             time: s.
-            model: forces of laws that need a model of the mechanism, N or N m, by coordinate.
+            model: forces that laws compute from a model of the mechanism (computed torque, gravity
+                compensation), N or N m, by coordinate.
         """
         x_of_laws, rate_of_laws = x[: len(laws)], rate[: len(laws)]
         force = self._constant - (self._stiffness * (x_of_laws - self._rest) + self._damping * rate_of_laws)
@@ -84,7 +86,7 @@ class JointLaws:
             law = laws[k]
             if isinstance(law, DeclaredLaw):
                 force[k] = self._feedback_force(law, x, rate, time)
-            elif isinstance(law, HeldLaw):
+            elif isinstance(law, HeldLaw):  # a sampled controller
                 force[k] = law.held
             elif not isinstance(law, JointSpring):  # springs are evaluated above
                 assert_never(law)
@@ -120,13 +122,13 @@ class JointLaws:
 
         Args:
             force: (a,) result of the method `force`.
-            rate: rates of the coordinates of `keys`.
+            rate: rates of the coordinates of the constructor's `keys`.
         """
         rates = rate[: len(force)]
         return float(np.where(self._is_spring, -self._damping * rates, force) @ rates)
 
     def energy(self, x: Array) -> float:
-        """Compute the energy of the springs, J, at joint coordinates x of `keys`."""
+        """Compute the energy of the springs, J, at joint coordinates x, those of the constructor's `keys`."""
         stretch = (x[: len(self._rest)] - self._rest)[self._is_spring]
         return float(0.5 * self._stiffness[self._is_spring] @ (stretch * stretch))
 
@@ -151,8 +153,8 @@ class BallForces:
     """Springs and dampers of balls, all of which are joints of the spanning tree.
 
     Q is the rotation of the ball from the frame of the child to the parent, and the identity at the initial
-    pose. E is the rotation of the second body relative to the first at rest. The deflection in the frame of
-    the child is
+    pose. E is the rotation of the second body relative to the first where the spring is at rest. The
+    deflection, a rotation vector in the frame of the child, is
 
         theta = Q^T log(Q E^T),  or  -log(Q^T E^T)  if the second body of the joint is the parent.
 
@@ -169,6 +171,7 @@ class BallForces:
             index = scene.mechanism.joint_index(spring.joint)
             (tree_joint,) = (each for each in tree.joints if each.joint == index)
             self._tree_joints.append(tree_joint)
+            # slices of the ball's quaternion in q and of its angular velocity in v
             slices += [(in_q, in_v) for motion, in_q, in_v in tree_joint.places if motion.kind == "ball"]
         self._in_q = [in_q for in_q, _ in slices]
         indices = [range(tree.nv)[in_v] for _, in_v in slices]
@@ -182,7 +185,7 @@ class BallForces:
     def _deflection(self, k: int, q: Array) -> Array:
         """Return theta (3,) of ball number `k`: the rotation vector from its rest, rad, child frame."""
         rotation = pin.Quaternion(*q[self._in_q[k]]).toRotationMatrix()  # Q
-        if self._tree_joints[k].forward:
+        if self._tree_joints[k].forward:  # the second body of the joint is the child
             return np.asarray(rotation.T @ pin.log3(rotation @ self._rests[k].T))
         return np.asarray(-pin.log3(rotation.T @ self._rests[k].T))
 
@@ -232,7 +235,8 @@ class PointForces:
         Args:
             scene: scene with the forces.
             model: `pinocchio.Model`, which gets the frames.
-            body_frames: number of the frame of each body, parallel to which the new frames are.
+            body_frames: number of the frame of each body. The axes of a new frame are parallel to those of
+                the body's frame, except for wind, where they are the axes of the plate.
         """
         self._model = model
         # spring, numbers of its two bodies, and of the frames at its ends
@@ -244,7 +248,10 @@ class PointForces:
         mechanism = scene.mechanism
 
         def add_frame(name: str, body: int, point: Array, axes: Array | None = None) -> int:
-            """Add a frame at a point (3,) on a body, world frame at the initial pose; return its number."""
+            """Add a frame at a point (3,) on a body; return its number.
+
+            `point`, m, and the columns of `axes` (3, 3) are in the world frame at the initial pose.
+            """
             body_frame = body_frames[body]
             pose = mechanism.bodies[body].pose
             rotation = np.eye(3) if axes is None else pose.rotation.T @ axes
@@ -281,7 +288,7 @@ class PointForces:
 
     def applied_forces(self, data: Any, scene: Scene, time: float) -> list[AppliedForce]:
         """Compute the forces and torques on bodies at a time, s, with the present wind of the scene."""
-        # a sampled wind has its present value in the scene
+        # not the scene of the constructor: wind that jumps has its present value in `scene`
         winds = self._wind_forces(data, scene, time)
         return [*self._spring_forces(data), *self._wrench_forces(data), *winds]
 
@@ -320,12 +327,13 @@ class PointForces:
             axes = data.oMf[frame].rotation
             plate_velocity = pin.getFrameVelocity(self._model, data, frame, pin.LOCAL).linear
             relative_wind = axes.T @ load.velocity(time) - plate_velocity
+            # moments about both sides
             normal_force, *moments = wind_on_plate(load, relative_wind)
             forces.append(AppliedForce(body, frame, normal_force * axes[:, 2], axes[:, :2] @ moments))
         return forces
 
     def wrenches(self, data: Any, scene: Scene, time: float) -> Iterator[tuple[int, Any]]:
-        """Yield the number of a body and a `pinocchio.Force` on it, about the world's origin, world frame."""
+        """Yield the number of a body and the `pinocchio.Force` on the body, about the world's origin."""
         for applied in self.applied_forces(data, scene, time):
             to_origin = pin.SE3(np.eye(3), data.oMf[applied.frame].translation)
             yield applied.body, to_origin.act(pin.Force(applied.force, applied.torque))
@@ -360,15 +368,15 @@ class PointForces:
 
 
 class Rotors:
-    """Armatures (rotor inertias) of tree joints.
+    """Armatures (rotor inertias) of joints of the spanning tree.
 
     Attributes:
-        inertias: (nv,) rotor inertias, kg m^2 or kg.
+        inertias: (nv,) rotor inertias by velocity of the tree, kg m^2 or kg.
         single: (nv,) rotor inertias of hinges and slides, 0 for balls.
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
-        """Find the armatures of a scene, and their velocities in a spanning tree."""
+        """Find the armatures of a scene, and the velocities of a spanning tree to which they belong."""
         # number of the joint, numbers of its bodies, and rotor inertia of each ball
         self._balls: list[tuple[int, tuple[int, int], float]] = []
         self.single, of_balls = np.zeros((2, tree.nv))

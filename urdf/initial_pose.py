@@ -1,6 +1,7 @@
-"""Read the bodies and joints back from a Pinocchio model of a scene, at its initial pose.
+"""Read the bodies and joints back from the Pinocchio model of an exported scene, at its initial pose.
 
-crosscheck compares the results with the scene, to find errors of the URDF export and of Pinocchio's parser.
+`urdf.dynamics` builds the model from the scene's URDF and loop file. crosscheck compares the results with the
+scene, to find errors of the URDF export and of Pinocchio's parser.
 """
 
 from __future__ import annotations
@@ -28,10 +29,12 @@ def mass_properties(mechanism: Mechanism, model: Any, welded: WeldedMechanism) -
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
+    # start from the declared values, which remain for the ground; overwrite all others
     properties = MassProperties.of(mechanism)
     names = welded.mechanism.body_names
     for body in range(1, len(mechanism.bodies)):
         total = pin.Inertia.Zero()
+        # `origin` has, for each body of the welded mechanism, the body of the scene that it is a part of
         for name, whole in zip(names, welded.origin, strict=True):
             if whole == body:
                 index = model.getFrameId(name, pin.FrameType.BODY)
@@ -59,11 +62,12 @@ def joint_geometry(closed_model: ClosedLoopModel, welded: WeldedMechanism) -> di
         index = model.getJointId(name)
         joint, point = model.joints[index], data.oMi[index].translation.copy()
         if joint.nv == 3:
-            return "ball", NOWHERE, point
+            return "ball", NOWHERE, point  # a ball has no axis
         linear, angular = columns[:3, joint.idx_v], columns[3:, joint.idx_v]
         return ("hinge", angular, point) if np.any(angular) else ("slide", linear, point)
 
     geometry = geometry_in_tree(welded, read)
+    # joints that close loops; welds join halves of cut bodies, and are no joints of the scene
     constraints, rods = iter(closed_model.constraints), iter(closed_model.rods)
     for cut in welded.tree.cuts:
         joint = welded.tree.joint(cut)

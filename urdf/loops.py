@@ -1,7 +1,7 @@
 """Parse the loop file of a URDF, which describes what a URDF cannot: closed loops and ball joints.
 
 The file is YAML. Its keys have the meaning that loader_tools.py of Gepetto's example-parallel-robots gives
-them (`robot.yaml`). An additional key is `coupled`: weighted sums of joint coordinates that are zero.
+them (`robot.yaml`). An additional key is `coupled`: sums of polynomials of joint coordinates that are zero.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ CLOSURE_TYPES = ("3d", "6d", "rod")
 distance."""
 
 REVOLUTE = "revolute"
-"""Type of a hinge about the x axes of both frames; only elements that tools add to URDF have this type."""
+"""Type of a loop closure by a hinge about the x axes of both frames.
+
+Loop files do not have this type, only elements that tools such as Gazebo add to a URDF."""
 
 UNIVERSAL = {f"UJOINT_{a}{b}": a + b for a in "XYZ" for b in "XYZ" if a != b} | {"CARDAN": "XY"}
 """Axes of the two hinges of a universal joint, in the frame of the joint, by type in a loop file."""
 
 JOINT_TYPES = ("SPHERICAL", "FIXED", *UNIVERSAL)
-"""Types of joints in a loop file that differ from the type in the URDF."""
+"""Types that a loop file can give to a joint instead of the joint's type in the URDF."""
 
 LOOP_FILE_KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type", "coupled")
 """Keys of a loop file; `coupled`, and `joint_name` with `joint_type`, may be missing."""
@@ -39,7 +41,7 @@ LOOP_FILE_KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type",
 
 @dataclass(frozen=True)
 class Loops:
-    """Content of a loop file.
+    """Content of a loop file; the attributes have the names of the keys in the file.
 
     Attributes:
         source: name of the file, for messages.
@@ -49,8 +51,8 @@ class Loops:
         joint_name: names of joints whose type differs from the URDF.
         joint_type: for each of these joints, one of `JOINT_TYPES`. FIXED joints are held at 0; for the other
             types, the axis in the URDF is ignored.
-        coupled: for each coupling, the factors of the powers 1, 2, ... of coordinates, by name of the joint.
-            The sum of the products is zero.
+        coupled: for each coupling, the factors of the powers 1, 2, ... of joint coordinates, by name of the
+            joint. The sum of the factors times the powers is zero.
     """
 
     source: str
@@ -73,10 +75,10 @@ def closure_names(model: Any, constraints: Sequence[Any]) -> tuple[tuple[str, st
     `RigidConstraintModel`s of the `pinocchio.Model`.
     """
     pairs: list[tuple[str, str]] = []
-    taken: list[str] = []
+    used_names: list[str] = []
     for number, constraint in enumerate(constraints):
-        name = unique_name(str(constraint.name), f"constraint_{number + 1}", taken)
-        taken.append(name)
+        name = unique_name(str(constraint.name), f"constraint_{number + 1}", used_names)
+        used_names.append(name)
         first, second = (model.names[k] for k in (constraint.joint1_id, constraint.joint2_id))
         pairs.append((f"{name}_on_{first}", f"{name}_on_{second}"))
     return tuple(pairs)
@@ -95,7 +97,7 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "document", error.problem) from error
     if not isinstance(document, dict):
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
-    # keys and forms of the values
+    # keys, and forms of the values; missing optional keys get an empty list
     for key in document:
         if key not in LOOP_FILE_KEYS:
             raise LoopFileError(source, f"{key!s:.100}", f"unknown key; {choices(key, LOOP_FILE_KEYS)}")
@@ -115,7 +117,7 @@ def parse_loops(text: str, source: str) -> Loops:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is not a pair of frame names")
         if pair[0] == pair[1]:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is one frame; needed: two")
-    # lengths and types
+    # lists that belong together have equal lengths; known types
     document["type"] = [kind.lower() for kind in document["type"]]
     for type_key, valid, key in (
         ("type", CLOSURE_TYPES, "closed_loop"),
@@ -143,7 +145,7 @@ def _coupling(entry: Any, source: str) -> dict[str, tuple[float, ...]]:
         lists = {name: given if isinstance(given, list) else [given] for name, given in entry.items()}
         factors = {name: tuple(map(float, given)) for name, given in lists.items()}
     except (AttributeError, TypeError, ValueError):
-        factors = {"": (math.nan,)}
+        factors = {"": (math.nan,)}  # refused below
     if not all(
         1 <= len(of_joint) <= MAX_DEGREE and all(abs(factor) <= MAX_MODEL_NUMBER for factor in of_joint)
         for of_joint in factors.values()

@@ -1,7 +1,8 @@
 """Build a Pinocchio model with loop closures from the text of a URDF and its loop file.
 
+The loop file (`urdf.loops`) lists loop closures, couplings and types of joints that a URDF cannot describe.
 Pinocchio orders the joints of each branch by name, and has quaternions (x, y, z, w). `CoordinateMap` converts
-between its coordinates and those of newton_euler's spanning tree.
+between Pinocchio's coordinates and those of newton_euler's spanning tree.
 """
 
 from __future__ import annotations
@@ -41,12 +42,12 @@ class ClosedLoopModel:
 
     Attributes:
         model: `pinocchio.Model`.
-        constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each loop closure except rods. A hinge
-            has two: points on its axis, 1 m apart, because Pinocchio has no hinge constraint.
+        constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each loop closure except rods. A closure
+            by a hinge has two: points on its axis, 1 m apart, because Pinocchio has no hinge constraint.
         frames: numbers of the two frames of each constraint.
         rods: numbers of the two frames of each rod.
         couplings: (c, d, nv) factors of the powers 1 to d of the coordinates of hinges and slides, by index
-            of the velocity, for each of c couplings. The sum of the products is zero.
+            of the velocity, for each of c couplings. The sum of the factors times the powers is zero.
         urdf_joints: name of the joint in the URDF for each of Pinocchio's joints.
     """
 
@@ -71,30 +72,31 @@ def build(
         urdf: URDF text, SI units.
         loops: content of the loop file.
         alpha: parameter, 1/s, of Baumgarte's stabilization in every closure: K_D = 2 alpha, K_P = alpha^2.
-        base: one of `BASES`.
-        keeps_axes: True to keep axes within 1e-12 of a coordinate axis, which Pinocchio's parser rounds.
+        base: motion of the root link, one of `BASES`.
+        keeps_axes: True to keep axes within 1e-12 of a coordinate axis, which Pinocchio's parser rounds to
+            the coordinate axis.
 
     Raises:
         UrdfError: for text that is not a URDF.
         LoopFileError: for a frame or joint that the URDF does not have.
     """
-    # parse the URDF, and replace joints by the types of the loop file
+    # parse the URDF, hold FIXED joints, and replace other joints by the types of the loop file
     try:
-        root = () if base == "fixed" else (pin.JointModelFreeFlyer(),)
-        placeholder = pin.buildModelFromXML(urdf, *root)
+        root_joint = () if base == "fixed" else (pin.JointModelFreeFlyer(),)
+        parsed = pin.buildModelFromXML(urdf, *root_joint)
     except ValueError as error:
         raise UrdfError(f"not a URDF: {error}") from error
-    if list(placeholder.names).count(PINOCCHIO_GROUND) > 1:
+    if list(parsed.names).count(PINOCCHIO_GROUND) > 1:
         raise UrdfError(
             f"a joint is named {PINOCCHIO_GROUND!r}, Pinocchio's name of the ground; rename the joint"
         )
-    _check_joints(loops, "joint_name", loops.joint_name, list(placeholder.names)[1:])
+    _check_joints(loops, "joint_name", loops.joint_name, list(parsed.names)[1:])
     types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
-    held = [placeholder.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
+    held = [parsed.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
     if held:
-        placeholder = pin.buildReducedModel(placeholder, held, pin.neutral(placeholder))
-    _check_joints(loops, "name_mot", loops.name_mot, list(placeholder.names)[1:])
-    model, urdf_joints = _rebuild(placeholder, types, _rounded_axes(urdf) if keeps_axes else {})
+        parsed = pin.buildReducedModel(parsed, held, pin.neutral(parsed))
+    _check_joints(loops, "name_mot", loops.name_mot, list(parsed.names)[1:])
+    model, urdf_joints = _rebuild(parsed, types, _rounded_axes(urdf) if keeps_axes else {})
 
     # loop closures
     constraints = pin.StdVec_RigidConstraintModel()
@@ -118,9 +120,8 @@ def build(
                 pin.ReferenceFrame.LOCAL,
             )
             constraint.name = " ".join(pair)
-            constraint.setBaumgarteCorrectorParameters(
-                pin.BaumgarteCorrectorParameters(alpha * alpha, 2.0 * alpha)
-            )
+            k_p, k_d = alpha * alpha, 2.0 * alpha
+            constraint.setBaumgarteCorrectorParameters(pin.BaumgarteCorrectorParameters(k_p, k_d))
             constraints.append(constraint)
             frames.append((frame_1, frame_2))
     # couplings of hinges and slides
@@ -137,14 +138,14 @@ def build(
 
 
 def _check_joints(loops: Loops, key: str, names: Iterable[str], known: Container[str]) -> None:
-    """Raise `LoopFileError` for a name below `key` in the loop file that is no moving joint of the URDF."""
+    """Raise `LoopFileError` for a name below `key` in the loop file that is not among the known joints."""
     for name in names:
         if name not in known:
             raise LoopFileError(loops.source, key, f"the URDF has no moving joint {name!r}")
 
 
 def _frame(model: Any, name: str, loops: Loops) -> int:
-    """Return the number of the frame of a link or joint, like Pinocchio's `getFrameId`."""
+    """Return the number of the frame of a link or joint; if both have the name, they must be in one place."""
     numbers_of_name = [number for number, frame in enumerate(model.frames) if frame.name == name]
     if not numbers_of_name:
         raise LoopFileError(loops.source, "closed_loop", f"the URDF has no link or joint {name!r}")
@@ -178,43 +179,43 @@ def _rounded_axes(urdf: str) -> dict[str, Array]:
     return axes
 
 
-def _rebuild(placeholder: Any, types: dict[str, str], axes: dict[str, Array]) -> tuple[Any, tuple[str, ...]]:
+def _rebuild(parsed: Any, types: dict[str, str], axes: dict[str, Array]) -> tuple[Any, tuple[str, ...]]:
     """Copy a model with other types or axes of some joints.
 
     Args:
-        placeholder: `pinocchio.Model` that the parser has built.
+        parsed: `pinocchio.Model` that the parser has built.
         types: one of `urdf.loops.JOINT_TYPES` by name of the joint.
         axes: (3,) axis by name of the joint.
 
     Returns:
-        The model, and for each of its joints the name of the joint in the placeholder.
+        The model, and for each of its joints the name of the joint in the parsed model.
     """
     model = pin.Model()
-    model.name = placeholder.name
-    # new number of each joint of the placeholder, and old name of each joint of the model
+    model.name = parsed.name
+    # new number of each joint of the parsed model, and old name of each joint of the new model
     numbers, urdf_joints = [0], [PINOCCHIO_GROUND]
-    for index in range(1, placeholder.njoints):
-        urdf_joint = name = str(placeholder.names[index])
-        parent, placement = numbers[placeholder.parents[index]], placeholder.jointPlacements[index]
-        joint, kind = placeholder.joints[index], types.get(name)
+    for index in range(1, parsed.njoints):
+        urdf_joint = name = str(parsed.names[index])
+        parent, placement = numbers[parsed.parents[index]], parsed.jointPlacements[index]
+        joint, kind = parsed.joints[index], types.get(name)
         if kind is None and name in axes:
-            is_slide = joint.shortname().startswith("JointModelP")
+            is_slide = joint.shortname().startswith("JointModelP")  # prismatic
             joint_model = pin.JointModelPrismaticUnaligned if is_slide else pin.JointModelRevoluteUnaligned
             joint = joint_model(axes[name])
         if kind == "SPHERICAL":
             joint = pin.JointModelSpherical()
         elif kind in UNIVERSAL:
             # two hinges; the second one carries the body
-            first, second = UNIVERSAL[kind][0], UNIVERSAL[kind][1]
+            first, second = tuple(UNIVERSAL[kind])  # two letters of axes
             parent = model.addJoint(parent, HINGE_MODELS[first](), placement, f"{urdf_joint}_{first}")
             urdf_joints.append(urdf_joint)
             joint, placement, name = HINGE_MODELS[second](), pin.SE3.Identity(), f"{urdf_joint}_{second}"
         number = model.addJoint(parent, joint, placement, name)
-        model.appendBodyToJoint(number, placeholder.inertias[index], pin.SE3.Identity())
+        model.appendBodyToJoint(number, parsed.inertias[index], pin.SE3.Identity())
         numbers.append(number)
         urdf_joints.append(urdf_joint)
-    model.inertias[0] = placeholder.inertias[0]  # inertia of links that are fixed to the root
-    for frame in list(placeholder.frames)[1:]:
+    model.inertias[0] = parsed.inertias[0]  # inertia of links that are fixed to the root
+    for frame in list(parsed.frames)[1:]:
         frame.parentJoint = numbers[frame.parentJoint]
         model.addFrame(frame, False)  # the inertia of the joint already includes the frame
     return model, tuple(urdf_joints)
@@ -255,8 +256,8 @@ def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
 class CoordinateMap:
     """Map between coordinates of a mechanism's spanning tree and its Pinocchio model.
 
-    Both have the same coordinates and signs. Pinocchio has another order, and quaternions (x, y, z, w).
-    Angular velocities of balls are in the frame of the child in both.
+    Tree and model have the same coordinates and signs. Pinocchio has another order, and quaternions
+    (x, y, z, w). Angular velocities of balls are in the frame of the child in both.
 
     Attributes:
         is_below_diagonal: (nv, nv) True below the diagonal of a mass matrix.
@@ -269,7 +270,8 @@ class CoordinateMap:
             model: `pinocchio.Model` of the welded mechanism.
             welded: welded mechanism, whose spanning tree has the coordinates.
         """
-        # index in the tree of each of Pinocchio's coordinates and velocities
+        # index in the tree of each of Pinocchio's coordinates and velocities; hinges, slides and balls of the
+        # tree have the names of Pinocchio's joints
         tree_q = np.zeros(model.nq, dtype=int)
         tree_v = np.zeros(model.nv, dtype=int)
         tree = welded.tree
@@ -289,7 +291,7 @@ class CoordinateMap:
         self.is_below_diagonal = np.tri(model.nv, k=-1, dtype=bool)
 
     def displacements(self, q: Array) -> Array:
-        """Return the coordinates of hinges and slides, ordered as velocities (nv,); 0 for balls."""
+        """Return coordinates of hinges and slides by velocity of the tree (nv,); 0 for balls."""
         x = np.zeros(len(self._tree_v))
         x[self._single_v] = q[self._single_q]
         return x

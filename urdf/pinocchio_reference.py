@@ -1,9 +1,9 @@
 """Reference model from a Pinocchio model with loop closures, against which an imported scene is verified.
 
 `newton_euler.reading` compares masses, motions, constraints and forces of an imported scene with those of a
-`ReferenceModel`. The class of this module computes them by Pinocchio. Loop closures, couplings and mimics
-(joints that follow others) are constraint rows. `urdf.reference` derives the reference models of URDF files
-and of models in memory from this class.
+`ReferenceModel`. `PinocchioReference` computes these quantities by Pinocchio. Loop closures, couplings and
+mimics (joints that follow others) are constraint rows. `urdf.reference` derives the reference models of URDF
+files and of models in memory from `PinocchioReference`.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ class Closure(NamedTuple):
     """Loop closure between two frames.
 
     Attributes:
-        element: name in reports.
-        kind: one of `urdf.loops.CLOSURE_TYPES`, or `REVOLUTE`.
+        element: name of the closure in reports.
+        kind: "3d" (the origins of the frames coincide), "6d" (the frames coincide), "rod" (the origins keep
+            their distance), or `REVOLUTE` (a hinge about the x axes of both frames).
         first: number of the first frame.
         second: number of the second frame, which no other closure has.
     """
@@ -68,8 +69,9 @@ GRAVITY_ONLY = np.eye(len(FORCE_KINDS))[FORCE_KINDS.index("gravity")][:, None]
 class PinocchioReference(ReferenceModel):
     """Reference model of a Pinocchio model with loop closures.
 
-    Configurations q (nq,) and velocities v (nv,) are Pinocchio's. Residuals of couplings and mimics are
-    linear in the displacement x from a configuration, plus polynomials of second and higher powers.
+    Configurations q (nq,) and velocities v (nv,) are Pinocchio's. The residuals of the c couplings and mimics
+    are linear in the displacement of joint coordinates from a configuration, plus polynomials of second and
+    higher powers of the coordinates.
     """
 
     def __init__(
@@ -92,6 +94,7 @@ class PinocchioReference(ReferenceModel):
             scene: imported scene; its initial pose selects the start among the closed configurations.
         """
         self._model, self._joint_names, self._closures = model, joint_names, closures
+        # properties that the scene leaves out, by element; the reference leaves them out, too
         self._topics_left_out, self._report = left_out(report), report
         self._rod_lengths: dict[int, float] = {}  # by number of the closure, once the start is known
         self._data: Any = model.createData()
@@ -125,10 +128,11 @@ class PinocchioReference(ReferenceModel):
         for k in self._joints:
             bodies = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
             names.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", names))
-        self.names = whole_body_names(names[1:], scene.mechanism.body_names)
-        # velocities
+        self.names = names_of_wholes(names[1:], scene.mechanism.body_names)
+        # velocities; largest random displacements: nearly half a revolution, or three sizes of the mechanism,
+        # less for several hinges without mass between them
         massless = {k for k in range(1, model.njoints) if k not in self._joints}
-        self.ranges = np.full(model.nv, 3.0)  # nearly half a revolution, or three sizes
+        self.ranges = np.full(model.nv, 3.0)
         motions = [""] * model.nv
         data, neutral = model.createData(), pin.neutral(model)
         columns = np.reshape(pin.computeJointJacobians(model, data, neutral), (6, model.nv))
@@ -145,7 +149,7 @@ class PinocchioReference(ReferenceModel):
         """Return the topics of an element that the import report leaves out; "" is the whole element."""
         return self._topics_left_out.get(element, set())
 
-    # The parts of the model, for a simulation
+    # The parts of the model, for `urdf.file_run`, which simulates the model
 
     @property
     def model(self) -> Any:
@@ -164,7 +168,7 @@ class PinocchioReference(ReferenceModel):
 
     @property
     def couplings(self) -> Array:
-        """Factors (c, nv) of the velocities in coupling rows, such as those of mimics; each sum is zero."""
+        """(c, nv) factors of the velocities in couplings and mimics: factors @ v = 0 for linear couplings."""
         return self._linear
 
     @property
@@ -182,7 +186,7 @@ class PinocchioReference(ReferenceModel):
         """True if springs or dampers act in the model."""
         return bool(np.any(self._stiffness) or np.any(self._damping) or self._springs)
 
-    # Quantities by Pinocchio
+    # Quantities that Pinocchio computes
 
     def integrate(self, q: Array, step: Array) -> Array:
         """Return the configuration (nq,) that velocities `step` (nv,) reach from q (nq,) in 1 s."""
@@ -204,9 +208,12 @@ class PinocchioReference(ReferenceModel):
         """Return masses, centers of mass and inertias of the bodies at the start, world frame."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, self.start)
-        placed = [data.oMi[k].act(model.inertias[k]) for k in self._joints]
-        values = ([i.mass for i in placed], [i.lever for i in placed], [i.inertia for i in placed])
-        return MassProperties(*(np.array(value) for value in values))
+        inertias = [data.oMi[k].act(model.inertias[k]) for k in self._joints]
+        return MassProperties(
+            mass=np.array([inertia.mass for inertia in inertias]),
+            center_of_mass=np.array([inertia.lever for inertia in inertias]),
+            inertia=np.array([inertia.inertia for inertia in inertias]),
+        )
 
     def kinematics(self, q: Array, v: Array) -> Kinematics:
         """Compute poses, Jacobians and velocity-dependent accelerations of the bodies."""
@@ -239,7 +246,8 @@ class PinocchioReference(ReferenceModel):
         residuals, rows, elements = [np.zeros(0)], [np.zeros((0, model.nv))], list[str]()
         for number, (element, kind, first, second) in enumerate(self._closures):
             a, b = data.oMf[first], data.oMf[second]
-            # from the second origin to the first, and its derivative together with the relative rotation
+            # from the second origin to the first; Jacobian (6, nv) of the relative velocity and angular
+            # velocity of both frames
             d = a.translation - b.translation
             relative_jacobian = self._frame_jacobian(first) - self._frame_jacobian(second)
             block_count = len(rows)
@@ -260,17 +268,20 @@ class PinocchioReference(ReferenceModel):
                 residuals.append(pin.log3(relative_rotation))
                 rows.append(-pin.Jlog3(relative_rotation) @ b.rotation.T @ relative_jacobian[3:])
             elements += [element] * sum(map(len, rows[block_count:]))
-        # couplings and mimics
+        # couplings and mimics; the linear part is relative to the configuration `_q0`
         x = pin.difference(model, pin.neutral(model), q)
-        higher = np.sum(power_sums(self._higher_powers, x, 0), axis=1)
+        higher = np.sum(power_sums(self._higher_powers, x, derivative=0), axis=1)
         linear = self._linear @ pin.difference(model, self._q0, q)
         residuals.append(linear + self._residuals_at_q0 + higher)
-        rows.append(self._linear + power_sums(self._higher_powers, x, 1))
+        rows.append(self._linear + power_sums(self._higher_powers, x, derivative=1))
         jacobian = np.concatenate(rows) * self.units
         return Constraints(np.concatenate(residuals), jacobian, [*elements, *self._coupling_elements])
 
     def keep_offsets(self) -> None:
-        """Redefine loop closures, couplings and mimics so that their residuals are zero at the start."""
+        """Redefine loop closures, couplings and mimics so that their residuals are zero at the start.
+
+        The rounded numbers of a file close its loops only approximately. Scenes keep the remaining offsets.
+        """
         model, data = self._model, self._data
         pin.framesForwardKinematics(model, data, self.start)
         for number, (_, kind, first, second) in enumerate(self._closures):
@@ -285,7 +296,7 @@ class PinocchioReference(ReferenceModel):
                     target = pin.SE3(np.eye(3), target.translation)
                 model.frames[second].placement = joint.actInv(target)
         self._q0, self._residuals_at_q0 = self.start, np.zeros(len(self._residuals_at_q0))
-        self._data = model.createData()
+        self._data = model.createData()  # for the moved frames
 
     def _frame_jacobian(self, frame: int) -> Array:
         """Return the Jacobian (6, nv) of the linear and angular velocity of a frame, world axes."""
@@ -293,7 +304,7 @@ class PinocchioReference(ReferenceModel):
         return np.reshape(jacobian, (6, self._model.nv))
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
-        """Return the mass matrices (nv, nv) of bodies and of armatures."""
+        """Return two mass matrices (nv, nv): of the bodies, and of the armatures (rotor inertias)."""
         upper = np.triu(pin.crba(self._model, self._data, q))
         armatures = np.diag(self._model.armature)
         return upper + np.triu(upper, 1).T - armatures, armatures
@@ -303,7 +314,9 @@ class PinocchioReference(ReferenceModel):
         gravity = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
         bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + gravity
         springs, dampers = self.springs_and_dampers(q, v)
-        return Forces(gravity, springs, dampers, np.zeros(len(v)), bias)
+        return Forces(
+            gravity=gravity, springs=springs, dampers=dampers, actuators=np.zeros(len(v)), bias=bias
+        )
 
     def springs_and_dampers(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return the generalized forces (nv,) of springs, and those of dampers, N or N m."""
@@ -314,7 +327,7 @@ class PinocchioReference(ReferenceModel):
         return springs, dampers
 
     def _coordinates(self, q: Array) -> Array:
-        """Return the coordinates of hinges and slides, ordered as velocities (nv,)."""
+        """Return the coordinates of hinges and slides from neutral, in the order of velocities (nv,)."""
         return np.asarray(pin.difference(self._model, pin.neutral(self._model), q))
 
     def _point_spring_forces(self, spring: PointSpring, q: Array, v: Array) -> tuple[Array, Array, float]:
@@ -344,12 +357,16 @@ class PinocchioReference(ReferenceModel):
         return float(kinetic), potential
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
-        """Yield each element with its forces at all samples, while all other elements have none."""
+        """Yield each element with its forces at all samples, while all other elements have none.
+
+        The forces are a list of variants of the element. A variant has for each sample an array (4, nv) of
+        all `FORCE_KINDS`.
+        """
         # gravity of 1 m/s^2 along each axis
         gravity, gravity_variants = self._model.gravity.linear.copy(), []
         for axis in np.eye(3):
             self._model.gravity.linear = axis
-            by_sample = [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
+            by_sample = [self._force_kinds(sample) for sample in samples]
             gravity_variants.append([forces * GRAVITY_ONLY for forces in by_sample])
         self._model.gravity.linear = gravity
         yield "gravity", gravity_variants
@@ -357,7 +374,7 @@ class PinocchioReference(ReferenceModel):
         for name in dict.fromkeys(self.motions):
             of_joint, by_sample = np.array([motion == name for motion in self.motions]), []
             for sample in samples:
-                forces = np.array(self.forces(sample.q, sample.v)[:-1])
+                forces = self._force_kinds(sample)
                 by_sample.append(np.where(of_joint, forces, 0.0) * (1.0 - GRAVITY_ONLY))
             if np.any(by_sample):
                 what = "stiffness and damping" if np.any(self._stiffness[of_joint]) else "damping"
@@ -370,6 +387,11 @@ class PinocchioReference(ReferenceModel):
                 zero = 0.0 * spring_force
                 by_sample.append(np.array([zero, spring_force, damper_force, zero]))
             yield f"spring {spring.name!r}", [by_sample]
+
+    def _force_kinds(self, sample: Sample) -> Array:
+        """Return the forces (4, nv) of all `FORCE_KINDS` at a sample."""
+        without_bias = slice(len(FORCE_KINDS))  # the bias is the last field of `Forces`
+        return np.array(self.forces(sample.q, sample.v)[without_bias])
 
     def armatures(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """Yield each joint that has an armature, with its mass matrix (nv, nv) at each sample."""

@@ -7,7 +7,7 @@ eigenvector of eigenvalue lambda by the factor mu / (mu + lambda). Source: Carpe
 
 mu is the same for rows in meters and in radians. The solver therefore has a copy of the model in units of the
 mechanism's size and mass, which give both kinds of rows equal weight. In SI units, accelerations of a loop of
-1 cm would have an error of 1e-8.
+1 cm would have a relative error of 1e-8.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from urdf.model import ClosedLoopModel, CoordinateMap, mass_matrix
 RELATIVE_MU = 1e-6
 """Regularization mu of redundant closures, relative to max(1, mean of the diagonal of J M^-1 J^T).
 
-Units are the mechanism's size and mass. Iterations remove the effect of mu. With a smaller mu, forces that
-cause no acceleration would grow with drift."""
+Units are the mechanism's size and mass. Iterations remove the effect of mu. With a smaller mu, constraint
+forces that cause no acceleration would grow when a run drifts from closed loops."""
 
 MAX_EIGENVALUE_FRACTION = 0.1
-"""Largest mu relative to the smallest nonzero eigenvalue, so that a few iterations remove its effect."""
+"""Largest mu relative to the smallest nonzero eigenvalue of J M^-1 J^T: few iterations remove its effect."""
 
 MIN_RELATIVE_MU = 1e-12
-"""Smallest mu relative to the mean of the diagonal: computed zero eigenvalues are about 1e-15 of it."""
+"""Smallest mu relative to the mean of the diagonal of J M^-1 J^T. Eigenvalues that are zero are computed as
+about 1e-15 of the mean."""
 
 MAX_MEAN_RATIO = 1e8
 """Largest ratio of the mean of the diagonal of J M^-1 J^T to mu: the factorization then keeps eight digits.
@@ -41,10 +42,10 @@ MAX_MEAN_RATIO = 1e8
 The ratio is larger if a body with almost no inertia closes a loop, for example 1e-11 and 1e-4 kg m^2."""
 
 PROXIMAL_ACCURACY = 1e-13
-"""Relative change between iterations at which Pinocchio ends the iterations."""
+"""Relative change of the multipliers between iterations at which Pinocchio ends the iterations."""
 
 MAX_PROXIMAL_ITERATIONS = 30
-"""Largest number of iterations."""
+"""Largest number of proximal iterations."""
 
 FIRST_ITERATIONS = 8
 """Number of iterations after which the change of the multipliers is examined."""
@@ -53,22 +54,24 @@ MAX_SETTLED_CHANGE = 1e-11
 """Change of the multipliers in the last of `FIRST_ITERATIONS` below which no further iterations are needed.
 
 The change is relative to 1 plus the norm of the multipliers. Each iteration reduces the change to at most
-3 %. Multipliers that cause no acceleration continue to change by round-off, and may not reach 1e-13."""
+3 %. Multipliers that cause no acceleration continue to change by round-off, and their change may not fall to
+`PROXIMAL_ACCURACY`."""
 
 MAX_FINAL_CHANGE = 1e-6
-"""Relative change in the last iteration above which the iterations have not converged.
+"""Relative change of the multipliers in the last iteration above which the iterations have not converged.
 
-The reason is a configuration near a singular one, or drift, which makes redundant closures contradictory."""
+Iterations fail near a singular configuration, and if the loops have drifted open, so that redundant closures
+contradict each other."""
 
 
 class Units(NamedTuple):
-    """Units in which a mechanism has size 1 and mass 1.
+    """Units in which a mechanism has size 1 and mass 1; the unit of time is 1 s.
 
     Attributes:
-        length: unit of length, m.
-        mass: unit of mass, kg.
-        q: (nq,) units of coordinates, m or 1.
-        v: (nv,) units of velocities, m or 1.
+        length: unit of length, the mechanism's size, m.
+        mass: unit of mass, the mechanism's mass, kg.
+        q: (nq,) units of coordinates: `length` for slides, else 1.
+        v: (nv,) units of velocities: `length` for slides, else 1.
     """
 
     length: float
@@ -92,7 +95,7 @@ class ConstraintDynamics:
     def __init__(
         self, closed: ClosedLoopModel, map: CoordinateMap, units: Units, q: Array, count: int
     ) -> None:
-        """Choose iterations for redundant closures, or one solution without them for independent ones.
+        """Choose proximal iterations if closures are redundant, or a single solution if they are independent.
 
         Pinocchio returns NaN for redundant closures without regularization.
 
@@ -101,7 +104,8 @@ class ConstraintDynamics:
             map: map between tree coordinates and Pinocchio's.
             units: units of the copy of the model.
             q: (nq,) tree coordinates at the start.
-            count: number of independent rows in general; fewer may be independent at the start.
+            count: number of independent rows at regular configurations; fewer may be independent at the
+                start.
         """
         self._closed, self._map, self._units = closed, map, units
         self._closures, self._data = Closures(closed, map, units.length), closed.model.createData()
@@ -111,13 +115,14 @@ class ConstraintDynamics:
             [constraint.createData() for constraint in self._constraints]
         )
         pin.initConstraintDynamics(self._model, self._scaled_data, self._constraints, self._constraint_data)
+        # choose mu for the number of redundant rows at the start; later choices use the number at regular
+        # configurations
         jacobian = self._jacobian(q)
-        # number of redundant rows at the start, for the first choice, then the number in general
         self._redundant_count = len(jacobian) - min(rank(jacobian), count)
         if self._redundant_count:
             self._settings, mean_ratio = self._regularized(q)
         else:
-            self._settings, mean_ratio = pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, 0.0, 1), 0.0
+            self._settings, mean_ratio = _settings(mu=0.0, iterations=1), 0.0
         self.loses_digits = mean_ratio > MAX_MEAN_RATIO
         self._redundant_count = len(jacobian) - count
 
@@ -136,7 +141,7 @@ class ConstraintDynamics:
             return self._map.v_from_pinocchio(pin.aba(self._model, self._scaled_data, *state))
         # redundant closures: try a few iterations first
         if settings.mu:
-            few = pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, settings.mu, FIRST_ITERATIONS)
+            few = _settings(settings.mu, FIRST_ITERATIONS)
             acceleration, multipliers = self._solve(state, few), self._scaled_data.lambda_c
             if few.relative_residual <= MAX_SETTLED_CHANGE * (1.0 + sqrt(multipliers @ multipliers)):
                 return acceleration
@@ -150,7 +155,10 @@ class ConstraintDynamics:
         return acceleration
 
     def _solve(self, state: tuple[Array, Array, Array], settings: Any) -> Array:
-        """Return accelerations (nv,), tree order, for a state (q, v, forces) in Pinocchio's order."""
+        """Return accelerations (nv,), tree order, for a state (q, v, forces) in Pinocchio's order.
+
+        `settings` are `pinocchio.ProximalSettings`; their `relative_residual` is set.
+        """
         closures = self._constraints, self._constraint_data
         accelerations = pin.constraintDynamics(self._model, self._scaled_data, *state, *closures, settings)
         return self._map.v_from_pinocchio(accelerations)
@@ -160,7 +168,8 @@ class ConstraintDynamics:
 
         Forces are about the world's origin, in SI units.
         """
-        force = self._units.mass * self._units.length
+        force = self._units.mass * self._units.length  # unit of forces, N
+        # Pinocchio's contact force acts on the first body, in the frame of the constraint
         scaled = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
         return [pin.Force(w.linear * force, w.angular * self._units.moment) for w in scaled]
 
@@ -171,14 +180,14 @@ class ConstraintDynamics:
         return self._closures.jacobian(self._data) * self._units.v / self._closures.units[:, None]
 
     def _regularized(self, q: Array) -> tuple[Any, float]:
-        """Choose the settings of the iterations at a configuration q (nq,), see `regularized`."""
+        """Choose the settings of the iterations at tree coordinates q (nq,), SI units, see `regularized`."""
         scaled_q = self._map.q_to_pinocchio(q / self._units.q)
         mass = mass_matrix(self._model, self._scaled_data, self._map, scaled_q)
         return regularized(self._jacobian(q), mass, self._redundant_count)
 
 
 def _in_units(closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> tuple[Any, Any]:
-    """Return a copy of a model and of its constraints in other units; frames keep their SI units."""
+    """Return a copy of a model and of its constraints in other units; frames stay in SI, and are not used."""
 
     def placed(placement: Any) -> Any:
         """Return a placement with its translation in the unit of length."""
@@ -215,5 +224,17 @@ def regularized(jacobian: Array, mass: Array, redundant: int) -> tuple[Any, floa
     mean = float(np.mean(np.diag(response)))
     nonzero = np.linalg.eigvalsh(response)[redundant:]
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
+    # not larger than the smallest nonzero eigenvalue allows, but above the round-off of zero eigenvalues
     mu = min(RELATIVE_MU * max(mean, 1.0), max(MAX_EIGENVALUE_FRACTION * weakest, MIN_RELATIVE_MU * mean))
-    return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, mu, MAX_PROXIMAL_ITERATIONS), mean / mu
+    return _settings(mu, MAX_PROXIMAL_ITERATIONS), mean / mu
+
+
+def _settings(mu: float, iterations: int) -> Any:
+    """Return `pinocchio.ProximalSettings`: end at a relative change of `PROXIMAL_ACCURACY`.
+
+    Args:
+        mu: regularization.
+        iterations: largest number of iterations.
+    """
+    absolute_accuracy = 0.0
+    return pin.ProximalSettings(absolute_accuracy, PROXIMAL_ACCURACY, mu, iterations)

@@ -1,8 +1,9 @@
 """Compute joint reactions from Pinocchio's inverse dynamics (`rnea`).
 
-`rnea` returns the wrench that each joint transmits. The reaction of a joint is this wrench without its
-drives: the forces of actuators, springs, dampers and rotors on its hinges and slides. Wrenches are (6,):
-force, N, and torque, N m, about the world's origin unless stated otherwise, world frame.
+`rnea` returns the wrench that each joint of the spanning tree transmits. The reaction of a joint is this
+wrench minus the joint's drives: the forces of actuators, springs, dampers and rotors on the joint's hinges
+and slides. Wrenches are (6,): force, N, and torque, N m, about the world's origin unless stated otherwise,
+world frame.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ def drive_wrenches(
 ) -> list[tuple[int, Array]]:
     """Return the number of each driven joint with the wrench (6,) of its drives on the second body.
 
-    The wrench is about the joint point. By definition, the force on one of several hinges or slides of a
-    joint does no work on the others: it acts along a dual axis.
+    The wrench is about the joint point. By newton_euler's definition of reactions, the drive of one of
+    several hinges or slides of a joint does no work on the others: its torque or force is along a dual axis
+    d_k, with d_k . a_m = 0 for the axes a_m of the others and d_k . a_k = 1.
 
     Args:
         tree: spanning tree that numbers the velocities.
         columns: (6, nv) Pinocchio's joint Jacobian in the order of the tree: for each joint velocity, the
-            velocity of the point at the world's origin, and the angular velocity.
+            velocity of the child's material point at the world's origin, and the angular velocity.
         points: (j, 3) joint points, m, world frame.
         forces: (nv,) forces on hinges and slides, N or N m.
     """
@@ -51,10 +53,11 @@ def drive_wrenches(
             part = slice(0, 3) if slides else slice(3, 6)
             wrench[part] = forces[tree_joint.v.start] * columns[part, tree_joint.v.start]
         elif tree.joint(tree_joint.joint).kind == ParallelHinges.kind:
+            # two hinges with parallel axes at the ends of a link
             velocities_at_point = columns[:3, hinges].T + np.cross(axes, point)
             wrench = np.concatenate(driving_wrench(axes, velocities_at_point, forces[hinges]))
         else:
-            # hinges in a row, after slides in a row
+            # several motions: slides, then hinges
             duals = dual_axes(axes)
             wrench = np.concatenate([np.zeros(3), forces[hinges] @ duals])
             if slides:
@@ -111,12 +114,13 @@ def joint_wrenches(
         model: Pinocchio's model.
         data: Pinocchio's data after `rnea` with the wrenches below.
         closure_wrenches: (6,) wrench of each loop closure on its second body.
-        applied: (6,) wrench of ball springs, point springs, wrenches and wind on each body of the mechanism.
-        frames: poses and velocities of the bodies.
-        accelerations: (b, 6) linear and angular accelerations of the bodies.
+        applied: (6,) sum of the forces of ball springs, point springs, wrenches and wind on each body of the
+            welded mechanism.
+        frames: poses and velocities of the scene's bodies.
+        accelerations: (b, 6) linear and angular accelerations of the scene's bodies.
 
     Returns:
-        (joints, 6) wrenches.
+        (j, 6) wrenches of the j joints of the welded mechanism.
     """
     joints, tree = welded.mechanism.joints, welded.tree
     wrenches = np.zeros((len(joints), 6))
@@ -127,12 +131,14 @@ def joint_wrenches(
         if tree_joint.joint >= len(joints):
             continue  # a free joint of a body that only rods hold
         if tree_joint.motions:
+            # the last of Pinocchio's joints for the motions of this joint; it carries the child
             last = model.getJointId(motion_names(tree.joint(tree_joint.joint), tree_joint.forward)[-1])
             on_child = data.oMi[last].act(data.f[last]).vector
         else:
-            # Pinocchio merges links of a fixed joint: use the balance of forces of the child
+            # Pinocchio merges links of a fixed joint: use the balance of forces of the child. The wrenches
+            # of the child's other joints are known: they close loops, or are nearer to the leaves.
             child = welded.mechanism.bodies[tree_joint.child].name
-            on_child = _total_wrench(scene, welded, tree_joint.child, frames, accelerations)
+            on_child = _nongravity_wrench(scene, welded, tree_joint.child, frames, accelerations)
             on_child -= applied[tree_joint.child]
             for index, joint in enumerate(joints):
                 if index != tree_joint.joint and child in (joint.first, joint.second):
@@ -141,12 +147,13 @@ def joint_wrenches(
     return wrenches
 
 
-def _total_wrench(
+def _nongravity_wrench(
     scene: Scene, welded: WeldedMechanism, index: int, frames: Sequence[Frame], accelerations: Array
 ) -> Array:
-    """Compute the wrench (6,) on body `index`, without its weight, by Newton's and Euler's equations.
+    """Compute the sum (6,) of all wrenches on body `index` except its weight, by the Newton-Euler equations.
 
-    A half of a cut body moves with the body of the scene that it was cut from.
+    A half of a cut body moves with the body of the scene that it was cut from. For the arguments see
+    `joint_wrenches`.
     """
     body, scene_body = welded.mechanism.bodies[index], welded.origin[index]
     position, rotation, _, omega = frames[scene_body]
@@ -160,9 +167,9 @@ def reactions(wrenches: Array, points: Array, drives: list[tuple[int, Array]]) -
     """Return forces (j, 3), N, and torques (j, 3), N m, on the second bodies at the joint points.
 
     Args:
-        wrenches: (j, 6) or more rows, see `joint_wrenches`.
-        points: (j, 3) joint points, m, world frame.
-        drives: wrenches of drives, which are subtracted, see `drive_wrenches`.
+        wrenches: wrench (6,) of each joint of the scene, then of added welds, see `joint_wrenches`.
+        points: (j, 3) points of the scene's joints, m, world frame.
+        drives: numbers of joints, and wrenches of their drives, which are subtracted, see `drive_wrenches`.
     """
     forces = wrenches[: len(points), :3].copy()
     torques = wrenches[: len(points), 3:] - np.cross(points, forces)

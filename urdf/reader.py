@@ -1,10 +1,11 @@
 """Import a URDF with its loop file, or a Pinocchio model in memory, as a scene with an import report.
 
-A URDF cannot describe closed loops; the loop file does (`urdf.loops`). Pinocchio parses the URDF and merges
-links that fixed joints connect. The scene starts at coordinates 0, with joints that follow others (mimics) at
-their offsets, or at the nearest configuration with closed loops. The import report lists what each element
-of the file became. The scene is then verified: its masses, motions and forces are compared with those of
-Pinocchio's model, see `newton_euler.reading` and `urdf.reference`.
+A scene is a mechanism with its forces, control laws and initial state. A URDF cannot describe closed loops;
+the loop file does (`urdf.loops`). Pinocchio parses the URDF and merges links that fixed joints connect. The
+scene starts at coordinates 0, with joints that follow others (mimics) at their offsets, or at the nearest
+configuration with closed loops. The import report lists for each element of the file what it became in the
+scene. The scene is then verified: its masses, motions and forces are compared with those of Pinocchio's
+model, see `newton_euler.reading` and `urdf.reference`.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ from urdf.file_run import PinocchioFile, unsupported
 from urdf.loops import NO_LOOPS, Loops
 from urdf.model import BASES, BaseName, ClosedLoopModel, build
 from urdf.pinocchio_reference import PinocchioReference
-from urdf.reading.bodies import Tree
+from urdf.reading.bodies import W_X_Y_Z, Tree
 from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
 from urdf.reading.given import Given, PinocchioModel
@@ -101,9 +102,10 @@ class Robot:
         mimics: mimics of the URDF.
         joints: springs, limits and other properties of joints.
         root: root element of the URDF; None for a model in memory.
-        first: configuration to start near to, with its name in reports; None for coordinates 0.
+        first: configuration near which to start, with its name in reports; None for coordinates 0.
         springs: springs between points of two links.
-        own_run: given settings of the user's simulation loop, by name, see `PinocchioSettings`.
+        own_run: settings that the user has given for the own simulation loop (time step, gains, ...), by
+            name, see `urdf.run_settings.PinocchioSettings`.
         gains: Baumgarte's gains kp, 1/s^2, and kd, 1/s, of each constraint in memory; None for a file.
     """
 
@@ -204,10 +206,11 @@ def _import_file(
         loop_path = path_text(loops, SourceError)
         loop_text = read_text(loop_path, "scene_size", SourceError)
         loop_content = read_loops(loop_path, loop_text)
-    # parse, import and verify, with the messages of Pinocchio's parser
+    # parse, import and verify, and collect the messages that Pinocchio's parser would print
     parser_messages: list[str] = []
     try:
         with collected_messages(parser_messages):
+            # loops and springs that tools add to a URDF get frames in the text
             extensions = read_extensions(source_name, text, root, loop_content, ignore, report)
             text = extensions.text
             loop_content = extensions.added_to(loop_content)
@@ -228,12 +231,14 @@ def _import_file(
             springs=tuple(extensions.point_springs),
             own_run=own_run,
         )
+        # `_import` calls this function with the report and the scene
         make_reference = partial(UrdfReference, extensions, loop_text, base, gravity)
         reading = _import(robot, report, request, gravity, make_reference)
     except RuntimeError as error:  # assertions of Pinocchio, for example of inertias
         check_inertias(source_name, root)
         raise SourceError(source_name, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
     except UrdfError as error:
+        # the message already names the URDF or the loop file
         if str(error).startswith(source_name) or (
             loop_content.source and str(error).startswith(loop_content.source)
         ):
@@ -253,16 +258,16 @@ def _import_file(
 
 
 def _unread_loops(path: Path) -> Iterator[Finding]:
-    """Yield a finding for each loop file next to the URDF at `path`, which is imported without one."""
+    """Yield a finding for each loop file next to the URDF at `path`, if the URDF is imported without one."""
     for loop_file in (path.with_suffix(".loops.yaml"), path.with_suffix(".yaml")):
         with suppress(SourceError):
             if loop_file.is_file() and "closed_loop" in read_text(str(loop_file), "scene_size", SourceError):
                 yield Finding(
-                    "unread-loops",
-                    loop_file.name,
-                    "a loop file is next to the URDF and was not read",
-                    "its loops are open in this run",
-                    f"--set loops={loop_file} closes them",
+                    name="unread-loops",
+                    element=loop_file.name,
+                    what="a loop file is next to the URDF and was not read",
+                    consequence="its loops are open in this run",
+                    remedy=f"--set loops={loop_file} closes them",
                 )
 
 
@@ -288,6 +293,7 @@ def _import_from_memory(
         gains=given.gains,
     )
     model_gravity = given.closed_model.model.gravity.linear if gravity is None else gravity
+    # `_import` calls this function with the report and the scene
     make_reference = partial(ModelReference, given.model, given.constraints, given.q, model_gravity)
     try:
         return _import(robot, ImportReport(), request, model_gravity, make_reference)
@@ -320,7 +326,7 @@ def _import(
     gravity: Sequence[float],
     make_reference: Callable[[ImportReport, Scene], PinocchioReference],
 ) -> Reading:
-    """Import a robot as a scene, verify and excite the scene.
+    """Import a robot as a scene, and verify the scene; on request, excite it (give joints start velocities).
 
     Args:
         robot: robot from files or from memory.
@@ -344,18 +350,22 @@ def _import(
         report.references.append((reference, scene))
     if request.verified:
         report.start.append(verify_report(report))
-    report.findings.extend(plausibility.findings(scene.mechanism))
+    report.findings.extend(plausibility.findings(scene.mechanism))  # likely mistakes in the file
     if request.excitation:
-        scene, speeds = with_start_velocities(scene, report.bounds)
-        report.start.append(f"excited: {speeds}")
-    _add_own_run(robot, reference, scene, report)
+        scene, largest_speeds = with_start_velocities(scene, report.bounds)
+        report.start.append(f"excited: {largest_speeds}")
+    _add_users_loop(robot, reference, scene, report)
     return Reading(scene, report)
 
 
-def _add_own_run(robot: Robot, reference: PinocchioReference, scene: Scene, report: ImportReport) -> None:
-    """Add the model in the user's simulation loop to a report; a line of the report if there is none."""
+def _add_users_loop(robot: Robot, reference: PinocchioReference, scene: Scene, report: ImportReport) -> None:
+    """Set `report.simulation`: the model as the user's own simulation loop with Pinocchio runs it.
+
+    The settings of the loop are those that the user gives, and else those of Pinocchio's examples. The report
+    gets a line instead if the model has elements that such a loop does not simulate.
+    """
     default = EXAMPLE_CLOSED if reference.closures else EXAMPLE_OPEN
-    if robot.gains:
+    if robot.gains:  # each constraint in memory has its own Baumgarte gains
         default = replace(default, kp=None, kd=None)
     settings = replace(default, **robot.own_run)
     if problem := unsupported(reference):
@@ -366,7 +376,10 @@ def _add_own_run(robot: Robot, reference: PinocchioReference, scene: Scene, repo
 
 
 def _file_names(start: RobotAtStart, tree: Tree) -> FileNames:
-    """Record how joints and links of the file correspond to the scene."""
+    """Record how joints and links of the file correspond to the scene.
+
+    Logs of other simulators use the file's names and zeros; the record translates them to the scene.
+    """
     model, names = start.model, FileNames()
     for index in range(1, model.njoints):
         joint, name = model.joints[index], str(model.names[index])
@@ -376,13 +389,14 @@ def _file_names(start: RobotAtStart, tree: Tree) -> FileNames:
             value = float(q[0]) if joint.nq == 1 else float(np.arctan2(q[1], q[0]))
             names.coordinates[name] = FileCoordinate(tree.coordinate_keys[name], value)
     bodies = {body.name: body for body in tree.bodies}
-    for frame, place in zip(model.frames, start.data.oMf, strict=True):
+    for frame, pose in zip(model.frames, start.data.oMf, strict=True):
         owner = tree.names[frame.parentJoint]
         if frame.type != pin.FrameType.BODY or owner is None:
             continue
+        # frame of the link in the frame of the scene's body
         body = bodies[owner]
-        point = rotation(body.quaternion).T @ (place.translation - body.center_of_mass)
-        turn = product(conjugate(body.quaternion), pin.SE3ToXYZQUAT(place)[[6, 3, 4, 5]])
+        point = rotation(body.quaternion).T @ (pose.translation - body.center_of_mass)
+        turn = product(conjugate(body.quaternion), pin.SE3ToXYZQUAT(pose)[W_X_Y_Z])
         names.frames[str(frame.name)] = FileFrame(body.name, point, turn)
     return names
 
@@ -410,6 +424,7 @@ def _scene(
     _report_joints(robot.joints, start, tree, report)
     if robot.root is not None:
         _report_leftovers(robot.root, report)
+    # `unweld_loops` merges the body halves by which `urdf.write` closes loops in exported files
     return Scene(
         name,
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
@@ -424,16 +439,20 @@ def _scene(
 
 
 def _limit_watches(start: RobotAtStart, joint: JointProperties, key: Key) -> list[Watch]:
-    """Return the watch of a joint's limits. The scene counts coordinates from the start."""
+    """Return the watch of a joint's limits, a test after a run whether the limits would have acted.
+
+    `key` is the joint's coordinate in the scene, which is zero at the start.
+    """
     assert joint.limits is not None
-    (low, high, _), x_start = joint.limits, start.displacement(joint.name)
-    return [Bounds(((key, 1.0),), low - x_start, high - x_start, joint.unit)]
+    x_start = start.displacement(joint.name)
+    low, high = joint.limits.low - x_start, joint.limits.high - x_start
+    return [Bounds(((key, 1.0),), low, high, joint.unit)]
 
 
 def _speed_watches(joint: JointProperties, key: Key) -> list[Watch]:
-    """Return the watch of a joint's limit of velocity."""
+    """Return the watch of a joint's limit of velocity; for the arguments see `_limit_watches`."""
     assert joint.limits is not None
-    speed = joint.limits[2]
+    speed = joint.limits.speed
     return [Bounds(((key, 1.0),), -speed, speed, f"{joint.unit}/s", by_value=0.0, by_rate=1.0)]
 
 
@@ -469,7 +488,7 @@ def _report_joints(
 
 
 def _report_leftovers(root: ET.Element, report: ImportReport) -> None:
-    """Report the contacts of a URDF, which are not simulated."""
+    """Report the collision elements of a URDF: contacts are not simulated."""
     if touching := root.findall("link/collision"):
         why = "contacts are not simulated; a URDF does not define which bodies may touch, an MJCF does"
         report.left_out(f"{len(touching)} collision elements", why, topic=CONTACTS, examined=False)

@@ -1,8 +1,9 @@
 """Reference models of a URDF with its loop file, and of a Pinocchio model in memory.
 
 An imported scene is verified against the reference model (`newton_euler.reading`). Pinocchio parses the file
-again for this purpose. The module shares only the names of elements with the reader, `urdf.reading`, so that
-both cannot make the same mistake. For the equations see `urdf.pinocchio_reference`.
+again for this purpose. The module shares only the names of elements, and the numbers that
+`urdf.reading.extensions` reads, with the reader, `urdf.reading`. Both can therefore not make the same mistake
+in the conversion. For the equations see `urdf.pinocchio_reference`.
 """
 
 from __future__ import annotations
@@ -108,9 +109,10 @@ class UrdfReference(PinocchioReference):
                 self._damping[index] += extensions.dampings.get(name, 0.0)
             if ARMATURE not in topics:
                 model.armature[index] = extensions.armatures.get(name, 0.0)
-        inert = {entry.element for entry in self._report.entries if entry.moves_nothing}
+        # springs between two points of one body do nothing
+        without_effect = {entry.element for entry in self._report.entries if entry.inert}
         for spring in extensions.point_springs:
-            if f"spring {spring.name!r}" not in inert:
+            if f"spring {spring.name!r}" not in without_effect:
                 first, second = (int(model.getFrameId(frame)) for frame in spring.frames)
                 numbers = spring.stiffness, spring.rest_length, spring.damping
                 self._springs.append(PointSpring(spring.name, first, second, *numbers))
@@ -118,7 +120,8 @@ class UrdfReference(PinocchioReference):
     def _add_couplings(self) -> None:
         """Set the residuals of mimics and coupled joints, see `PinocchioReference`."""
         model, rows, offsets, elements = self._model, [], [], []
-        higher_powers: list[tuple[int, int, int, float]] = []  # row, power - 1, velocity, factor
+        # factors of second and higher powers: row, power - 1, index of the velocity, factor
+        higher_powers: list[tuple[int, int, int, float]] = []
         self._mimics: list[MimicOfVelocities] = []
         velocity_index = {str(model.names[k]): model.joints[k].idx_v for k in range(1, model.njoints)}
         # mimics: x_follower - multiplier x_driver = offset
@@ -186,27 +189,32 @@ class ModelReference(PinocchioReference):
         Args:
             given: `pinocchio.Model`.
             constraints: its `RigidConstraintModel`s.
-            q: (nq,) configuration to start near to.
+            q: (nq,) configuration near which to start.
             gravity: (3,) m/s^2.
             report: import report.
             scene: imported scene.
         """
-        # frames of the constraints; the default second placement is the frame at the start
         model, names = given.copy(), closure_names(given, constraints)
         model.gravity.linear = np.array(gravity)
-        pin.framesForwardKinematics(model, data := model.createData(), q)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        # two frames for each constraint
         closures = []
         for pair, constraint in zip(names, constraints, strict=True):
-            first = constraint.joint1_id, constraint.joint1_placement
-            second = constraint.joint2_id, constraint.joint2_placement
-            if second[0] == 0 and second[1].isIdentity(0.0):
-                second = 0, data.oMi[first[0]] * first[1]
+            joint_1, placement_1 = constraint.joint1_id, constraint.joint1_placement
+            joint_2, placement_2 = constraint.joint2_id, constraint.joint2_placement
+            # a constraint to the world with default placement holds the first frame where it is at the start
+            if joint_2 == 0 and placement_2.isIdentity(0.0):
+                placement_2 = data.oMi[joint_1] * placement_1
             frames = [
                 model.addFrame(pin.Frame(name, joint, placement, pin.FrameType.OP_FRAME), False)
-                for name, (joint, placement) in zip(pair, (first, second), strict=True)
+                for name, joint, placement in zip(
+                    pair, (joint_1, joint_2), (placement_1, placement_2), strict=True
+                )
             ]
             kind = "3d" if constraint.type == pin.ContactType.CONTACT_3D else "6d"
-            closures.append(Closure(f"closed_loop {' and '.join(pair)}", kind, *map(int, frames)))
+            first, second = map(int, frames)
+            closures.append(Closure(f"closed_loop {' and '.join(pair)}", kind, first, second))
         joint_names = ["", *(str(name) for name in list(model.names)[1:])]
         super().__init__(model, joint_names, closures, report, scene)
         for joint, name in zip(list(model.joints)[1:], joint_names[1:], strict=True):
@@ -215,10 +223,12 @@ class ModelReference(PinocchioReference):
                 self._damping[in_v] = model.damping[in_v]
             if ARMATURE in topics:
                 model.armature[in_v] = 0.0
+        # elements that the report does not mention
         mentioned = {entry.element for entry in report.entries}
         elements = [*(f"joint {name!r}" for name in joint_names[1:]), *(each.element for each in closures)]
         self.unaccounted = tuple(element for element in elements if element not in mentioned)
-        self._begin(q, np.zeros(0), scene)
+        no_couplings = np.zeros(0)
+        self._begin(q, no_couplings, scene)
 
 
 def _closures(model: Any, loops: Loops) -> list[Closure]:

@@ -1,7 +1,8 @@
-"""Settings of the loop in which users of Pinocchio simulate a model, and the file that has them.
+"""Settings of the loop in which a user of Pinocchio simulates a model, and the YAML that contains them.
 
-A URDF and a Pinocchio model have no time step and no integrator: users write the loop that simulates them.
-The settings of this loop are a mapping in YAML, for example in a file `own_run.yaml`:
+A URDF and a Pinocchio model have no time step and no integrator: users write the program loop that simulates
+them. crosscheck judges the accuracy of this loop. Its settings are a mapping in YAML, for example in a file
+`own_run.yaml`:
 
     timestep: 0.001
     integrator: semi-implicit Euler
@@ -26,36 +27,42 @@ from newton_euler.model.yaml_source import parse_yaml
 SEMI_IMPLICIT, EXPLICIT, RK4 = "semi-implicit Euler", "explicit Euler", "RK4"
 
 INTEGRATORS = (SEMI_IMPLICIT, EXPLICIT, RK4)
-"""Integrators: velocity first, then the configuration; both from the old state; Runge-Kutta of order 4."""
+"""Integrators of a loop.
+
+Semi-implicit Euler advances the configuration with the new velocities, explicit Euler with the old ones. RK4
+is the Runge-Kutta method of order 4."""
 
 EXPLICIT_DAMPING, IMPLICIT_DAMPING = "explicit", "implicit"
 
 DAMPINGS = (EXPLICIT_DAMPING, IMPLICIT_DAMPING)
-"""Forces of joint dampers at the old velocities, or at the new velocities of the step.
+"""Velocities at which a loop evaluates joint dampers: those before the step, or those after the step.
 
-For implicit damping, a loop adds `timestep * damping` to `model.armature` once. With v_new = v + h a, the
-equation M a = f - D v_new is (M + h D) a = f - D v."""
+For implicit damping, a loop adds `timestep * damping` to `model.armature` once. With step h, damping D and
+new velocities v + h a, the equation M a = f - D (v + h a) is (M + h D) a = f - D v."""
 
 OwnRun = str | os.PathLike[str] | Mapping[str, object]
-"""Settings as users give them: a path of a YAML file, the YAML text of a mapping in braces, or a mapping."""
+"""Settings of the user's own run: path of a YAML file, YAML text of a mapping in braces, or a mapping."""
 
-MAX_TIMESTEP, MAX_ITERATIONS = 1.0, 10_000
-"""Largest time step, s, and largest number of proximal iterations that are accepted."""
+MAX_TIMESTEP = 1.0
+"""Largest accepted time step, s."""
+
+MAX_ITERATIONS = 10_000
+"""Largest accepted number of proximal iterations."""
 
 
 @dataclass(frozen=True)
 class PinocchioSettings:
-    """Settings of a simulation loop with Pinocchio.
+    """Settings of a simulation loop with Pinocchio. Each step calls `pinocchio.constraintDynamics`.
 
     Attributes:
         timestep: s.
         integrator: one of `INTEGRATORS`.
-        kp: 1/s^2, Baumgarte's gain of constraint errors in all closures; None for the gain of each
+        kp: Baumgarte's gain of constraint errors in all loop closures, 1/s^2; None for the gain of each
             constraint of a model in memory.
-        kd: 1/s, Baumgarte's gain of constraint velocities, likewise.
-        accuracy: accuracy of `pinocchio.ProximalSettings`.
+        kd: Baumgarte's gain of constraint velocities in all loop closures, 1/s; None as for `kp`.
+        accuracy: accuracy of `pinocchio.ProximalSettings`, at which the proximal iterations end.
         mu: regularization of `pinocchio.ProximalSettings`.
-        iterations: largest number of proximal iterations.
+        iterations: largest number of proximal iterations, which remove the effect of `mu`.
         damping: one of `DAMPINGS`.
     """
 
@@ -73,13 +80,13 @@ EXAMPLE_CLOSED = PinocchioSettings(timestep=5e-3, kp=10.0, kd=2.0 * math.sqrt(10
 """Settings of Pinocchio's examples/simulation-closed-kinematic-chains.py."""
 
 EXAMPLE_OPEN = PinocchioSettings(timestep=1e-2)
-"""Settings of Pinocchio's examples/simulation-pendulum.py, whose model has no closures."""
+"""Settings of Pinocchio's examples/simulation-pendulum.py, whose model has no loop closures."""
 
-NAMES = {"integrator": INTEGRATORS, "damping": DAMPINGS}
-"""Allowed values of keys that have names."""
+CHOICES = {"integrator": INTEGRATORS, "damping": DAMPINGS}
+"""Allowed values of the keys whose value is a name; all other values are numbers."""
 
 KEYS = tuple(field.name for field in fields(PinocchioSettings))
-"""Keys of the file."""
+"""Keys of the YAML mapping: the attributes of `PinocchioSettings`."""
 
 
 def read_settings(given: OwnRun | None) -> dict[str, Any]:
@@ -110,7 +117,7 @@ def read_settings(given: OwnRun | None) -> dict[str, Any]:
 
 
 def _document(given: OwnRun) -> tuple[str, Any]:
-    """Return the name of given settings, for messages, and their content."""
+    """Return a name of given settings for messages, the path or "own_run", and their parsed content."""
     if isinstance(given, Mapping):
         return "own_run", given
     where = path_text(given, SourceError)
@@ -123,21 +130,21 @@ def _value(where: str, key: str, value: object) -> float | int | str:
     """Convert the value of a key; raises `SourceError` for an unknown key and an invalid value."""
     if key not in KEYS:
         raise SourceError(where, f"unknown key {quoted(key)}; {choices(key, KEYS)}")
-    if key in NAMES:
-        if value not in NAMES[key]:
-            raise SourceError(where, f"unknown {key} {quoted(value)}; {choices(value, NAMES[key])}")
+    if key in CHOICES:
+        if value not in CHOICES[key]:
+            raise SourceError(where, f"unknown {key} {quoted(value)}; {choices(value, CHOICES[key])}")
         return str(value)
     try:
         number = plain_number(str(value))
     except ValueError:
         number = float("nan")
-    valid, needed = {
+    is_valid, needed = {
         "timestep": (0.0 < number <= MAX_TIMESTEP, f"a number of seconds above 0, at most {MAX_TIMESTEP:g}"),
         "iterations": (
             1.0 <= number <= MAX_ITERATIONS and number == int(number),
             f"a whole number from 1 to {MAX_ITERATIONS}",
         ),
     }.get(key, (number >= 0.0, "a number, 0 or more"))
-    if not valid:
+    if not is_valid:
         raise SourceError(where, f"{key} is {quoted(value)}; needed: {needed}")
     return int(number) if key == "iterations" else number

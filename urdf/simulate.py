@@ -1,4 +1,7 @@
-"""Simulate a scene with Pinocchio's accelerations and newton_euler's integrators."""
+"""Simulate a scene with Pinocchio's accelerations and newton_euler's integrators.
+
+A scene is a mechanism with its forces, control laws and initial state. `urdf.dynamics` has the accelerations.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,8 @@ def simulate(
     Args:
         scene: scene to simulate, passed to Pinocchio as URDF and loop file.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
-        stabilization: "projection" after each step, "baumgarte" (Pinocchio's corrector gains) or "none".
+        stabilization: how loops stay closed: "projection" onto the constraints after each step, "baumgarte"
+            (Pinocchio's corrector gains) or "none".
         alpha: parameter, 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; None for 10.
         control: options of the steps, see `newton_euler.simulate`.
 

@@ -1,4 +1,4 @@
-"""Write the mechanism of a scene as a URDF file and a loop file.
+"""Write the mechanism of a scene (a mechanism with forces, control laws and state) as a URDF and a loop file.
 
 The frame of a link has its origin at the joint to its parent, and is parallel to the world at the initial
 pose. Therefore every rpy of joints and inertials is zero, no number is converted through an angle, and joint
@@ -8,7 +8,9 @@ and slides through massless links.
 A URDF can describe neither closed loops nor ball joints. The loop file names frames that coincide and joints
 that are balls. Its keys are those of Gepetto's example-parallel-robots
 (https://github.com/Gepetto/example-parallel-robots, `robot.yaml`), with two additions: closures of type
-`rod`, whose origins keep their distance, and `coupled`, joints whose weighted coordinates add up to zero.
+`rod`, whose two points keep their distance, and `coupled`, sums of polynomials of joint coordinates that are
+zero. A loop is closed by a ball, a rod or a weld. At any other joint that closes a loop, a body is cut into
+two halves, which a weld joins: the welded mechanism.
 """
 
 from __future__ import annotations
@@ -63,10 +65,10 @@ INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of an element `<inertia>`: the upper triangle of the matrix, row by row."""
 
 CLOSURE_TYPES_OF_JOINTS: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
-"""Types of loop closures in the loop file by class of joint; all other closing joints are balls, "3d"."""
+"""Type of a loop closure in the loop file by class of joint; all other closing joints are balls, "3d"."""
 
 WRITTEN_LIMIT = "1000"
-"""Limit of coordinate, effort and velocity: URDF requires limits, and joints of scenes have none."""
+"""Limit of coordinate, effort and velocity of every joint: URDF requires limits, and scenes have none."""
 
 
 @checked
@@ -90,7 +92,8 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
         >>> '<robot name="pendulum">' in urdf.to_urdf(load("pendulum"))
         True
     """
-    welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
+    # loaded: never close a loop by a ball with a spring, damper or armature
+    welded = weld_loops(scene.mechanism, keep_bodies, loaded=scene.loaded_balls)
     mechanism, tree = welded.mechanism, welded.tree
     robot = Element("robot", name=scene.name)
     add_materials(robot)
@@ -103,9 +106,11 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     for index, body in enumerate(mechanism.bodies):
         link = SubElement(robot, "link", name=body.name)
         if index > 0:  # no inertia of the ground: readers warn of a root with mass
-            rotation = tree.initial_rotations[index]
+            rotation = tree.initial_rotations[
+                index
+            ]  # of the body frame; link frames are parallel to the world
             _add_inertial(link, body, body.center_of_mass - origins[index], rotation)
-        if index < len(scene.mechanism.bodies):  # shapes of the first half only
+        if index < len(scene.mechanism.bodies):  # added halves of cut bodies have no shapes
             for shape in scene.mechanism.shapes(index):
                 add_visual(link, shape, origins[index], color(index))
     # joints, and links of loop closures
@@ -135,7 +140,7 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
         >>> "closed_loop" in urdf.to_loops(load("four_bar"))
         True
     """
-    welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
+    welded = weld_loops(scene.mechanism, keep_bodies, loaded=scene.loaded_balls)
     joints = welded.mechanism.joints
     # balls, and joints with motors
     balls, motors = [], []
@@ -149,12 +154,12 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     # couplings, without prescribed motions: a factor, or a list of factors of the powers 1, 2, ...
     coupled = []
     for coupling in couplings(scene):
-        if coupling.function is not None:
+        if coupling.function is not None:  # a prescribed motion
             continue
         factors: dict[str, Any] = {}
         for key, factor in coupling.factors.items():
             joint_name, coordinate = key
-            name = coordinate_name(scene.mechanism.joint(joint_name), coordinate)
+            name = coordinate_name(scene.mechanism.joint(joint_name), coordinate)  # of the URDF joint
             higher_powers = coupling.powers.get(key)
             factors[name] = [factor, *higher_powers] if higher_powers else factor
         coupled.append(factors)
@@ -185,11 +190,11 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
     """
     if Path(path).suffix != ".urdf":
         raise UrdfError(f"cannot write {os.fspath(path)!r}; needed: a name that ends in .urdf")
-    texts = to_urdf(scene, keep_bodies=True), to_loops(scene, keep_bodies=True)
+    urdf_text, loop_text = to_urdf(scene, keep_bodies=True), to_loops(scene, keep_bodies=True)
     try:
-        with atomic_file(path) as urdf, atomic_file(loops_path(path)) as loops:
-            urdf.write_text(texts[0], encoding="utf-8")
-            loops.write_text(texts[1], encoding="utf-8")
+        with atomic_file(path) as urdf_file, atomic_file(loops_path(path)) as loop_file:
+            urdf_file.write_text(urdf_text, encoding="utf-8")
+            loop_file.write_text(loop_text, encoding="utf-8")
     except OSError as error:
         raise UrdfError(f"cannot write {os.fspath(path)!r}: {error.strerror}") from error
 
@@ -205,8 +210,9 @@ def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
     Points are in m, world frame at the initial pose.
     """
     ends_of_closures = []
-    for index in welded.tree.cuts:
+    for index in welded.tree.cuts:  # joints that close loops
         joint, equations = welded.mechanism.joints[index], welded.tree.equations(index)
+        # `point` is the joint's point on the first body, `reaction_point` on the second
         ends = ((equations.first, joint.point), (equations.second, joint.reaction_point))
         names = welded.mechanism.body_names
         ends_of_closures.append([(f"{joint.name}_on_{names[body]}", body, point) for body, point in ends])
@@ -244,7 +250,7 @@ def _add_chain(
         robot: root element of the URDF.
         welded: welded mechanism.
         tree_joint: joint of the spanning tree.
-        origins: (3,) origin of each link at the initial pose, m, world frame.
+        origins: (3,) origin of the link of each body at the initial pose, m, world frame.
         dampings: damping, N m s/rad or N s/m, by name of the URDF joint.
     """
     names, joint = welded.mechanism.body_names, welded.tree.joint(tree_joint.joint)

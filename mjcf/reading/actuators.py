@@ -1,9 +1,9 @@
 """Import the actuators of a compiled MuJoCo model as control laws and forces, for `mjcf.reader`.
 
-A control keeps its value at the start, or follows a sine about this value. MuJoCo's force on a transmission
-of length l is gain * ctrl + b_0 + b_1 l + b_2 dl/dt (MuJoCo's documentation, Computation, section
-Actuation). For a transmission l = g q of a joint coordinate, let x be q minus its value at the start. The
-force on the joint is
+In the scene, a control keeps its value at the start, or follows a sine about this value that excites the
+mechanism. MuJoCo's force on a transmission of length l is gain * ctrl + b_0 + b_1 l + b_2 dl/dt (MuJoCo's
+documentation, Computation, section Actuation). For a transmission l = g q of a joint coordinate, let x be q
+minus its value at the start. The force on the joint is
 
     u = g (gain ctrl + b_0) + g^2 b_1 (q_start + x) + g^2 b_2 dx/dt,
 
@@ -56,7 +56,7 @@ TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGai
 """MuJoCo's types of transmissions, activation dynamics, gains and biases of actuators."""
 
 ACTUATOR_GROUPS = 31
-"""Number of groups of actuators that a file can disable, from 0: bits of `opt.disableactuator`."""
+"""Number of groups of actuators that a file can disable, groups 0 to 30: bits of `opt.disableactuator`."""
 
 
 def driven_joints(model: Any) -> set[int]:
@@ -79,7 +79,8 @@ class Actuators:
 
     Attributes:
         armatures: rotor inertias of actuators by joint coordinate, kg m^2 or kg.
-        drives: actuators with fixed gain that are part of control laws, by number.
+        drives: actuators with fixed gain that are part of control laws, by number, with the range in which
+            excitation may vary their controls.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ class Actuators:
             gear_groups: joint coordinates that gears make proportional to each other.
             forces: imported forces; actuators on sites add wrenches to them.
             report: report that receives the entries.
-            sines: sines that are added to controls, by number of the actuator.
+            sines: sines of the excitation that are added to controls, by number of the actuator.
         """
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._gear_groups = bodies, joints, gear_groups
@@ -110,7 +111,7 @@ class Actuators:
         self._actuations: dict[Key, JointActuation] = {}
         self.armatures: dict[Key, float] = {}
         self.drives: dict[int, Drive] = {}
-        self._bodies_with_wrenches: list[int] = []  # MuJoCo's numbers; wrenches of actuators on sites
+        self._bodies_with_wrenches: list[int] = []  # MuJoCo's numbers; actuators on sites act on them
         self._compute_forces()
         for actuator in range(self._model.nactuator):
             self._add(actuator)
@@ -118,7 +119,7 @@ class Actuators:
             self._report_joint_limit(joint)
 
     def _compute_forces(self) -> None:
-        """Compute the forces of actuators at the start in MuJoCo's data, with all limits switched off."""
+        """Compute the forces of actuators at the start in MuJoCo's data, with force limits switched off."""
         limited_flags = [getattr(self._model, f"{name}limited") for name in FORCE_LIMITS]
         saved = [flags.copy() for flags in limited_flags]
         for flags in limited_flags:
@@ -138,27 +139,27 @@ class Actuators:
         element = element_name(model, "actuator", actuator)
         kind = TRANSMISSION(model.actuator_trntype[actuator])
         moments = self._moments(actuator, kind)
-        if why := self._disabled(actuator):
+        if why := self._why_disabled(actuator):
             self._report.left_out(element, why, switched_off=True)
             self._add_rotor(actuator, element, moments)
             return
-        law = self._affine(actuator, element)
-        if law is None:
+        force = self._affine_force(actuator, element)
+        if force is None:  # reported as left out
             return
         self._report_damping(actuator, element)
-        if moments is not None:
-            is_imported = self._add_to_joints(actuator, element, law, moments)
-        elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
+        if moments is not None:  # acts on hinges and slides
+            is_imported = self._add_to_joints(actuator, element, force, moments)
+        elif force == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
             self._report_imported(actuator, "no force at the control of the start", CONTROL)
             is_imported = True
         elif kind == TRANSMISSION.mjTRN_SITE:
-            is_imported = self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
+            is_imported = self._add_wrench(actuator, element, force, model.actuator_gear[actuator])
         else:
             transmission = self._describe_transmission(actuator, kind)
             self._report.left_out(element, f"no control law acts {transmission}")
             is_imported = False
         if is_imported:
-            self._report_limits(actuator, element, law, moments)
+            self._report_limits(actuator, element, force, moments)
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
         """Return the moment arm of an actuator at each of MuJoCo's joints, by number.
@@ -183,12 +184,12 @@ class Actuators:
         what = "free" if self._model.jnt_type[joint] == FREE else "ball"
         return f"on a {what} joint, as {element_name(self._model, 'joint', joint)} is"
 
-    def _disabled(self, actuator: int) -> str:
+    def _why_disabled(self, actuator: int) -> str:
         """Return the reason why the file itself disables the actuator; "" if the actuator is enabled."""
         if self._start.disabled("ACTUATION"):
             return "the file disables actuators"
         group = int(self._model.actuator_group[actuator])
-        # groups beyond the bits of the option cannot be disabled
+        # other groups have no bit in the option, and cannot be disabled
         if 0 <= group < ACTUATOR_GROUPS and int(self._model.opt.disableactuator) >> group & 1:
             return f"the file disables actuators of group {group}"
         return ""
@@ -196,6 +197,7 @@ class Actuators:
     def _control(self, actuator: int) -> float:
         """Return the control at the start, clipped to the range of controls."""
         model = self._model
+        # `actuator_ctrladr`: index of the first control; in MuJoCo 4 an actuator may have several
         ctrl = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
         if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
             ctrl = float(np.clip(ctrl, *model.actuator_ctrlrange[actuator]))
@@ -219,8 +221,8 @@ class Actuators:
         }
         return activation if is_constant.get(kind, False) else None
 
-    def _affine(self, actuator: int, element: str) -> Affine | None:
-        """Return the force for the control at the start, as a function of length and rate.
+    def _affine_force(self, actuator: int, element: str) -> Affine | None:
+        """Return the force for the control at the start, as a function of the transmission's length and rate.
 
         If the force is not affine in length and rate, the actuator is reported as left out and the result is
         None.
@@ -253,13 +255,11 @@ class Actuators:
         Args:
             actuator: number of the actuator.
             how: counterpart of the actuator in the scene, in words.
-            became: kind of the counterpart, see `ImportedElement.became`.
+            became: kind of the counterpart: `CONTROL` for a control law, `FORCE` for a wrench.
         """
         model, numbers = self._model, dict[str, Sequence[float]]()
-        ctrl_of_file, control = (
-            float(self._data.ctrl[int(model.actuator_ctrladr[actuator])]),
-            self._control(actuator),
-        )
+        ctrl_of_file = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
+        control = self._control(actuator)
         if ctrl_of_file != control:
             how += f"; its control {ctrl_of_file:g} is clipped to {control:g} by its range, as in MuJoCo"
         moves_nothing = control == 0.0 and actuator not in self._sines
@@ -269,19 +269,32 @@ class Actuators:
         self._report.imported(element, how, became, moves_nothing=moves_nothing, numbers=numbers)
 
     def _report_limits(
-        self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
+        self, actuator: int, element: str, force: Affine, moments: dict[int, float] | None
     ) -> None:
-        """Report the limit of the actuator's force, and its tendon's limit of all actuator forces."""
+        """Report the limit of the actuator's force, and its tendon's limit of all actuator forces.
+
+        Scenes do not simulate these limits. The report gets a watch, a test after a run whether the force
+        would have passed the limit. For the arguments see `_add_to_joints`.
+        """
         model, report = self._model, self._report
         if model.actuator_forcelimited[actuator]:
             low, high = (float(x) for x in model.actuator_forcerange[actuator])
+            # force of the actuator itself (moment arm 1); coordinates are zero at the start
             terms = tuple((self._joints.coordinate_keys[k], moment) for k, moment in (moments or {}).items())
-            constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
-            force_of_time = constant_plus_sines(constant, tuple(self._sine_of_force(actuator, 1.0)))
+            constant = force.constant + force.by_length * float(self._data.actuator_length[actuator])
+            force_of_time = constant_plus_sines(constant, tuple(self._sine_of_force(actuator, arm=1.0)))
             unit = actuator_force_unit(model, actuator)
-            watch = Bounds(terms, low, high, unit, force_of_time, law.by_length, law.by_rate)
-            # the force is a function of joint coordinates and time
-            can_watch = moments is not None or not (law.by_length or law.by_rate)
+            watch = Bounds(
+                terms,
+                low,
+                high,
+                unit,
+                constant=force_of_time,
+                by_value=force.by_length,
+                by_rate=force.by_rate,
+            )
+            # a watch needs the force as a function of joint coordinates and time
+            can_watch = moments is not None or not (force.by_length or force.by_rate)
             why = f"its limit of the force, {low:g} to {high:g}"
             watches = [watch] if can_watch else []
             report.left_out(element, why, topic="limit of the force", watches=watches, numbers=[low, high])
@@ -291,7 +304,7 @@ class Actuators:
             report.left_out(element, why, topic="limit of its tendon", numbers=[low, high])
 
     def _report_joint_limit(self, joint: int) -> None:
-        """Report a joint's limit of the sum of its actuator forces."""
+        """Report the limit that MuJoCo's joint number `joint` sets to the sum of its actuator forces."""
         model, data = self._model, self._data
         key, element = self._joints.coordinate_keys.get(joint), element_name(self._model, "joint", joint)
         limits = [float(x) for x in model.jnt_actfrcrange[joint]]
@@ -305,10 +318,14 @@ class Actuators:
             watches = [watch] if watch else []
             self._report.left_out(element, why, topic=topic, watches=watches, numbers=limits)
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
+            # only actuators that are left out act on the joint, so that no run can show the force
             self._report.left_out(element, why, topic=topic, numbers=limits)
 
     def _other_forces(self, joint: int) -> str:
-        """Describe the forces that a joint's limit includes and its control law does not; "" for none."""
+        """Describe the forces that a joint's limit includes and its control law does not; "" for none.
+
+        MuJoCo adds gravity compensation to the actuator forces of joints with `actuatorgravcomp`.
+        """
         model, forces = self._model, []
         if any(self._moves(joint, body) for body in self._bodies_with_wrenches):
             forces.append("forces on sites")
@@ -319,7 +336,7 @@ class Actuators:
         return " and ".join(forces)
 
     def _moves(self, joint: int, body: int) -> bool:
-        """Return True if a joint of MuJoCo moves a body: the body is the joint's body or a descendant."""
+        """Return True if MuJoCo's joint moves MuJoCo's body: the body is the joint's body or a descendant."""
         joint_body = int(self._model.jnt_bodyid[joint])
         while body > joint_body:  # parents have lower numbers than children
             body = int(self._model.body_parentid[body])
@@ -331,29 +348,30 @@ class Actuators:
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
             self._report.left_out(element, "the damping of the actuator", topic="damping")
 
-    def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> bool:
+    def _add_to_joints(self, actuator: int, element: str, force: Affine, moments: dict[int, float]) -> bool:
         """Add the force of an actuator to the control laws of joint coordinates.
 
         Args:
             actuator: number of the actuator.
             element: name of the actuator in the report.
-            law: force as a function of the length of the transmission.
+            force: force as a function of the length of the transmission.
             moments: moment arm by number of MuJoCo's joint.
 
         Returns:
             False if the actuator is left out.
         """
         keys = self._joints.coordinate_keys
-        # derivative of the length by each coordinate, if gears make all coordinates proportional
+        # total derivative of the length by each coordinate, if gears make all coordinates proportional
         slopes = self._gear_groups.slopes({keys[joint]: moment for joint, moment in moments.items()})
-        constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
+        # force at the start, where all coordinates of the scene are zero
+        constant = force.constant + force.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
         # moment arm of the actuator at each coordinate that gets a part of the force
         arms = {keys[joint]: moment for joint, moment in moments.items()}
-        # proportional coordinates: the whole force acts on the first one, unless a joint has a limit of its
-        # actuator forces, for which its own part is needed
+        # proportional coordinates: the whole force acts on the first one, unless a joint limits its actuator
+        # forces; the limit applies to the joint's part of the force
         has_limits = any(self._model.jnt_actfrclimited[k] for k in moments)
-        if slopes and (law.by_length or law.by_rate) and not has_limits:
+        if slopes and (force.by_length or force.by_rate) and not has_limits:
             key, slope = next(iter(slopes.items()))
             if slope == 0.0:
                 why = "equalities keep its length constant, so that it does no work"
@@ -361,12 +379,13 @@ class Actuators:
                 return False
             arms = {key: slope}
         for key, arm in arms.items():
-            # the length as a function of this coordinate, or of all coordinates if they are independent
+            # derivatives of the length: by this coordinate alone, or by all coordinates if these are not
+            # proportional
             length_slopes = {key: slopes[key]} if slopes else arms
             actuation = self._actuations.get(key, JointActuation())
-            for other, slope in length_slopes.items() if law.by_length or law.by_rate else ():
+            for other, slope in length_slopes.items() if force.by_length or force.by_rate else ():
                 actuation = actuation.with_feedback(
-                    other, -arm * slope * law.by_length, -arm * slope * law.by_rate
+                    other, stiffness=-arm * slope * force.by_length, damping=-arm * slope * force.by_rate
                 )
             self._actuations[key] = actuation._replace(
                 constant=actuation.constant + arm * constant,
@@ -384,7 +403,7 @@ class Actuators:
         return float(self._model.actuator_gainprm[actuator, 0]) if fixed_gain else 0.0
 
     def _sine_of_force(self, actuator: int, arm: float) -> Iterator[Sine]:
-        """Yield the sine of the generalized force with moment arm `arm`, if the control follows a sine."""
+        """Yield the sine of the generalized force with moment arm `arm`, unless the control is constant."""
         if sine := self._sines.get(actuator):
             yield replace(sine, amplitude=arm * self._gain(actuator) * sine.amplitude)
 
@@ -404,6 +423,8 @@ class Actuators:
     def _add_drive(self, actuator: int, arms: dict[Key, float], moments: dict[int, float]) -> None:
         """Add an actuator to `drives`, with the range of its control in which no limit is exceeded.
 
+        With activation dynamics, the control here is the activation, see `Drive.control`.
+
         Args:
             actuator: number of the actuator.
             arms: moment arm by joint coordinate.
@@ -413,7 +434,8 @@ class Actuators:
         if not gain or control is None:
             return
         model, data, low, high = self._model, self._data, -np.inf, np.inf
-        # range of the control; with dynamics, the control has a larger amplitude than the activation
+        # range of the control; with dynamics, the control that causes a sine of the activation has a larger
+        # amplitude than the activation
         if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
             amplification, now = control_per_activation(model, actuator), self._control(actuator)
             low, high = (
@@ -423,7 +445,7 @@ class Actuators:
         if model.actuator_actlimited[actuator]:
             down, up = (float(x) for x in model.actuator_actrange[actuator])
             low, high = max(low, down), min(high, up)
-        # limits of forces
+        # limits of the force of the actuator, its tendon and its joints
         for force_factor, distances in distances_from_limits(model, data, actuator, moments):
             down, up = sorted(float(x) / (gain * force_factor) for x in distances)
             low, high = max(low, control + down), min(high, control + up)
@@ -431,7 +453,7 @@ class Actuators:
         self.drives[actuator] = Drive(control, gains, low, high, self._has_dynamics(actuator))
 
     def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
-        """Add the armature of an actuator; MuJoCo applies the armatures of disabled actuators, too."""
+        """Add the armature (rotor inertia) of an actuator, also of a disabled one, as MuJoCo does."""
         inertia = float(self._model.actuator_armature[actuator])
         if not inertia:
             return
@@ -445,7 +467,7 @@ class Actuators:
         self.armatures[key] = self.armatures.get(key, 0.0) + inertia_of_coordinate
         self._report.imported(element, f"its armature {inertia:g} at joint {joint!r}", ROTOR)
 
-    def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> bool:
+    def _add_wrench(self, actuator: int, element: str, force: Affine, gear: Array) -> bool:
         """Add the constant force and torque of an actuator on a site as a wrench.
 
         The force has a constant direction in the frame of the site, or of a reference site on the ground.
@@ -453,8 +475,8 @@ class Actuators:
         Args:
             actuator: number of the actuator.
             element: name of the actuator in the report.
-            law: force as a function of the length of the transmission.
-            gear: (6,) factors of force and torque along the axes of the frame.
+            force: scalar force of the actuator, as a function of the length of the transmission.
+            gear: (6,) force and torque per unit of the scalar force, along the axes of the frame.
 
         Returns:
             False if the actuator is left out.
@@ -463,19 +485,20 @@ class Actuators:
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
         body = self._bodies.names[int(model.site_bodyid[site])]
         turns_with_body = reference < 0  # no reference site
-        if law.by_length or law.by_rate or body == GROUND:
+        if force.by_length or force.by_rate or body == GROUND:
             self._report.left_out(element, "its force on a site depends on the place of the site")
             return False
         if not turns_with_body and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
             self._report.left_out(element, "its force on a site has the direction of another moving body")
             return False
         axes = data.site_xmat[site if turns_with_body else reference].reshape(3, 3)
-        force, torque = law.constant * (gear.reshape(2, 3) @ axes.T)
-        # `mjcf.write` puts "wrench" in front of the name
+        world_force, world_torque = force.constant * (gear.reshape(2, 3) @ axes.T)
+        # `mjcf.write` puts "wrench" in front of the name of an exported wrench
         wanted_name = model.actuator(actuator).name.removeprefix("wrench ")
         name = self._forces.name(wanted_name, f"actuator_{actuator}")
         self._bodies_with_wrenches.append(int(model.site_bodyid[site]))
         frame: Any = "body" if turns_with_body else "world"
-        self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
+        point = data.site_xpos[site].copy()
+        self._forces.forces.append(Wrench(name, body, point, world_force, world_torque, frame))
         self._report_imported(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)
         return True

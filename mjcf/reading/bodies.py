@@ -74,7 +74,7 @@ class Bodies:
             self._report(k, report)
 
     def _report(self, k: int, report: ImportReport) -> None:
-        """Report the body of the scene that MuJoCo's body number `k` belongs to."""
+        """Report the body of the scene to which MuJoCo's body number `k` belongs."""
         name = self._model.body(k).name
         element = element_name(self._model, "body", k)
         if k != self._root[k]:
@@ -106,12 +106,12 @@ class Bodies:
                 for k in members
             ]
         )
-        # inertia in the frame of the root
+        # inertia in the frame of the root, made symmetric to the last bit
         quaternion = data.xquat[root] / np.linalg.norm(data.xquat[root])
         to_body = rotation(quaternion).T
         inertia = to_body @ whole.inertia @ to_body.T
         inertia = 0.5 * (inertia + inertia.T)
-        # principal moments of a real body satisfy a + b >= c
+        # principal moments a <= b <= c of a real body satisfy a + b >= c; MuJoCo also simulates others
         a, b, c = np.linalg.eigvalsh(inertia)
         return Body(
             name,
@@ -142,12 +142,14 @@ class Bodies:
             return Sphere(center, float(size[0]))
         bars: dict[Any, type[Capsule | Cylinder]]
         bars = {kinds.mjGEOM_CAPSULE: Capsule, kinds.mjGEOM_CYLINDER: Cylinder}
-        if kind in bars and size[0] > 0.0 and size[1] > 0.0:
-            return bars[kind](center - size[1] * axes[:, 2], center + size[1] * axes[:, 2], float(size[0]))
+        radius, half_length = size[:2]
+        if kind in bars and radius > 0.0 and half_length > 0.0:
+            start, end = center - half_length * axes[:, 2], center + half_length * axes[:, 2]
+            return bars[kind](start, end, float(radius))
         return None
 
     def root(self, name: str) -> int:
-        """Return MuJoCo's number of the root with the frame of a body of the scene, by name."""
+        """Return MuJoCo's number of the root of a body of the scene, by name; both have the same frame."""
         return next(root for root in self.roots if self.names[root] == name)
 
     def velocity(self, root: int, point: Array) -> tuple[Array, Array]:

@@ -13,13 +13,13 @@ from contextlib import suppress
 from typing import Any
 
 ARENA_BYTES = 50_000_000
-"""Memory that MuJoCo reserves for constraints, bytes."""
+"""Memory that MuJoCo reserves for contacts and constraints, bytes."""
 
 
 def compile_spec(spec: Any) -> Any:
-    """Compile an `MjSpec` to an `MjModel` with a small arena, MuJoCo's memory for constraints.
+    """Compile an `MjSpec` to an `MjModel` with a small arena, MuJoCo's memory for contacts and constraints.
 
-    The reader evaluates no contacts, which need most of the arena.
+    The reader simulates no contacts, which need most of the arena.
     """
     spec.memory = ARENA_BYTES
     spec.njmax = spec.nconmax = spec.nstack = -1  # -1 means not set; a file may set large values
@@ -27,7 +27,7 @@ def compile_spec(spec: Any) -> Any:
 
 
 def main() -> int:
-    """Compile the file of the command line; return the exit status."""
+    """Compile the file that the command line names; return the exit status."""
     path, result, seconds, memory = sys.argv[1:]
     with suppress(ImportError):  # Windows has no limits of resources
         import resource

@@ -1,7 +1,8 @@
 """Limits of actuator forces in a compiled MuJoCo model.
 
-Scenes do not simulate these limits. The import report names each limit. A watch tests, after a run, whether
-the force would have exceeded the limit. Excitation chooses controls whose forces stay within the limits.
+Imported scenes do not simulate these limits. The import report names each limit. A watch (`Bounds`) tests,
+after a run, whether the force would have exceeded the limit. Excitation, which moves controls so that a run
+tests the model, chooses controls whose forces stay within the limits.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def limited_tendon(model: Any, actuator: int) -> int | None:
 def distances_from_limits(
     model: Any, data: Any, actuator: int, moments: Mapping[int, float]
 ) -> Iterator[tuple[float, Array]]:
-    """Yield the distances of the force at the start from each limit that an actuator contributes to.
+    """Yield the distances from the force at the start to each limit of a force that an actuator adds to.
 
     There can be a limit of the actuator itself, of its tendon, and of each joint that it moves.
 
@@ -60,7 +61,7 @@ def distances_from_limits(
         model: `MjModel`.
         data: `MjData` with the forces at the start, without limits.
         actuator: number of the actuator.
-        moments: moment arm of the actuator at each joint.
+        moments: moment arm of the actuator at each of MuJoCo's joints, by number.
 
     Yields:
         For each limit, the limited force per unit force of the actuator, and the distances (2,) from the
@@ -82,7 +83,8 @@ def distances_from_limits(
 def joint_force_watch(actuation: JointActuation, low: float, high: float, unit: str) -> Bounds | None:
     """Return the watch of a limit of the actuator forces on a joint coordinate.
 
-    A `Bounds` watches a force of the form f(t) + a s + b ds/dt, where s = sum_j w_j x_j.
+    A `Bounds` can watch a force of the form f(t) + a s + b ds/dt, where s = sum_j w_j x_j. The force here is
+    f(t) - sum_j (k_j x_j + d_j dx_j/dt), which has this form if all d_j / k_j are equal.
 
     Args:
         actuation: sum of the actuator forces.
@@ -97,12 +99,20 @@ def joint_force_watch(actuation: JointActuation, low: float, high: float, unit: 
     keys, gains = list(actuation.feedback), np.array(list(actuation.feedback.values())).reshape(-1, 2)
     force_of_time = constant_plus_sines(actuation.constant, actuation.sines)
     if not keys:
-        return Bounds((), low, high, unit, force_of_time)
-    # weights relative to the row with the largest gain
+        return Bounds((), low, high, unit, constant=force_of_time)
+    # weights w_j such that row j is w_j times the row with the largest gain
     largest_row = gains[int(np.argmax(np.abs(gains).max(axis=1)))]
     weights = gains @ largest_row / (largest_row @ largest_row) if np.any(gains) else np.ones(len(gains))
     if not np.allclose(np.outer(weights, largest_row), gains, rtol=1e-12, atol=0.0):
         return None
     terms = tuple(zip(keys, weights.tolist(), strict=True))
     stiffness, damping = largest_row
-    return Bounds(terms, low, high, unit, force_of_time, -float(stiffness), -float(damping))
+    return Bounds(
+        terms,
+        low,
+        high,
+        unit,
+        constant=force_of_time,
+        by_value=-float(stiffness),
+        by_rate=-float(damping),
+    )

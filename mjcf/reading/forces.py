@@ -1,7 +1,8 @@
 """Import springs, dampers, armatures and gravity compensation of a compiled MuJoCo model, for `mjcf.reader`.
 
-An armature is the rotor inertia of a joint, tendon or actuator. A spring, damper or armature of a fixed
-tendon (a weighted sum of joint coordinates) is moved to one joint coordinate if gears couple all of them.
+An armature is the rotor inertia of a joint, tendon or actuator. The length of a fixed tendon is a weighted
+sum of joint coordinates. If gears make these coordinates proportional to each other, the tendon's spring,
+damper or armature becomes one of a single joint coordinate.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ class Forces:
 
         Args:
             element: name of the element in the report.
-            spring: stiffness, and MuJoCo's coefficients of higher powers.
-            damper: damping, and MuJoCo's coefficients of higher powers.
+            spring: stiffness, and MuJoCo's coefficients of higher powers of the deflection.
+            damper: damping, and MuJoCo's coefficients of higher powers of the rate.
 
         Returns:
             Stiffness and damping, SI; 0 if the file disables springs or dampers.
@@ -101,7 +102,7 @@ class Forces:
             self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
             self._report.imported(element, f"{what} as a spring", FORCE if stiffness else "")
             return
-        # ball, or free joint: three translations and a ball
+        # ball, or free joint: three translations (coordinates 0 to 2) and a ball
         joint = self._joints.joint_names[number]
         if model.jnt_type[number] == FREE:
             rests = self._spring_reference(number)[:3] - self._data.qpos[qpos_index : qpos_index + 3]
@@ -113,12 +114,12 @@ class Forces:
         self._report.imported(element, f"{what} as a spring of all its motions", FORCE)
 
     def _add_spring(self, spring: JointSpring) -> None:
-        """Add a spring of a joint coordinate; two springs of one coordinate become one spring."""
+        """Add a spring of a joint coordinate; two springs of the same coordinate become one spring."""
         key = spring.joint, spring.coordinate
         for index, other in enumerate(self.forces):
             if isinstance(other, JointSpring) and (other.joint, other.coordinate) == key:
                 stiffness = other.stiffness + spring.stiffness
-                # k rest = k_1 rest_1 + k_2 rest_2
+                # the forces add up: k rest = k_1 rest_1 + k_2 rest_2 with k = k_1 + k_2
                 weighted_rests = other.stiffness * other.rest + spring.stiffness * spring.rest
                 rest = weighted_rests / stiffness if stiffness else 0.0
                 damping = other.damping + spring.damping
@@ -129,13 +130,14 @@ class Forces:
     def _spring_reference(self, number: int) -> Array:
         """Return the configuration of a joint, a part of qpos, in which its spring exerts no force.
 
-        The rest of a yielding spring changes, and is part of MuJoCo's state. Yielding is reported as left out
-        unless the yield angle of a ball exceeds pi, the largest rotation.
+        A spring with MuJoCo's attribute `springyield` deforms plastically: its rest changes, and is part of
+        MuJoCo's state (`plastic`). Yielding is reported as left out unless the yield angle of a ball exceeds
+        pi, the largest rotation.
         """
         model = self._model
-        size = {int(FREE): 7, int(BALL): 4}.get(int(model.jnt_type[number]), 1)
+        size = {int(FREE): 7, int(BALL): 4}.get(int(model.jnt_type[number]), 1)  # elements in qpos
         qpos_index, plastic_index = model.jnt_qposadr[number], model.jnt_plasticadr[number]
-        if plastic_index < 0:
+        if plastic_index < 0:  # not a yielding spring
             return np.asarray(model.qpos_spring[qpos_index : qpos_index + size])
         limit = float(model.jnt_springyield[number])
         if limit < np.pi or model.jnt_type[number] != BALL:
@@ -157,11 +159,14 @@ class Forces:
         Returns:
             Rotation vector (3,) of the second body from the start to the rest, rad, world frame.
         """
+        # rotation vector in the frame of the child, then in the world frame; the quaternion is the last part
+        # of a free joint's configuration
         in_child = np.empty(3)
         start_quaternion = self._data.qpos[quaternion_index : quaternion_index + 4]
         mujoco.mju_subQuat(in_child, self._spring_reference(number)[-4:], start_quaternion)
         child = int(self._model.jnt_bodyid[number])
         in_world = self._data.xmat[child].reshape(3, 3) @ in_child
+        # opposite sign if the child is the first body of the scene's joint
         (joint,) = (joint for joint in self._joints.joints if joint.name == self._joints.joint_names[number])
         return np.asarray(in_world if joint.second == self._bodies.names[child] else -in_world)
 
@@ -175,7 +180,7 @@ class Forces:
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
-        # MuJoCo's tendon is slack between two lengths, which are usually equal
+        # the spring of MuJoCo's tendon exerts no force between two lengths, which are usually equal
         low, high = (float(x) for x in model.tendon_lengthspring[tendon])
         plastic_index = int(model.tendon_plasticadr[tendon])
         if plastic_index >= 0:
@@ -189,7 +194,8 @@ class Forces:
                 f"{what}: springs of scenes are never slack, as this is between {low:g} and {high:g} m",
             )
         elif weights is not None:
-            self._add_fixed_tendon(tendon, element, what, weights, JointSpring("", stiffness, damping, low))
+            along = JointSpring("", stiffness, damping, rest=low)
+            self._add_fixed_tendon(tendon, element, what, weights, along)
         elif ends is None:
             self._report.left_out(
                 element, f"{what}: point springs are straight, and this tendon bends around sites or geoms"
@@ -210,7 +216,7 @@ class Forces:
             element: name of the tendon in the report.
             what: first words of the entry in the report.
             weights: weight of each of MuJoCo's joints, see `fixed_tendon_weights`.
-            along: stiffness, damping and rest of the tendon; the joint has no name.
+            along: stiffness, damping and rest of the tendon's length; its joint name is "" and not used.
         """
         slopes = self._gear_groups.slopes(
             {self._joints.coordinate_keys[joint]: w for joint, w in weights.items()}
@@ -270,7 +276,7 @@ class Forces:
         self._report.imported(element, f"{what} as point spring {spring.name!r}", FORCE)
 
     def _add_compensation(self, body: int, gravity: Array) -> None:
-        """Add the gravity compensation of MuJoCo's body as a constant force at its center of mass.
+        """Add the gravity compensation of a body of MuJoCo as a constant force at the body's center of mass.
 
         Args:
             body: number of the body.
@@ -294,7 +300,7 @@ class Forces:
 def armatures(
     start: ModelAtStart, joints: Joints, gear_groups: GearGroups, report: ImportReport
 ) -> tuple[dict[Key, float], dict[str, float]]:
-    """Import the armatures of joints and tendons.
+    """Import the armatures of joints and tendons; for the arguments see `Forces`.
 
     Returns:
         Rotor inertias, kg m^2 or kg, by joint coordinate, and rotor inertias of balls, kg m^2, by joint.

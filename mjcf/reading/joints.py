@@ -1,8 +1,8 @@
 """Import the joints of a compiled MuJoCo model as joints of a scene, for `mjcf.reader`.
 
-MuJoCo allows several hinges, slides or a ball on one body. All joints of one body become one joint of the
-scene, such as a universal joint. `GearGroups` finds joint coordinates that gears make proportional to each
-other, so that forces on one coordinate can be moved to another.
+A body of MuJoCo can have several joints: hinges, slides and a ball. All joints of one body become one joint
+of the scene, such as a universal joint. `GearGroups` finds joint coordinates that gears make proportional to
+each other, so that forces on one coordinate can be replaced by forces on another.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Joints:
     at the start.
 
     Attributes:
-        joints: one joint for each moving body.
+        joints: one joint for each moving body of the scene, to its parent in the tree.
         coordinate_keys: key of the coordinate of each hinge and slide of MuJoCo, by number of MuJoCo's joint.
         joint_names: name of the scene's joint for each of MuJoCo's joints, by number.
     """
@@ -56,6 +56,7 @@ class Joints:
         self.joints: list[Joint] = []
         self.coordinate_keys: dict[int, Key] = {}
         self.joint_names: dict[int, str] = {}
+        # roots are MuJoCo's bodies with joints, after the world; other bodies are fixed to a root
         for root in bodies.roots[1:]:
             first = int(self._model.body_jntadr[root])
             numbers = range(first, first + int(self._model.body_jntnum[root]))
@@ -67,7 +68,7 @@ class Joints:
                 report.imported(element_name(self._model, "joint", number), self._counterpart(number, joint))
 
     def _counterpart(self, number: int, joint: Joint) -> str:
-        """Describe, for the report, the part of a scene's joint that MuJoCo's joint `number` became."""
+        """Describe, for the report, the part of the scene's `joint` that MuJoCo's joint `number` became."""
         if number not in self.coordinate_keys or len(joint.coordinate_kinds) == 1:
             return f"{joint.kind} joint {joint.name!r}"
         return f"coordinate {self.coordinate_keys[number][1]} of {joint.kind} joint {joint.name!r}"
@@ -96,8 +97,8 @@ class Joints:
             )
             for k in numbers
         }
-        # `coordinates`: number of the coordinate by name of the part; a ball has no coordinate
-        joint, coordinates = combine_motions(name, parent, child, list(parts.values()), actuated)
+        # `coordinates`: number of the coordinate within the joint, by name of the part; a ball has none
+        joint, coordinates = combined(name, parent, child, list(parts.values()), actuated)
         for k, part in parts.items():
             if part.name in coordinates:
                 self.coordinate_keys[k] = (name, coordinates[part.name])
@@ -125,6 +126,7 @@ class GearGroups:
             ratio = gear.ratio * ratio_1 / ratio_2  # leader_2 = ratio leader_1
             for key in (driver, follower):
                 self._leader_and_ratio.setdefault(key, (key, 1.0))
+            # the group of leader_2 joins the group of leader_1, unless both are the same group already
             for key, (leader, ratio_to_leader) in list(self._leader_and_ratio.items()):
                 if leader == leader_2 != leader_1:
                     self._leader_and_ratio[key] = (leader_1, ratio_to_leader * ratio)
@@ -134,7 +136,7 @@ class GearGroups:
         return self._leader_and_ratio.get(key, (key, 1.0))
 
     def rates(self, keys: Iterable[Key]) -> dict[Key, float] | None:
-        """Return the derivative of each coordinate by the first one; None unless all are in one group."""
+        """Return the derivative of each coordinate by the first key; None unless all are in one group."""
         members = {key: self._member(key) for key in keys}
         if len({leader for leader, _ in members.values()}) != 1:
             return None

@@ -1,8 +1,8 @@
 """Control laws from the forces of MuJoCo's actuators, and sines of the controls that excite a mechanism.
 
-A model at rest with zero controls tests few elements. `choose_excitation` therefore adds a sine to the
-control of each actuator, within all limits. `JointActuation` adds up the forces of several actuators on one
-joint coordinate and makes the control law of the scene.
+A run of a model at rest with zero controls tests few of its elements. `choose_excitation` therefore adds a
+sine to the control of each actuator, within all limits. `JointActuation` adds up the forces of several
+actuators on one joint coordinate and makes the control law of the scene.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ class Excitation(NamedTuple):
 
     Attributes:
         control: (nu,) controls at the start.
-        sines: sines about these controls, by number of the actuator.
+        sines: sines about these controls, by number of the actuator. The sine of an actuator with activation
+            dynamics is that of the activation.
         moved: control in the file and at the start, by number of the actuator, if they differ.
     """
 
@@ -43,7 +44,8 @@ def choose_excitation(
 ) -> Excitation:
     """Choose the sines of controls. An amplitude is at most half of the distance from the nearest limit.
 
-    A control at an end of its range is moved inside the range.
+    If the sine does not fit between a control of the file and the limits, the control is moved, so that the
+    sine fits.
 
     Args:
         scene: scene with the controls of the file.
@@ -53,9 +55,11 @@ def choose_excitation(
         bounds: limits of joint coordinates.
     """
     control, sines, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
-    # amplitudes and frequencies that move joints by a useful amount
-    wanted = swings(scene, [drive.gains for drive in drives.values()], bounds)
-    for (actuator, drive), swing in zip(drives.items(), wanted, strict=True):
+    # sines that move joints by a useful amount: `amplitude` disregards limits of joints, `within` does not
+    useful_sines = swings(scene, [drive.gains for drive in drives.values()], bounds)
+    for (actuator, drive), swing in zip(drives.items(), useful_sines, strict=True):
+        # distance that the mean control keeps from its limits, twice the amplitude of the sine: at most the
+        # present distance, or a quarter of the range if the mean control may be moved
         to_limit = min(drive.control - drive.low, drive.high - drive.control)
         room = min(2.0 * swing.amplitude, to_limit if drive.has_dynamics else 0.25 * (drive.high - drive.low))
         if not room > 0.0:
@@ -83,6 +87,8 @@ class Affine(NamedTuple):
 
 class JointActuation(NamedTuple):
     """Sum of the actuator forces on one joint coordinate: constant + sines - sum_j (k_j x_j + d_j dx_j/dt).
+
+    Coordinates x_j are zero at the start. A key (joint name, number) names a coordinate.
 
     Attributes:
         feedback: stiffness k_j and damping d_j, SI, by joint coordinate x_j.
@@ -119,7 +125,7 @@ def constant_plus_sines(constant: float, sines: tuple[Sine, ...]) -> float | Sin
     """Return the function of time constant + sum of the sines; without sines, the constant itself."""
     if not sines:
         return constant
-    first = replace(sines[0], offset=constant)
+    first = replace(sines[0], offset=constant)  # constant + first sine
     return Sum((first, *sines[1:])) if sines[1:] else first
 
 
@@ -131,8 +137,8 @@ class Drive(NamedTuple):
         gains: force on joint coordinates per unit of `control`, N or N m.
         low: smallest value within the ranges of control, activation and force; may be -infinity.
         high: largest value within the ranges of control, activation and force; may be infinity.
-        has_dynamics: True for an actuator with activation dynamics. The mean of its control stays at the
-            value that keeps the activation constant.
+        has_dynamics: True for an actuator with activation dynamics. The mean of its control must stay at the
+            value of the file, which keeps the mean activation constant.
     """
 
     control: float

@@ -1,4 +1,4 @@
-"""Report the elements of an MJCF file that scenes do not simulate, and watch them in runs.
+"""Report the elements of an MJCF file that imported scenes do not simulate, and watch these elements in runs.
 
 Scenes have no contacts, limits, dry friction, fluids and deformable bodies. The import report lists these
 elements as left out. A watch tests, after a run of any engine, whether an element would have acted. For
@@ -48,10 +48,11 @@ MAX_LISTED_PAIRS = 3
 """Largest number of touching pairs of geoms that a report names."""
 
 MIN_PENETRATION = 1e-6
-"""Smallest depth, m, below the margin of two geoms that counts as contact: MuJoCo's `ccd_tolerance`."""
+"""Depth, m, of two geoms within their margin above which they are in contact: MuJoCo's `ccd_tolerance`, the
+accuracy of collision distances."""
 
 BODY_ARRAYS = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
-"""Pairs of arrays, points and rotation matrices, in MuJoCo's data that move with bodies."""
+"""Pairs of arrays in `MjData` that move with bodies: points and rotation matrices."""
 
 
 def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
@@ -65,6 +66,7 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
     """
     model = start.model
     poses = Poses(start, bodies)
+    # gravity, springs and dampers that the file disables; contacts
     _report_flags(start, report)
     _report_contacts(start, poses, report)
     mesh_count = int(np.sum(model.geom_dataid >= 0))
@@ -88,25 +90,20 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
             friction = float(model.tendon_frictionloss[tendon])
             why = f"its dry friction {friction:g}"
             switched_off = start.disabled("FRICTIONLOSS")
-            keys = [
-                joints.coordinate_keys.get(joint)
-                for joint in fixed_tendon_weights(start, tendon) or {-1: 0.0}
-            ]
-            watches_of = [FrictionWatch(tuple(key for key in keys if key))] if all(keys) else []
             report.left_out(
                 element,
                 why,
                 topic=FRICTION,
                 switched_off=switched_off,
-                watches=watches_of,
+                watches=_tendon_friction_watches(start, joints, tendon),
                 numbers=[friction],
             )
     # fluids, flexes and plugins
     option = model.opt
-    for name, number in (("density", option.density), ("viscosity", option.viscosity)):
-        if number:
-            why = f"{number:g}: fluid forces are not simulated"
-            report.left_out(f"option {name}", why, topic=name, numbers=[number])
+    for name, value in (("density", option.density), ("viscosity", option.viscosity)):
+        if value:
+            why = f"{value:g}: fluid forces are not simulated"
+            report.left_out(f"option {name}", why, topic=name, numbers=[value])
     if np.any(option.wind):
         wind = option.wind.tolist()
         report.left_out("option wind", "fluid forces are not simulated", topic="wind", numbers=wind)
@@ -141,6 +138,16 @@ def _report_flags(start: ModelAtStart, report: ImportReport) -> None:
             report.left_out(flag.lower(), f'<flag {flag.lower()}="disable"/>: {effect}', switched_off=True)
 
 
+def _tendon_friction_watches(start: ModelAtStart, joints: Joints, tendon: int) -> list[Rest]:
+    """Return the watch of a tendon's dry friction: a fixed tendon rests if all its joint coordinates rest.
+
+    Other tendons, and fixed tendons of a joint without a coordinate, have no watch.
+    """
+    keys = [joints.coordinate_keys.get(joint) for joint in fixed_tendon_weights(start, tendon) or ()]
+    known = tuple(key for key in keys if key)
+    return [Rest(known)] if keys and len(known) == len(keys) else []
+
+
 def _tendon_watch(start: ModelAtStart, joints: Joints, poses: Poses, tendon: int) -> Watch:
     """Return the watch of a tendon's limits of length.
 
@@ -151,15 +158,16 @@ def _tendon_watch(start: ModelAtStart, joints: Joints, poses: Poses, tendon: int
     if weights is None or any(joint not in joints.coordinate_keys for joint in weights):
         return TendonWatch(poses, tendon)
     low, high = (float(x) for x in model.tendon_range[tendon])
+    # MuJoCo's limit acts from `margin` inside the range on; `length` is the length at the start
     margin, length = float(model.tendon_margin[tendon]), float(start.data.ten_length[tendon])
     terms = tuple((joints.coordinate_keys[joint], weight) for joint, weight in weights.items())
     are_slides = [bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE) for joint in weights]
     unit = "m" if all(are_slides) else "m or rad" if any(are_slides) else "rad"
-    return Bounds(terms, low + margin, high - margin, unit, length)
+    return Bounds(terms, low + margin, high - margin, unit, constant=length)
 
 
 def _report_contacts(start: ModelAtStart, poses: Poses, report: ImportReport) -> None:
-    """Report geoms and pairs that can touch, with the watch of contacts, and contact exclusions."""
+    """Report geoms and pairs of geoms that can touch, with the watch of contacts, and contact exclusions."""
     model, switched_off = start.model, start.disabled("CONTACT")
     can_touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     for count, what in ((np.sum(can_touch), "geoms that can touch"), (model.npair, "contact pairs")):
@@ -189,9 +197,9 @@ def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: Impo
             outside = "" if low <= x <= high else f"; the start is outside of them, at {x:.4g}"
             unit = "m" if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
             margin = float(model.jnt_margin[number])
-            watches.append(
-                Bounds(((joints.coordinate_keys[number], 1.0),), low + margin, high - margin, unit, x)
-            )
+            # x at the start plus the scene's coordinate, which is zero at the start
+            terms = ((joints.coordinate_keys[number], 1.0),)
+            watches.append(Bounds(terms, low + margin, high - margin, unit, constant=x))
         why = f"its limits {low:.4g} to {high:.4g}{outside}: limits are one-sided and not simulated"
         switched_off = start.disabled("LIMIT")
         report.left_out(
@@ -208,14 +216,22 @@ def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: Impo
 
 
 class Poses:
-    """Compiled model with its contacts, whose geoms, sites and bodies are placed at the poses of a run."""
+    """Compiled model with its contacts, whose geoms, sites and bodies are placed at the poses of a run.
+
+    A run has the poses of the scene's bodies: any engine may have simulated them.
+    """
 
     def __init__(self, start: ModelAtStart, bodies: Bodies) -> None:
-        """Store positions and orientations of geoms, sites and bodies relative to the scene's bodies."""
+        """Store positions and orientations of geoms, sites and bodies relative to the scene's bodies.
+
+        Args:
+            start: MuJoCo's model and data at the start state.
+            bodies: imported bodies, at the same state.
+        """
         self._model_at_start = start.model
         model, data = start.model, start.data
-        # number of the scene's body for each row of the arrays
-        numbers = {name: k for k, name in enumerate(body.name for body in bodies.bodies)}
+        # number of the scene's body for each row of the arrays of points
+        numbers = {body.name: k for k, body in enumerate(bodies.bodies)}
         scene_body = np.array([numbers[name] for name in bodies.names])
         self._scene_bodies = {
             "geom_xpos": scene_body[model.geom_bodyid],
@@ -235,7 +251,7 @@ class Poses:
 
     @cached_property
     def model(self) -> Any:
-        """Copy of the model with contacts and constraints enabled."""
+        """Copy of the model at the start, which has no contacts, with contacts and constraints enabled."""
         model = copy.copy(self._model_at_start)
         for bit in ("CONTACT", "CONSTRAINT"):
             model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
@@ -267,15 +283,16 @@ class ContactWatch:
         self._poses = poses
 
     def judge(self, motion: SampledMotion) -> Activity:
-        """Return whether contacts would have acted in a run, with the first pairs that touch.
+        """Report whether contacts would have acted in a run, with the first pairs that touch.
 
         The answer is not settled if the samples of the motion are too coarse to see short contacts.
         """
-        model, count = self._poses.model, 0
+        model, count = self._poses.model, 0  # number of time points with contact
         # first time, s, and depth at that time, m, of each pair of geoms
         pairs: dict[tuple[int, int], tuple[float, float]] = {}
         for time, data in self._poses.along(motion):
             mujoco.mj_collision(model, data)
+            # depth of each contact within the margin of its geoms; `exclude` is 0 for contacts that act
             depths = np.where(data.contact.exclude == 0, data.contact.includemargin - data.contact.dist, 0.0)
             if not np.any(depths > MIN_PENETRATION):
                 continue
@@ -300,7 +317,7 @@ class ContactWatch:
         return Activity(f"inactive at all {len(motion.run.time)} output times {between}")
 
     def _describe_geom(self, geom: int) -> str:
-        """Describe geom number `geom` by its name or its body; negative numbers are flexes."""
+        """Describe geom number `geom` by its name or its body; MuJoCo's number of a flex is negative."""
         if geom < 0:
             return "a flex"
         name = self._poses.model.geom(geom).name
@@ -316,14 +333,15 @@ class TendonWatch:
         self._poses, self._tendon = poses, tendon
 
     def judge(self, motion: SampledMotion) -> Activity:
-        """Return whether the length would have left its limits in a run, with lengths by MuJoCo."""
+        """Report whether the length, as MuJoCo computes it, would have left its limits in a run."""
         model, lengths = self._poses.model, []
         margin = float(model.tendon_margin[self._tendon])
         low, high = (float(x) for x in model.tendon_range[self._tendon])
         for _, data in self._poses.along(motion):
             mujoco.mj_tendon(model, data)
             lengths.append(float(data.ten_length[self._tendon]))
-        # possible excess, m, of the length between samples in each output interval
-        excess = np.full(len(motion.run.time) - 1, 0.0 if motion.is_fine else np.inf)
+        # interpolation errors of the length, m, in each output interval: unknown, so that they count as 0 if
+        # the samples are fine enough, and as infinite if not
+        errors = np.full(len(motion.run.time) - 1, 0.0 if motion.is_fine else np.inf)
         limits = Bounds((), low + margin, high - margin, "m")
-        return limits.judge_values(motion.time, np.array(lengths), excess)
+        return limits.judge_values(motion.time, np.array(lengths), errors)

@@ -23,7 +23,7 @@ from newton_euler.reading.import_report import ImportReport, unique_name
 from newton_euler.scalars import Array
 
 HELD_RIGIDLY = "rigid here, soft in MuJoCo by solref and solimp"
-"""Words of the report for every imported equality."""
+"""Last words of the report's entry for every imported equality; "here" is the scene."""
 
 
 class Loops:
@@ -32,7 +32,7 @@ class Loops:
     Attributes:
         joints: joints from connects, welds and tendons of constant length.
         couplings: couplings from equalities of joint coordinates.
-        held_motions: prescribed motions of joints that an equality holds.
+        held_motions: constant prescribed motions, of joint coordinates that an equality holds at the start.
     """
 
     def __init__(self, start: ModelAtStart, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
@@ -64,8 +64,9 @@ class Loops:
     def _name(self, index: int) -> str:
         """Return a new name for the joint or coupling of an equality, and reserve the name."""
         wanted_name = self._model.equality(index).name
-        for kind in (Gear, PolynomialCoupling):  # `mjcf.write` puts the kind in front of the name
-            wanted_name = wanted_name.removeprefix(f"{kind.kind} ")
+        # in exported files, `mjcf.write` puts the kind of the coupling in front of the name
+        for coupling in (Gear, PolynomialCoupling):
+            wanted_name = wanted_name.removeprefix(f"{coupling.kind} ")
         name = unique_name(wanted_name, f"equality_{index}", self._taken)
         self._taken.append(name)
         return name
@@ -108,57 +109,61 @@ class Loops:
         """Add the coupling of an equality of joints, y - y0 = p(x - x0), see MuJoCo's `polycoef`.
 
         y is the coordinate of the follower, x of the driver, and p a polynomial of degree 4. y0 and x0 are
-        the coordinates in qpos0. Without a driver, the follower is held.
+        the coordinates in qpos0. Without a driver, the follower is held. The constant of p is not needed:
+        coordinates of the scene are zero at the start, where the equality is satisfied.
         """
         model = self._model
         first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
         if first not in self._joints.coordinate_keys:
             self._leave_out(index, "it couples joints other than hinges and slides")
             return
-        polynomial = model.eq_data[index][:5]
+        polynomial = model.eq_data[index][:5]  # coefficients in ascending order
         follower = self._joints.coordinate_keys[first]
         if second < 0:
-            self._couple(index, follower, None, 0.0, HELD_RIGIDLY)
+            self._couple(index, follower, driver=None, ratio=0.0)
             return
         driver = self._joints.coordinate_keys[second]
         qpos_index = int(model.jnt_qposadr[second])
         driver_at_start = float(self._data.qpos[qpos_index] - model.qpos0[qpos_index])
         if not np.any(polynomial[2:]):
-            self._couple(index, follower, driver, float(polynomial[1]), HELD_RIGIDLY)
+            self._couple(index, follower, driver, ratio=float(polynomial[1]))
             return
         coefficients = tuple(np.trim_zeros(polynomial[1:], "b").tolist())
         name = self._name(index)
+        (driver_joint, driver_index), (follower_joint, follower_index) = driver, follower
         in_file_coordinates = PolynomialCoupling(
-            name, driver[0], follower[0], coefficients, driver[1], follower[1]
+            name, driver_joint, follower_joint, coefficients, driver_index, follower_index
         )
-        # the file counts coordinates from qpos0, the scene from the start
+        # the file counts coordinates from qpos0, the scene from the start, where x - x0 is `driver_at_start`
         self.couplings.append(in_file_coordinates.from_zero(driver_at_start))
         self._report.imported(self._start.equality(index), f"polynomial coupling {name!r}, {HELD_RIGIDLY}")
 
-    def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float, how: str) -> None:
+    def _couple(self, index: int, follower: Key, driver: Key | None, ratio: float) -> None:
         """Add a gear, follower = ratio * driver; hold the follower if there is no driver or the ratio is 0.
 
         Args:
             index: number of the equality.
-            follower: joint and number of the coordinate.
-            driver: joint and number of the coordinate, or None.
+            follower: name of the joint, and number of the coordinate within the joint.
+            driver: name of the joint, and number of the coordinate, or None.
             ratio: derivative of the follower by the driver.
-            how: last words of the entry in the report.
         """
+        follower_joint, follower_index = follower
         if driver is None or ratio == 0.0:
-            self.held_motions.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
-            counterpart = f"joint {follower[0]!r} held, {how}"
+            self.held_motions.append(PrescribedMotion(follower_joint, Polynomial((0.0,)), follower_index))
+            counterpart = f"joint {follower_joint!r} held, {HELD_RIGIDLY}"
         else:
             name = self._name(index)
-            self.couplings.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
-            counterpart = f"gear {name!r} of ratio {ratio:.6g}, {how}"
+            driver_joint, driver_index = driver
+            gear = Gear(name, driver_joint, follower_joint, ratio, driver_index, follower_index)
+            self.couplings.append(gear)
+            counterpart = f"gear {name!r} of ratio {ratio:.6g}, {HELD_RIGIDLY}"
         self._report.imported(self._start.equality(index), counterpart)
 
     def _add_tendon(self, index: int) -> None:
         """Add an equality of tendons: a rod for a straight tendon, a coupling for fixed tendons."""
         model = self._model
         tendons = [int(t) for t in (model.eq_obj1id[index], model.eq_obj2id[index]) if t >= 0]
-        polynomial = model.eq_data[index][:5]
+        polynomial = model.eq_data[index][:5]  # of the equality L1 = p(L2), coefficients in ascending order
         # one straight tendon: a rod
         ends = straight_tendon_ends(self._start, tendons[0])
         if ends and len(tendons) == 1:
@@ -182,20 +187,22 @@ class Loops:
         if np.any(polynomial[2:]):
             self._leave_out(index, "it couples tendons by a nonlinear polynomial")
             return
-        # L1 - c L2 is constant for lengths L1, L2 of the tendons; both are weighted sums of coordinates
+        # L1 - c L2 is constant, with c = polynomial[1]; both lengths are weighted sums of coordinates
         weight_of_joint = dict(weights)
         for joint, weight in others.items():
             weight_of_joint[joint] = weight_of_joint.get(joint, 0.0) - polynomial[1] * weight
         terms = [(self._joints.coordinate_keys[k], w) for k, w in weight_of_joint.items() if w != 0.0]
         if len(terms) == 1:
-            self._couple(index, terms[0][0], None, 0.0, HELD_RIGIDLY)
+            ((held, _),) = terms
+            self._couple(index, held, driver=None, ratio=0.0)
         elif len(terms) == 2:
             # follower_weight x_follower + driver_weight x_driver is constant
             (follower, follower_weight), (driver, driver_weight) = terms
-            self._couple(index, follower, driver, -driver_weight / follower_weight, HELD_RIGIDLY)
+            self._couple(index, follower, driver, ratio=-driver_weight / follower_weight)
         elif terms:
             name = self._name(index)
-            self.couplings.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
+            joint_number_weight = tuple((*key, weight) for key, weight in terms)
+            self.couplings.append(LinearCoupling(name, joint_number_weight))
             counterpart = f"coupling {name!r} of {len(terms)} joint coordinates, {HELD_RIGIDLY}"
             self._report.imported(self._start.equality(index), counterpart)
         else:

@@ -1,8 +1,9 @@
 """Find likely mistakes in MJCF files: wrong inertias of meshes, and keyframes with too few numbers.
 
-MuJoCo can compute the inertia of a body from its mesh in several ways. Without `inertia="exact"`, the result
-may belong to another solid, such as the convex hull. `mesh_findings` computes the inertia of the mesh itself
-and of the alternatives, and reports a body whose inertia equals an alternative.
+MuJoCo can compute the inertia of a body from its mesh in several ways (attribute `inertia` of `<mesh>`).
+Without `inertia="exact"`, the result may belong to another solid, such as the convex hull. `mesh_findings`
+computes the inertia of the mesh itself and of the alternatives, and reports a body whose inertia equals an
+alternative. The findings are part of the import report.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from newton_euler.reading.import_report import Finding
 from newton_euler.scalars import Array
 
 MAX_MESH_DIFFERENCE = 0.05
-"""Relative difference of principal moments per mass, or of volumes, above which an inertia is reported."""
+"""Relative difference of principal moments per mass, or of volumes, from the mesh itself, above which the
+inertia of an alternative solid is reported; smaller differences matter little."""
 
 MAX_EQUAL_DIFFERENCE = 0.01
-"""Relative difference of principal moments per mass below which two solids count as equal."""
+"""Relative difference of principal moments per mass up to which two solids count as equal: more than the
+digits of files, less than `MAX_MESH_DIFFERENCE`."""
 
 KEY_SIZES = {"qpos": "nq", "qvel": "nv", "act": "na", "ctrl": "nu"}
 """Attribute of the model with the needed number of values, by field of a keyframe."""
@@ -67,18 +70,14 @@ def mesh_findings(model: Any) -> Iterator[Finding]:
             if is_wrong and _difference(body_moments, other.moments) <= MAX_EQUAL_DIFFERENCE:
                 deviations = body_moments / exact.moments - 1.0
                 percent = 100.0 * deviations[int(np.argmax(np.abs(deviations)))]
-                more = (
-                    ""
-                    if what == "surface"
-                    else f", and the volume is {other.volume / exact.volume:.3g} times its"
-                )
+                more = "" if what == "surface" else f", and the volume is {volume_ratio:.3g} times its"
                 yield Finding(
-                    "mesh-inertia",
-                    f"body {name!r}",
-                    f"its inertia is that of its mesh's {what}: a principal moment by mass is "
+                    name="mesh-inertia",
+                    element=f"body {name!r}",
+                    what=f"its inertia is that of its mesh's {what}: a principal moment by mass is "
                     f"{percent:+.0f} % different from the mesh itself{more}",
-                    "mass and inertia from density belong to another shape",
-                    'set inertia="exact" in the <mesh>, or give the body an <inertial>',
+                    consequence="mass and inertia from density belong to another shape",
+                    remedy='set inertia="exact" in the <mesh>, or give the body an <inertial>',
                 )
                 break
 
@@ -94,7 +93,11 @@ def _mesh(model: Any, number: int) -> tuple[Array, Array]:
 
 
 def _is_closed(triangles: Array) -> bool:
-    """Return True if each edge belongs to two triangles (m, 3) that traverse it in opposite directions."""
+    """Return True if each edge belongs to exactly two triangles, which traverse it in opposite directions.
+
+    Args:
+        triangles: (m, 3) indices of points.
+    """
     begin, end = triangles, np.roll(triangles, -1, axis=1)
     count = triangles.max(initial=0) + 1
     # one integer for each directed edge, in both directions
@@ -103,7 +106,7 @@ def _is_closed(triangles: Array) -> bool:
 
 
 def _solid(corners: Array, signed: bool) -> Solid:
-    """Return the solid inside triangles, from tetrahedra between each triangle and the common center.
+    """Return the solid inside triangles, from tetrahedra between each triangle and the center of the surface.
 
     Args:
         corners: (m, 3, 3) corners of the triangles, m.
@@ -123,7 +126,7 @@ def _solid(corners: Array, signed: bool) -> Solid:
 
 
 def _surface(corners: Array) -> Solid:
-    """Return the shell of triangles (m, 3, 3) with constant mass per area; corners in m."""
+    """Return the shell of m triangles with constant mass per area; corners are (m, 3, 3), m."""
     edges = corners[:, 1:] - corners[:, :1]
     areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     # triangle with corners a, b, c and s = a + b + c: center s / 3, second moment per area
@@ -139,13 +142,14 @@ def _combine(weights: Array, centers: Array, second_moments: Array) -> Solid:
     Args:
         weights: (m,) volumes or areas of the parts.
         centers: (m, 3) centers, m.
-        second_moments: (m, 3, 3) integrals of x x^T per volume or area, m^2.
+        second_moments: (m, 3, 3) integrals of x x^T per volume or area about the origin, m^2.
     """
     whole = float(weights.sum())
     if not abs(whole) > 0.0:
         return Solid(0.0, np.ones(3))
     center = weights @ centers / whole
     second = np.einsum("k,kij->ij", weights, second_moments) / whole - np.outer(center, center)
+    # inertia per mass about the center: trace(S) 1 - S
     return Solid(whole, np.linalg.eigvalsh(np.trace(second) * np.eye(3) - second))
 
 
@@ -167,7 +171,13 @@ def _hull(model: Any, number: int) -> Array:
 
 
 def _alternative_solids(points: Array, triangles: Array, hull: Array) -> Iterator[tuple[str, Solid]]:
-    """Yield the solids, with names, whose inertias MuJoCo may use instead of the inertia of the mesh."""
+    """Yield the solids, with names, whose inertias MuJoCo may use instead of the inertia of the mesh.
+
+    Args:
+        points: (n, 3) points of the mesh, m.
+        triangles: (m, 3) indices of points.
+        hull: (k, 3, 3) corners of the triangles of the convex hull, m; empty if MuJoCo has no hull.
+    """
     yield "volume without signs (legacy)", _solid(points[triangles], signed=False)
     yield "surface", _surface(points[triangles])
     if len(hull):
@@ -192,9 +202,9 @@ def key_findings(model: Any, sizes: Mapping[int, Mapping[str, int]]) -> Iterator
             if count is not None and count < wanted:
                 label = model.key(key).name or str(key)
                 yield Finding(
-                    "short-keyframe",
-                    f"keyframe {label!r}",
-                    f"{name} has {count} numbers, the model {wanted}",
-                    "MuJoCo sets the other numbers to 0",
-                    f"give all {wanted} numbers; replicate and attach add joints",
+                    name="short-keyframe",
+                    element=f"keyframe {label!r}",
+                    what=f"{name} has {count} numbers, the model {wanted}",
+                    consequence="MuJoCo sets the other numbers to 0",
+                    remedy=f"give all {wanted} numbers; replicate and attach add joints",
                 )

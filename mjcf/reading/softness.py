@@ -1,7 +1,8 @@
-"""Equalities of an MJCF file whose softness `<default>` does not set.
+"""Find the equalities of an MJCF file whose softness the top-level `<default>` does not set.
 
-MuJoCo gives an equality the `solref` and `solimp` of its own attributes, then of the default class that it
-names, then of the top-level `<default>`. A change of the top-level `<default>` reaches the last ones only.
+An equality takes `solref` and `solimp` from its own attributes, else from the default class that it names,
+else from the top-level `<default>`. Advice to change the top-level `<default>` does not reach equalities of
+the first two kinds.
 """
 
 from __future__ import annotations
@@ -11,32 +12,38 @@ import os
 from newton_euler.model.source_file import SourceError, read_text, scan
 
 EQUALITY_TAGS = ("connect", "weld")
-"""Elements that are equalities wherever they are."""
+"""Tags that only equalities have."""
 
-COUPLED = {"joint": "joint1", "tendon": "tendon1", "flex": "flex"}
-"""Elements that are equalities if they have an attribute, and this attribute."""
+EQUALITY_ATTRIBUTES = {"joint": "joint1", "tendon": "tendon1", "flex": "flex"}
+"""Other tags of equalities, and the attribute by which an equality differs from elements of the same tag."""
 
 TOP_CLASS = "main"
 """MuJoCo's name of the top-level default class."""
 
 
 def equalities_with_own_softness(path: str) -> tuple[str, ...]:
-    """List the equalities of a file that has been compiled, such as "connect 'loop'" or "weld 2".
+    """List the equalities that set their own softness or name a default class.
 
     Args:
-        path: path of the file; included files are next to this file, or next to the file that includes them.
+        path: path of a file that has been compiled; included files are next to this file, or next to the file
+            that includes them.
+
+    Returns:
+        Tag and name of each equality, such as "connect 'loop'"; without a name, its number in the file, such
+        as "weld 2".
     """
     found: list[str] = []
     count = 0
-    waiting = [path]
+    pending_files = [path]
 
-    def look(tag: str, attributes: dict[str, str], _: int) -> None:
+    def check_element(tag: str, attributes: dict[str, str], _: int) -> None:
+        """Count an equality and test its attributes; remember the file of an <include>."""
         nonlocal count
         if tag == "include":
-            homes = [os.path.dirname(path), os.path.dirname(waiting[0])]
+            homes = [os.path.dirname(path), os.path.dirname(pending_files[0])]
             files = [os.path.join(home, attributes["file"]) for home in homes]
-            waiting.extend([file for file in files if os.path.exists(file)][:1])
-        if tag not in EQUALITY_TAGS and COUPLED.get(tag) not in attributes:
+            pending_files.extend([file for file in files if os.path.exists(file)][:1])
+        if tag not in EQUALITY_TAGS and EQUALITY_ATTRIBUTES.get(tag) not in attributes:
             return
         count += 1
         has_class = attributes.get("class", TOP_CLASS) != TOP_CLASS
@@ -44,7 +51,9 @@ def equalities_with_own_softness(path: str) -> tuple[str, ...]:
             name = attributes.get("name")
             found.append(f"{tag} {name!r}" if name else f"{tag} {count}")
 
-    while waiting:
-        scan(waiting[0], read_text(waiting[0], "file_size", SourceError), None, look, SourceError)
-        waiting.pop(0)
+    while pending_files:
+        file = pending_files[0]
+        any_root = None  # included files have any root element
+        scan(file, read_text(file, "file_size", SourceError), any_root, check_element, SourceError)
+        pending_files.pop(0)
     return tuple(found)

@@ -3,7 +3,10 @@
 A file may be hostile: it can expand to millions of elements, refer to files outside of its folder, or crash
 the compiler. `_Scan` therefore checks the XML text and all references to files first. `compile_file` then
 runs MuJoCo's compiler with limits of time and memory, and checks the numbers of the compiled model.
-`copy_model` does the same checks for a model in memory.
+`copy_model` copies or compiles a model in memory, and checks its numbers.
+
+The limits are in the table of `newton_euler.limits`, such as "file_size"; users change them by `--set`.
+`exceeded(name, value)` returns a message, or "" if the value is within the limit.
 """
 
 from __future__ import annotations
@@ -32,13 +35,13 @@ MAX_WAIT_S = 300.0
 """Largest waiting time for the compiler in addition to its CPU time, s; the machine may be busy."""
 
 MAX_COMPILE_S = 1_000_000
-"""Largest limit of the compiler's CPU time that operating systems accept, s."""
+"""Largest limit of the compiler's CPU time that all operating systems accept, s."""
 
 SECONDS_PER_ASSET_BYTE = 2e-7
-"""CPU time of the compiler for each byte of the assets, s, in addition to the limit `compile_time`.
+"""CPU time that the compiler may use for each byte of the assets, s, in addition to the limit `compile_time`.
 
-On a quiet machine the compiler needs 0.4 s, including imports, and 0.04 s per MB of meshes. The bytes of the
-XML add no time: 8.5 MB of vertices take 0.9 s, and 1.2 MB of geoms 1 s."""
+On an idle machine the compiler needs 0.4 s, including imports, and 0.04 s per MB of meshes. The bytes of the
+XML add no allowance: 8.5 MB of vertices take 0.9 s, and 1.2 MB of geoms 1 s."""
 
 MEMORY_ERROR_WORDS = ("MemoryError", "llocat", "bad_alloc")
 """Parts of error messages that mean a lack of memory."""
@@ -52,7 +55,7 @@ READING_COPIES = 3
 """Largest number of copies of a compiled model that exist at a time during its import."""
 
 ACTUATED_READING_COPIES = 5
-"""Largest number of copies for a model with actuators, which is imported twice, with random controls."""
+"""Largest number of copies for a model with actuators, which is imported again with random controls."""
 
 UNKNOWN_ERROR = "unknown exception"
 """Message of MuJoCo for an error without a reason."""
@@ -84,7 +87,7 @@ KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")
 """Attributes of keyframes with one number for each coordinate, velocity, activation or control."""
 
 CHECKED_PREFIXES = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpos")
-"""Prefixes of the model's arrays that scenes are compiled_model from."""
+"""Prefixes of the model's arrays that an imported scene depends on; their numbers are checked."""
 
 CHECKED_OPTIONS = ("gravity", "wind", "magnetic", "density", "viscosity", "timestep")
 """Options of a model whose numbers are checked."""
@@ -93,7 +96,7 @@ ITERATION_OPTIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_it
 """Options of a model with numbers of iterations; a time step can take forever if they are large."""
 
 STATE_FIELDS = ("key_qpos", "key_qvel", "key_act", "key_ctrl")
-"""Arrays of the states of keyframes; above `mjMAXVAL`, MuJoCo resets a run as diverged."""
+"""Arrays of keyframes whose limit is `mjMAXVAL`: for larger values MuJoCo resets a run as diverged."""
 
 UNCHECKED_SUFFIXES = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
 """Suffixes of arrays that no scene uses, or that MuJoCo computes from others."""
@@ -122,17 +125,23 @@ def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
         SourceError: for a file that cannot be read, that is not MJCF, that refers to a file outside the root,
             or that MuJoCo refuses, with MuJoCo's reason.
     """
-    scan = _Scan(path, root)
-    scan.run()
-    model = _compiled(path, scan.asset_bytes)
+    checked_file = _Scan(path, root)
+    checked_file.run()
+    model = _compiled(path, checked_file.asset_bytes)
     _check_counts(path, model)
-    # attached models add keyframes, so that numbers of keyframes in the file are those of the model no more
-    sizes = scan.keyframe_sizes if len(scan.keyframe_sizes) == model.nkey else []
+    # attached models may add keyframes; then the k-th keyframe of the file is not keyframe k of the model,
+    # and the sizes are not used
+    sizes = checked_file.keyframe_sizes if len(checked_file.keyframe_sizes) == model.nkey else []
     return model, dict(enumerate(sizes))
 
 
 def check_memory(where: str, model: Any) -> None:
-    """Raise `SourceError` if the copies of a compiled model need more than the free memory."""
+    """Raise `SourceError` if the copies of a compiled model need more than the free memory.
+
+    Args:
+        where: path or name of the model, for the message.
+        model: `MjModel`.
+    """
     needed = (ACTUATED_READING_COPIES if model.nu else READING_COPIES) * model.nbuffer
     free = free_memory()
     if needed > free:
@@ -157,7 +166,7 @@ def copy_model(model: object) -> tuple[str, Any, KeySizes]:
         for number, key in enumerate(model.keys):
             counts = {name: len(getattr(key, name)) for name in KEY_FIELDS}
             sizes[number] = {name: count for name, count in counts.items() if count}
-        where, compiled_model = _describe("MjSpec", model.modelname), None
+        where = _describe("MjSpec", model.modelname)
         try:
             compiled_model = compile_spec(model.copy())
         except (ValueError, MemoryError, mujoco.FatalError) as error:
@@ -178,19 +187,21 @@ def _describe(kind: str, name: str) -> str:
 
 
 def model_name(model: Any) -> str:
-    """Return the name in the root element of a compiled model."""
+    """Return the name in the root element of the file of a compiled model."""
+    # MuJoCo stores all names in one buffer, the name of the model first
     return str(bytes(model.names).split(b"\0", 1)[0].decode(errors="replace"))
 
 
 def _compiled(path: str, asset_bytes: int) -> Any:
-    """Compile a checked file in a separate process."""
+    """Compile a checked file in a separate process; return the `MjModel`, or raise `SourceError`."""
     import mujoco
 
+    # limits of CPU time, s, and memory, bytes
     assets = min(asset_bytes, size_in_bytes("asset_size"))
     seconds = int(np.clip(limit("compile_time") + SECONDS_PER_ASSET_BYTE * assets, 1, MAX_COMPILE_S))
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "model.mjb"
-        # run by path, so that the process imports MuJoCo only
+        # run `compile.py` by its path, so that the process imports MuJoCo only
         script = Path(__file__).with_name("compile.py")
         memory = size_in_bytes("memory")
         limits = map(str, (seconds, memory))
@@ -200,10 +211,8 @@ def _compiled(path: str, asset_bytes: int) -> Any:
             process = subprocess.run(
                 command,
                 cwd=folder,
-                env={
-                    **os.environ,
-                    "OPENBLAS_NUM_THREADS": "1",
-                },  # buffers of BLAS threads count for the memory limit
+                # one thread, because buffers of BLAS threads count for the memory limit
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 timeout=MAX_WAIT_S + seconds,
@@ -253,6 +262,7 @@ def _peak_memory() -> float:
 
 def _check_counts(path: str, model: Any) -> None:
     """Raise `SourceError` if a number of elements or iterations exceeds its limit."""
+    # by name of the limit
     counts = {"bodies": model.nbody, "velocities": model.nv, "closures": model.neq, "forces": model.nactuator}
     for name, count in counts.items():
         if problem := exceeded(name, count):
@@ -264,13 +274,13 @@ def _check_counts(path: str, model: Any) -> None:
 
 @dataclass(frozen=True)
 class _Reference:
-    """Reference to a file in an XML file.
+    """Reference of an XML file to another file.
 
     Attributes:
         where: path of the XML file.
         line: line in the XML file.
-        element: tag of the element.
-        target: path of the referenced file.
+        element: tag of the element that refers to the file.
+        target: path of the referenced file, as the XML file has it.
     """
 
     where: str
@@ -284,10 +294,15 @@ class _Reference:
         return SourceError(self.where, text)
 
     def within(self, root: str, folder: str) -> str:
-        """Return the path of the file relative to a folder; raises `SourceError` outside the root."""
+        """Return the real path of the referenced file; raises `SourceError` for a path outside the root.
+
+        Args:
+            root: folder that must contain the file.
+            folder: folder that the target is relative to.
+        """
         path = os.path.realpath(os.path.join(folder, self.target))
         if os.path.commonpath((root, path)) != root:
-            around = os.path.commonpath((os.path.realpath(folder), path))
+            around = os.path.commonpath((os.path.realpath(folder), path))  # smallest root that allows it
             raise self.refused(f"leads outside of {root!r}; if you trust the file: --set root={around}")
         if "\\" in self.target:
             raise self.refused("holds a backslash; needed: / between folders")
@@ -295,11 +310,11 @@ class _Reference:
 
 
 class _Scan:
-    """Check of an MJCF file and of the files that it includes or refers to, without storing elements.
+    """Check of an MJCF file and of the files that it includes or refers to, without building a tree of XML.
 
     Attributes:
         asset_bytes: total size of all files other than XML that MuJoCo may read.
-        keyframe_sizes: for each keyframe, how many values each of its fields has.
+        keyframe_sizes: for each keyframe, the number of values by field ("qpos", "ctrl", ...).
     """
 
     def __init__(self, path: str, root: str | None) -> None:
@@ -312,13 +327,13 @@ class _Scan:
         parent = self._home if parent == os.path.dirname(parent) else parent
         root = None if root is None else os.path.realpath(root)
         self._include_root, self._asset_root = root or self._home, root or parent
-        # folders of all XML files, and the folders in `<compiler>`
+        # folders of all XML files, and the folders in `<compiler>` by attribute
         self._homes = [self._home]
         self._folders: dict[str, list[str]] = {name: [] for name in FOLDER_ATTRIBUTES}
         self._assets: list[_Reference] = []
         self.keyframe_sizes: list[dict[str, int]] = []
-        self._files = self._bytes = 0
-        self._sizes: dict[str, int] = {}
+        self._files = self._bytes = 0  # number and total size of XML files
+        self._sizes: dict[str, int] = {}  # bytes by path of asset
 
     @property
     def asset_bytes(self) -> int:
@@ -370,15 +385,17 @@ class _Scan:
                 elif name.startswith("file") and tag in ASSET_ELEMENTS:
                     self._assets.append(_Reference(path, line, tag, value))
 
-        text = read_text(path, "file_size", SourceError, self._bytes)
+        text = read_text(path, "file_size", SourceError, before=self._bytes)
         self._bytes += len(text)
-        scan(path, text, None if including else "mujoco", check_element, SourceError)
+        # the root element of an included file can have any tag
+        root_tag = None if including else "mujoco"
+        scan(path, text, root_tag, check_element, SourceError)
         for reference in included:
             found = self._find_included(reference, os.path.dirname(real_path))
             self._scan_file(found, (*including, real_path))
 
     def _find_included(self, reference: _Reference, including_folder: str) -> str:
-        """Return the path of an included file: next to the top file, or next to the including file."""
+        """Return the path of an included file: relative to the top file, or to the including file."""
         root = self._include_root if reference.element == "include" else self._asset_root
         for home in (self._home, including_folder):
             path = reference.within(root, home)
@@ -392,6 +409,7 @@ class _Scan:
         """Check an asset in all folders that MuJoCo may search, with and without the path in its name."""
         name = "texturedir" if reference.element == "texture" else "meshdir"
         folders = [*self._folders[name], *self._folders["assetdir"]] or [""]
+        # with the attribute `strippath`, MuJoCo removes the path
         stripped = replace(reference, target=os.path.basename(reference.target))
         paths = [
             file.within(self._asset_root, os.path.join(home, folder))
@@ -411,7 +429,12 @@ class _Scan:
 
 
 def _check_numbers(path: str, model: Any) -> None:
-    """Raise `SourceError` for the first number that is not finite or too large."""
+    """Raise `SourceError` for the first number of a model that is not finite or too large.
+
+    Args:
+        path: path or name of the model, for the message.
+        model: `MjModel`.
+    """
     import mujoco
 
     for name in CHECKED_OPTIONS:
@@ -425,7 +448,7 @@ def _check_numbers(path: str, model: Any) -> None:
     for prefix, field in _number_fields(model):
         values = getattr(model, field)
         most = mujoco.mjMAXVAL if field in STATE_FIELDS else MAX_MODEL_NUMBER
-        bad = ~(np.abs(values) <= most)
+        bad = ~(np.abs(values) <= most)  # also NaN
         if np.any(bad):
             row = int(np.argwhere(bad)[0][0])
             name = getattr(model, prefix)(row).name if prefix in NAMED_PREFIXES else ""
@@ -438,7 +461,7 @@ def _number_fields(model: Any) -> list[tuple[str, str]]:
     """Return prefix and name of each array of the model with numbers of the file, sorted by prefix."""
     prefixes_and_names = []
     for field in dir(model):
-        prefix = field.split("_")[0].removesuffix("0")
+        prefix = field.split("_")[0].removesuffix("0")  # `qpos0` has the prefix "qpos"
         if field in STATE_FIELDS or (prefix in CHECKED_PREFIXES and not field.endswith(UNCHECKED_SUFFIXES)):
             values = getattr(model, field)
             if isinstance(values, np.ndarray) and values.dtype.kind == "f":

@@ -1,8 +1,9 @@
 """Compiled MJCF model at its start state: a keyframe or qpos0, moved so that all loops are closed.
 
 `ModelAtStart` holds MuJoCo's model and data. All modules of the reader take element values from this model
-and positions from this data. The base class `FileStart` closes the loops by Newton steps. For this purpose,
-the class here provides residuals and Jacobian of MuJoCo's equality constraints, and their units.
+and positions from this data. The base class `FileStart` closes the loops by Newton steps on the equality
+constraints. For this purpose, `ModelAtStart` provides residuals and Jacobian of MuJoCo's equalities, and
+their units.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 
 TORQUE_SCALE_INDEX = 10
-"""Index of `torquescale`, the factor of rotational residuals, in `eq_data` of a weld."""
+"""Index, in `eq_data` of a weld, of `torquescale`: MuJoCo's factor of the weld's rotational residuals."""
 
 SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
 """MuJoCo's names of features that scenes do not simulate, and of the warm start of its solver."""
@@ -58,7 +59,8 @@ class ModelAtStart(FileStart):
             model: compiled model, which is changed.
             key: name of the keyframe; None for the first one, or for qpos0 without keyframes.
             report: report that receives lines about the start.
-            tolerance: `redundancy_tolerance` of the scene.
+            tolerance: size, without unit, of the independent part of a constraint below which the constraint
+                counts as redundant (`redundancy_tolerance` of the scene).
             control: (nu,) controls; None for the controls of the keyframe.
 
         Raises:
@@ -71,7 +73,7 @@ class ModelAtStart(FileStart):
         model.opt.disableflags |= sum(
             int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")) for feature in SWITCHED_OFF_FEATURES
         )
-        # otherwise MuJoCo replaces inertial frames that are nearly the body frame
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame
         model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if self.disabled("GRAVITY"):
             model.opt.gravity[:] = 0.0
@@ -111,7 +113,7 @@ class ModelAtStart(FileStart):
         return key
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
-        """Compute residuals (k,) of the equalities, m or rad, and their Jacobian (k, nv), at q (nq,)."""
+        """Compute residuals (k,) of the equalities, m or rad, and their Jacobian (k, nv), at qpos q (nq,)."""
         model, data = self.model, self.data
         data.qpos[:] = q
         mujoco.mj_fwdPosition(model, data)
@@ -124,7 +126,7 @@ class ModelAtStart(FileStart):
         return [self.equality(int(index)) for index in self.data.efc_id[self._equality_rows()]]
 
     def _equality_rows(self) -> Array:
-        """Return the numbers (k,) of MuJoCo's constraint rows that belong to equalities."""
+        """Return the numbers (k,) of MuJoCo's constraint rows (efc) that belong to equalities."""
         return np.flatnonzero(self.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 
     def _row_factors(self) -> Array:
@@ -141,14 +143,15 @@ class ModelAtStart(FileStart):
     def units(self) -> Units:
         """Return units of velocities (nv,) and of residuals (k,), which make loop closure dimensionless."""
         model, data = self.model, self.data
-        # velocities: 1 rad/s for rotations, the size of the mechanism for translations
+        # velocities: 1 rad/s for rotations; for translations the radius of the mechanism, m, per second
         movable = data.xipos[np.flatnonzero(model.body_weldid)]
-        is_rotation = np.any(data.cdof[:, :3] != 0.0, axis=1)
-        velocity_units = np.where(is_rotation, 1.0, characteristic_length([*movable, *data.xanchor]))
-        # residuals of couplings: norm of the row
+        is_rotation = np.any(data.cdof[:, :3] != 0.0, axis=1)  # `cdof`: angular, then linear velocity
+        velocity_units = np.where(is_rotation, 1.0, spread([*movable, *data.xanchor]))
+        # residuals of couplings: norm of the Jacobian row in these units
         _, jacobian = self.residuals(np.array(data.qpos))
         row_units = np.linalg.norm(jacobian * velocity_units, axis=1)
-        # residuals of loop closures: largest motion of one of the two bodies, see `reach`
+        # residuals of loop closures: the largest motion that one unit velocity gives to the closing point on
+        # one of the two bodies alone, see `reach`; motions of both bodies can cancel in the row
         equality_of_row = data.efc_id[self._equality_rows()]
         for equality in np.unique(equality_of_row):
             kind = mujoco.mjtEq(model.eq_type[equality])

@@ -1,7 +1,8 @@
-"""Import the bodies and the joints of the tree of a Pinocchio model, for `urdf.reader`.
+"""Import the bodies of a Pinocchio model and the joints of its tree, for `urdf.reader`.
 
-A chain of joints through links without mass becomes one joint of the scene, such as a universal joint.
-Pinocchio has already merged links that fixed joints connect.
+Loop closures are not joints of the tree; `urdf.reading.loops` imports them. A chain of joints through links
+without mass becomes one joint of the scene, such as a universal joint. Pinocchio has already merged links
+that fixed joints connect.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class Tree:
     Attributes:
         bodies: bodies of the scene, ground first.
         joints: one joint for each moving body.
-        names: for each of Pinocchio's joints, the body that the joint moves; None for a massless link.
+        names: for each of Pinocchio's joints, the name of the scene's body that the joint moves; None if the
+            joint moves a massless link.
         coordinate_keys: key of the coordinate of each of Pinocchio's hinges and slides, by name.
     """
 
@@ -59,7 +61,8 @@ class Tree:
         self.joints: list[Joint] = []
         self.names: list[str | None] = [GROUND] + [None] * (self._model.njoints - 1)
         self.coordinate_keys: dict[str, Key] = {}
-        # chain of joints to each massless link whose next joint is not read yet, by number of the last joint
+        # chains of joints that end on a massless link, by number of the last joint; the next joint of the
+        # link continues the chain
         massless_chains: dict[int, list[int]] = {}
         for index in range(1, self._model.njoints):
             chain = [*massless_chains.pop(int(self._model.parents[index]), []), index]
@@ -68,6 +71,7 @@ class Tree:
             else:
                 self._check_massless(index)
                 massless_chains[index] = chain
+        # chains at whose end no mass follows
         for chain in massless_chains.values():
             for index in chain:
                 element = f"joint {self._model.names[index]!r}"
@@ -106,7 +110,8 @@ class Tree:
         taken = [body.name for body in self.bodies]
         name = self.names[last] = unique_name(self._link(last), f"body_{last}", taken)
         inertia, pose = model.inertias[last], data.oMi[last]
-        a, b, c = np.linalg.eigvalsh(inertia.inertia)  # a real body has a + b >= c
+        # principal moments a <= b <= c of a real body satisfy a + b >= c; Pinocchio also simulates others
+        a, b, c = np.linalg.eigvalsh(inertia.inertia)
         quaternion = pin.SE3ToXYZQUAT(pose)[W_X_Y_Z]
         self.bodies.append(
             Body(
@@ -122,7 +127,8 @@ class Tree:
         if parent is None:
             holder = self._link(int(model.parents[chain[0]]))
             raise SourceError(self._path, f"link {holder!r} has several joints and no mass; give it a mass")
-        # its joint, a free joint or a combination of the motions of the chain
+        # its joint, a free joint or a combination of the motions of the chain; several of Pinocchio's joints
+        # can come from one joint of the URDF
         names = list(dict.fromkeys(self._start.closed_model.urdf_joints[k] for k in chain))
         wanted_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
         joint_name = unique_name(wanted_name, name, self.joint_names)
@@ -131,7 +137,8 @@ class Tree:
             self.joints.append(Free(joint_name, parent, name, pose.translation))
         else:
             driven = bool(motors & set(names))
-            joint, coordinates = combine_motions(joint_name, parent, name, parts, driven)
+            # `coordinates`: number of the coordinate within the joint, by name of the part
+            joint, coordinates = combined(joint_name, parent, name, parts, driven)
             self.joints.append(joint)
             self.coordinate_keys |= {part: (joint_name, k) for part, k in coordinates.items()}
         for k in names:
@@ -139,7 +146,7 @@ class Tree:
 
     @property
     def joint_names(self) -> list[str]:
-        """Names of the scene's joints of the tree."""
+        """Names of the joints of the tree in the scene."""
         return [joint.name for joint in self.joints]
 
     def _parts(self, index: int) -> list[Part]:
@@ -162,7 +169,7 @@ class Tree:
         return parts
 
     def _report_links(self, report: ImportReport) -> None:
-        """Report the body that each link of the model became or is a part of."""
+        """Report for each link of the model the body of the scene that the link became or is a part of."""
         for frame in self._model.frames:
             if frame.type == pin.FrameType.BODY:
                 body = self.names[frame.parentJoint]

@@ -1,7 +1,8 @@
 """Read the loops, springs and rotors that tools add to a URDF in elements other than links and joints.
 
 The results are in an `Extensions`: plain numbers, and the text of the URDF with a link (a frame without mass)
-at each end of a loop and of a spring. The reader supports these documented elements:
+at each end of a loop and of a spring. The same loops can also be in a separate loop file, see `urdf.loops`.
+The reader supports these documented elements:
 
 - `<gazebo><joint>`, https://classic.gazebosim.org/tutorials?tut=kinematic_loop: its `<pose>` is in the frame
   of the child, its axis in the frame of the joint (SDF 1.7). The links have the poses for all joints at 0;
@@ -41,10 +42,13 @@ CLOSURE_TYPE_OF_JOINT = {
     "spherical": "3d",
     "fixed": "6d",
 }
-"""Type of the loop closure in `urdf.loops`, by type of the joint in the file."""
+"""Type of the loop closure in `urdf.loops`, by type of the joint in the file.
+
+"3d": the origins of two frames coincide; "6d": the frames coincide; `REVOLUTE`: a hinge about the x axes of
+both frames."""
 
 ONSHAPE_LOOP_NAME = re.compile(r"closing_(.+)_([12])")
-"""Pattern of the names of the two links that onshape-to-robot writes at the ends of a loop."""
+"""Pattern of the names of the two links that the tool onshape-to-robot writes at the ends of a loop."""
 
 
 class End(NamedTuple):
@@ -97,14 +101,14 @@ class _Reader:
     ) -> None:
         """Read all elements; for the arguments see `read_extensions`."""
         self._path, self._root, self._report = path, root, report
-        # line of each element
+        # line of each element, for messages; `scan` calls the function for each element in the order of text
         lines: list[int] = []
         scan(path, text, "robot", lambda tag, attributes, line: lines.append(line), SourceError)
         self._lines = dict(zip(root.iter(), lines, strict=True))
         self._links = {str(link.get("name")) for link in root.findall("link")}
         self._joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
         self._taken_names = [*self._links, *self._joints]
-        self._frames: list[tuple[str, End]] = []  # name and place of each new frame
+        self._frames: list[tuple[str, End]] = []  # name of each new frame, and its link and placement
         # names to ignore, the names among them that occurred, and all names that could be ignored
         self._ignored, self._used = set(ignored), set[str]()
         self._candidates: list[str] = []
@@ -122,11 +126,13 @@ class _Reader:
         """Read all additional elements and attributes; `loops` is the content of the loop file."""
         for element in self._root:
             self._read_rotors(element)
+        # elements beyond the URDF standard that are not known to move nothing
         for element, name_in_report in unknown(self._root):
             tag, parent = tag_of(element), self._top_parent(element)
             if self._is_ignored(element, parent, name_in_report):
                 continue
             if not self._read(element, tag, parent):
+                # the tag means a constraint or a force, such as "spring"
                 if ACTING_TAGS.search(tag) or tag in ("joint", f"{DRAKE_PREFIX}joint"):
                     raise self._refused(element, "is unknown, and may close a loop or exert a force")
                 self._report.not_understood(name_in_report, "unknown to the reader and not simulated")
@@ -136,7 +142,7 @@ class _Reader:
         report_unmoving(self._root, self._report)
 
     def _top_parent(self, element: ET.Element) -> ET.Element:
-        """Return the child of the root that contains an element, or the root for such a child itself."""
+        """Return the child of the root that contains an element; the root, if the element is such a child."""
         for child in self._root:
             if child is element:
                 return self._root
@@ -146,9 +152,10 @@ class _Reader:
 
     def _is_ignored(self, element: ET.Element, parent: ET.Element, name_in_report: str) -> bool:
         """Return True, and report the element as left out, if the user ignores its tag or name."""
-        names = [tag_of(element), element.get("name"), parent.get("reference")]
-        self._candidates += [name for name in names[:2] if name]
-        matches = self._ignored & {name for name in names if name}
+        tag_and_name = [tag_of(element), element.get("name")]
+        self._candidates += [name for name in tag_and_name if name]
+        # a user can also ignore all of <gazebo reference="NAME"> by the name
+        matches = self._ignored & {name for name in (*tag_and_name, parent.get("reference")) if name}
         if matches:
             self._used |= matches
             self._report.left_out(name_in_report, "ignored by the option `ignore`")
@@ -164,7 +171,13 @@ class _Reader:
         return SourceError(self._path, f"{text}--set ignore={name or tag}")
 
     def _read(self, element: ET.Element, tag: str, parent: ET.Element) -> bool:
-        """Read an element with a tag and a parent, see `_top_parent`; return False for an unknown element."""
+        """Read an element beyond the URDF standard; return False for an unknown element.
+
+        Args:
+            element: the element.
+            tag: its tag.
+            parent: the child of the root that contains the element, or the root, see `_top_parent`.
+        """
         match tag_of(parent), tag:
             case "gazebo", "joint":
                 self._read_gazebo_joint(element)
@@ -189,7 +202,11 @@ class _Reader:
 
     @staticmethod
     def _is_ordinary(element: ET.Element, tag: str) -> bool:
-        """Return True if an element leaves a body movable and subject to gravity, as bodies of scenes are."""
+        """Return True if an element leaves a body movable and subject to gravity, as bodies of scenes are.
+
+        `tag` is "gravity", "turnGravityOff", "kinematic" or "static"; the text of the element is true or
+        false.
+        """
         text = (element.text or "").strip().lower()
         return text in (("true", "1") if tag == "gravity" else ("false", "0"))
 
@@ -207,7 +224,14 @@ class _Reader:
     # Numbers
 
     def _numbers(self, element: ET.Element, text: str | None, count: int, what: str) -> Array:
-        """Return the numbers (count,) in a text; raises `SourceError` that names the element and `what`."""
+        """Return the numbers (count,) in a text, or raise `SourceError`.
+
+        Args:
+            element: element of the text, for the message.
+            text: numbers, separated by spaces.
+            count: needed number of numbers.
+            what: name of the attribute or child with the text, for the message.
+        """
         try:
             values = [float(x) for x in (text or "").split()]
         except ValueError:
@@ -219,7 +243,7 @@ class _Reader:
         return np.array(values)
 
     def _number(self, element: ET.Element, text: str | None, what: str) -> float:
-        """Return the number in a text; raises `SourceError` that names the element and `what`."""
+        """Return the number in a text; for the arguments see `_numbers`."""
         return float(self._numbers(element, text, 1, what)[0])
 
     def _pose(self, element: ET.Element, xyz: str | None, rpy: str | None) -> Any:
@@ -228,7 +252,7 @@ class _Reader:
         return pin.SE3(rotation, self._numbers(element, xyz or "0 0 0", 3, "xyz"))
 
     def _end(self, element: ET.Element, link: str | None, placement: Any) -> End:
-        """Return an end on a link; raises `SourceError` for a link that does not exist."""
+        """Return an end with a placement in the frame of a link; raises `SourceError` for an unknown link."""
         name = (link or "").strip()
         if name not in self._links:
             line = self._lines[element]
@@ -248,14 +272,14 @@ class _Reader:
         return data.oMf[model.getFrameId(end.link, pin.FrameType.BODY)] * end.placement
 
     def _coinciding(self, end: End, other: str) -> End:
-        """Return the end on the link `other` that coincides with an end, for all joints at 0."""
+        """Return an end on the link `other`, whose frame coincides with that of `end` for all joints at 0."""
         other_link = self._world_placement(End(other, pin.SE3.Identity()))
         return End(other, other_link.actInv(self._world_placement(end)))
 
     def _read_gazebo_joint(self, element: ET.Element) -> None:
         """Read a loop that a `<joint>` in `<gazebo>` closes, see the start of this module."""
         kind = self._closure_type(element)
-        # the end on the child; `<pose>` may be relative to another link
+        # the end on the child; `<pose>` (xyz, m, and roll, pitch, yaw, rad) may be relative to another link
         pose = element.find("pose")
         numbers, link = np.zeros(6), (element.findtext("child") or "").strip()
         frame = link
@@ -280,7 +304,9 @@ class _Reader:
                 elif xyz.get("expressed_in"):
                     raise self._refused(xyz, f"is expressed in {xyz.get('expressed_in')!r:.100}")
             child = self._with_x_axis(element, child, axis)
-        parent = self._coinciding(child, self._end(element, element.findtext("parent"), None).link)
+        # the end on the parent; `_end` checks that the link exists
+        parent_link = self._end(element, element.findtext("parent"), placement=None).link
+        parent = self._coinciding(child, parent_link)
         self._add_loop(element, str(element.get("name") or "loop"), kind, parent, child)
         self._report_unused_properties(element)
 
@@ -295,7 +321,7 @@ class _Reader:
             self._report.left_out(name, "its limits: limits are one-sided and not simulated", topic="limits")
 
     def _with_x_axis(self, element: ET.Element, end: End, axis: Array) -> End:
-        """Return an end whose frame is rotated so that its x axis is along `axis` (3,), in the old frame."""
+        """Return the end with its frame rotated: the new x axis is along `axis` (3,) of the old frame."""
         length = float(np.linalg.norm(axis))
         if length == 0.0:
             raise SourceError(
@@ -331,7 +357,7 @@ class _Reader:
             if axis.get("frame") == "parent":
                 one = End(one.link, pin.SE3(np.eye(3), one.placement.translation))
             one = self._with_x_axis(element, one, self._numbers(axis, axis.get("xyz"), 3, "xyz"))
-            # the second end keeps its point, and has the same x axis for all joints at 0
+            # the second end keeps its point; its frame is parallel to the first end's for all joints at 0
             rotation = self._coinciding(one, two.link).placement.rotation
             two = End(two.link, pin.SE3(rotation, two.placement.translation))
         self._add_loop(element, str(element.get("name") or "loop_joint"), kind, one, two)
@@ -352,7 +378,10 @@ class _Reader:
         self.extensions.kinds.append(kind)
 
     def _add_frames(self, name: str, *ends: End) -> tuple[str, str]:
-        """Add a frame for each of two ends, named "<name>_on_<link>", and return the names of both."""
+        """Add a frame for each of two ends, named "<name>_on_<link>", and return the names of both.
+
+        The name of the loop or spring gets a number if it is taken.
+        """
         taken = {frame.rpartition("_on_")[0] for frame, _ in self._frames}
         name, names = unique_name(name, "loop", taken), []
         for end in ends:
@@ -375,6 +404,7 @@ class _Reader:
         for name, numbers in pairs.items():
             frames = [f"closing_{name}_{k}" for k in (1, 2)]
             self._candidates.append(f"closing_{name}")
+            # not a pair, or closed by the loop file
             if len(numbers) < 2 or closed & set(frames):
                 continue
             if f"closing_{name}" in self._ignored:
@@ -432,19 +462,22 @@ class _Reader:
         if tag == "dynamics":
             names = ("damping", "spring_stiffness", "spring_reference", "friction")
             values = {name: element.get(name) or element.findtext(name) for name in names}
-            known = {n: self._number(element, text, n) for n, text in values.items() if text is not None}
-            self._set_spring(joint, known.get("spring_stiffness"), known.get("spring_reference"))
-            if known.get("damping"):
-                self.extensions.dampings[joint] = self.extensions.dampings.get(joint, 0.0) + known["damping"]
-            if friction := known.get("friction"):
+            numbers = {n: self._number(element, text, n) for n, text in values.items() if text is not None}
+            self._set_spring(joint, numbers.get("spring_stiffness"), numbers.get("spring_reference"))
+            if damping := numbers.get("damping"):
+                self.extensions.dampings[joint] = self.extensions.dampings.get(joint, 0.0) + damping
+            if friction := numbers.get("friction"):
                 why = f"its dry friction {friction:g}"
                 self._report.left_out(f"joint {joint!r}", why, FRICTION, numbers=[friction])
             return
         value = self._number(element, element.text, tag)
-        self._set_spring(joint, *((value, None) if tag == "springStiffness" else (None, value)))
+        if tag == "springStiffness":
+            self._set_spring(joint, stiffness=value, rest=None)
+        else:
+            self._set_spring(joint, stiffness=None, rest=value)
 
     def _set_spring(self, joint: str, stiffness: float | None, rest: float | None) -> None:
-        """Set stiffness or rest of a joint's spring; None keeps the present value."""
+        """Set stiffness (N m/rad or N/m) or rest (rad or m) of a joint's spring; None keeps the value."""
         old_stiffness, old_rest = self.extensions.springs.get(joint, (0.0, 0.0))
         if stiffness is not None and stiffness < 0.0:
             raise SourceError(
@@ -455,7 +488,7 @@ class _Reader:
             self.extensions.springs[joint] = spring
 
     def _read_dynamics(self, joint: ET.Element) -> None:
-        """Read attributes of `<dynamics>` beyond the URDF standard."""
+        """Read attributes of a joint's `<dynamics>` beyond the URDF standard: spring and armature."""
         for dynamics in joint.findall("dynamics"):
             name = str(joint.get("name"))
             values = {
@@ -470,7 +503,10 @@ class _Reader:
                 )
 
     def _read_rotors(self, element: ET.Element) -> None:
-        """Read the rotors of Drake's actuators: armature = gear ratio^2 times the rotor's inertia."""
+        """Read the rotors of Drake's actuators: armature = gear ratio^2 times the rotor's inertia.
+
+        The numbers are in a `<joint>`, or in the actuators of a `<transmission>`; other elements have none.
+        """
         if element.tag == "joint":
             holders = [(str(element.get("name")), element)]
         elif element.tag == "transmission":

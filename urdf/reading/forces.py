@@ -1,7 +1,7 @@
 """Import springs, dampers and armatures of joints, and springs between points of links, for `urdf.reader`.
 
 An armature is the rotor inertia of a joint. Elements of joints other than moving hinges and slides are left
-out.
+out of the scene. The import report receives one entry for each element.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ def armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -
     for joint in joints:
         name, armature = joint.name, joint.armature
         if armature and name in tree.coordinate_keys:
-            key = tree.coordinate_keys[name]
-            yield Armature(key[0], armature, key[1])
+            scene_joint, coordinate = tree.coordinate_keys[name]
+            yield Armature(scene_joint, armature, coordinate)
             report.imported(f"joint {name!r}", f"its armature {armature:g} as a rotor inertia")
         elif armature:
             why = f"its armature {armature:g}: the joint is not a moving hinge or slide"

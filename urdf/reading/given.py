@@ -1,6 +1,7 @@
 """Check and copy a Pinocchio model in memory, with the constraints that close its loops.
 
-`Given` converts the model to the form in which `urdf.reader` has a URDF with its loop file.
+`Given` converts the model to the form that `urdf.reader` has for a URDF and its loop file, the file that
+lists loop closures. The import of both continues in the same way.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.scalars import Array
 from urdf.loops import NO_LOOPS, closure_names
 from urdf.model import PINOCCHIO_GROUND, ClosedLoopModel
-from urdf.reading.source import JointProperties, SourceError
+from urdf.reading.source import JointLimits, JointProperties, SourceError
 
 PinocchioModel: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
 """Model in memory, alone or with its constraints."""
@@ -40,7 +41,7 @@ CLOSURE_TYPE_OF_CONTACT = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CON
 """Type of closure in a loop file, by contact type."""
 
 MAX_ROTATION_ERROR = 1e-9
-"""Largest entry of R^T R - 1 of a placement, for rounded rotations."""
+"""Largest entry of R^T R - 1 of a placement, which allows rounded numbers in rotation matrices R."""
 
 MAX_FINITE_LIMIT = 1e300
 """Magnitude above which a limit counts as infinite: Pinocchio uses infinity or the largest double."""
@@ -71,6 +72,7 @@ class Given:
         self.name = str(model.name)
         self.source_name = f"pinocchio.Model {self.name!r:.100}" if self.name else "pinocchio.Model"
         self.model = model
+        # checks, and all constraints as `RigidConstraintModel`s
         self._check(model)
         constraints = list(constraints)
         self.constraints = [self._rigid(each, number) for number, each in enumerate(constraints)]
@@ -88,10 +90,10 @@ class Given:
         self.closed_model = ClosedLoopModel(
             copied,
             pin.StdVec_RigidConstraintModel(self.constraints),
-            tuple(pairs),
-            (),
-            np.zeros((0, MAX_DEGREE, copied.nv)),
-            (PINOCCHIO_GROUND, *(str(name) for name in list(copied.names)[1:])),
+            frames=tuple(pairs),
+            rods=(),
+            couplings=np.zeros((0, MAX_DEGREE, copied.nv)),
+            urdf_joints=(PINOCCHIO_GROUND, *(str(name) for name in list(copied.names)[1:])),
         )
         self.q, self.name_of_q = pin.neutral(model), "coordinates 0"
         if q is not None:
@@ -123,7 +125,7 @@ class Given:
             )
 
     def _rigid(self, given: Any, number: int) -> Any:
-        """Return the rigid constraint of the checked copy for constraint number `number` of the user."""
+        """Check constraint number `number` of the user; return an equivalent `RigidConstraintModel`."""
         kind = type(given).__name__
         is_rigid = isinstance(given, pin.RigidConstraintModel)
         if not (is_rigid and given.type in CLOSURE_TYPE_OF_CONTACT) and kind not in ANCHOR_TYPES:
@@ -142,21 +144,20 @@ class Given:
             offset = given.desired_constraint_offset
         if np.any(offset):
             raise SourceError(self.source_name, f"constraint {number} has a desired offset; needed: none")
-        (first, second), joints = placements, (int(given.joint1_id), int(given.joint2_id))
         rigid = pin.RigidConstraintModel(
             given.type if is_rigid else ANCHOR_TYPES[kind],
             self.model,
-            joints[0],
-            first,
-            joints[1],
-            second,
+            int(given.joint1_id),
+            given.joint1_placement,
+            int(given.joint2_id),
+            given.joint2_placement,
             pin.ReferenceFrame.LOCAL,
         )
         rigid.name = given.name
         return rigid
 
     def _configuration(self, model: Any, q: Sequence[float] | Array) -> Array:
-        """Return a configuration of the user with quaternions of norm 1; raises `SourceError`."""
+        """Return the user's configuration (nq,) with quaternions of norm 1; raises `SourceError`."""
         try:
             configuration = real_array(q)
         except (TypeError, ValueError, OverflowError) as error:
@@ -179,7 +180,7 @@ class Given:
                 model.frames[second].placement = data.oMf[first]
 
     def _properties(self, number: int) -> JointProperties:
-        """Return the properties of joint `number`, the largest ones if the joint has several velocities."""
+        """Return the properties of joint `number`; the largest values if the joint has several velocities."""
         model = self.closed_model.model
         joint, name = model.joints[number], str(model.names[number])
         in_v = slice(joint.idx_v, joint.idx_v + joint.nv)
@@ -189,7 +190,7 @@ class Given:
         )
         dry_limits = (model.lowerDryFrictionLimit[in_v], model.upperDryFrictionLimit[in_v])
         friction = max([friction, *(float(x) for x in np.ravel(np.abs(dry_limits)))], key=abs)
-        # rotor inertia seen at the joint
+        # rotor inertia reflected to the joint
         reflected = model.rotorInertia[in_v] * model.rotorGearRatio[in_v] ** 2
         rotor = float(np.max(reflected, initial=0.0)) if not armature else 0.0
         limits = None
@@ -199,8 +200,9 @@ class Given:
             )
             speed = float(model.upperVelocityLimit[joint.idx_v])
             if max(abs(low), abs(high)) < MAX_FINITE_LIMIT:
-                limits = low, high, speed if speed < MAX_FINITE_LIMIT else np.inf
-        unit = "m" if joint.shortname().startswith("JointModelP") else "rad"
+                limits = JointLimits(low, high, speed if speed < MAX_FINITE_LIMIT else np.inf)
+        is_slide = joint.shortname().startswith("JointModelP")  # prismatic
+        unit = "m" if is_slide else "rad"
         return JointProperties(name, damping, friction, armature, limits, unit, rotor=rotor)
 
 

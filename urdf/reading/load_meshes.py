@@ -1,8 +1,8 @@
 """Read mesh files in a separate process with limits of time and memory.
 
 Usage: `python load_meshes.py FOLDER BYTES FILE...`. The memory of the process is limited to BYTES. The
-vertices and triangles of file k are written to FOLDER/k.npz; a file that cannot be read has no output. The
-limits are needed because parsers of mesh formats are large, and a file may be hostile.
+vertices and triangles of file k = 0, 1, ... are written to FOLDER/k.npz; a file that cannot be read has no
+output. The limits are needed because parsers of mesh formats are large, and a file may be hostile.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 
 MAX_CPU_S = 3
-"""Limit of CPU time, s."""
+"""Limit of the CPU time of the process, s, for all files together."""
 
 
 def main() -> None:
-    """Read the mesh files of the command line, and write their vertices and triangles."""
+    """Read the mesh files that the command line names, and write their vertices and triangles."""
     folder, memory, *files = sys.argv[1:]
     with suppress(ImportError):  # Windows has no limits of resources
         import resource

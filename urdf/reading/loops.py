@@ -1,7 +1,8 @@
 """Convert loop closures, coupled joints and mimics of a URDF to joints and couplings of a scene.
 
-Loop closures and coupled joints come from the loop file of the URDF or from elements that tools add to URDF.
-A mimic makes one joint follow another by a constant factor. The import report receives one entry for each.
+Loop closures and coupled joints come from the loop file of the URDF (`urdf.loops`), or from elements that
+tools such as Gazebo add to a URDF. A mimic makes one joint follow another by a constant factor. The import
+report receives one entry for each of these elements.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from urdf.reading.bodies import Tree
 from urdf.reading.start import RobotAtStart
 
 CLOSURE_JOINTS: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed}
-"""Joint classes by type of closure in `urdf.loops`; rods and revolute joints are built below."""
+"""Joint class by type of loop closure; the types "rod" and `REVOLUTE` need more than one point."""
 
 
 def closing_joints(start: RobotAtStart, tree: Tree, report: ImportReport) -> Iterator[Joint]:
@@ -31,13 +32,13 @@ def closing_joints(start: RobotAtStart, tree: Tree, report: ImportReport) -> Ite
         tree: imported bodies and joints of the tree.
         report: report that receives the entries.
     """
-    taken, closed_model, loops = tree.joint_names, start.closed_model, start.loops
-    # frames has one pair for each closure, and a second pair for a revolute joint (a point on its axis); the
-    # pairs of rods are separate
+    used_names, closed_model, loops = tree.joint_names, start.closed_model, start.loops
+    # pairs of frames: one for each closure, and a second one for a revolute joint, at another point of its
+    # axis; the pairs of rods are separate
     frames, rods = iter(closed_model.frames), iter(closed_model.rods)
     for number, (frame_names, kind) in enumerate(zip(loops.closed_loop, loops.type, strict=True)):
         first_frame, second_frame = next(rods) if kind == "rod" else next(frames)
-        axis_frame = next(frames)[0] if kind == REVOLUTE else first_frame
+        axis_frame, _ = next(frames) if kind == REVOLUTE else (first_frame, second_frame)
         first_body, point_on_first = tree.body_and_point(first_frame)
         second_body, point_on_second = tree.body_and_point(second_frame)
         element = f"closed_loop {' and '.join(frame_names)}"
@@ -47,8 +48,8 @@ def closing_joints(start: RobotAtStart, tree: Tree, report: ImportReport) -> Ite
         # `urdf.write` names both frames "<joint>_on_<body>"
         first_name, second_name = (frame.rpartition("_on_")[0] for frame in frame_names)
         has_joint_name = first_name and first_name == second_name
-        name = unique_name(first_name if has_joint_name else f"closure_{number + 1}", "closure", taken)
-        taken = [*taken, name]
+        name = unique_name(first_name if has_joint_name else f"closure_{number + 1}", "closure", used_names)
+        used_names = [*used_names, name]
         # All joints but rods use the point on the first body for both bodies. The point on the second body
         # differs from it by the rounding of the file, and the bodies stay where the file has them.
         joint: Joint
@@ -65,17 +66,17 @@ def closing_joints(start: RobotAtStart, tree: Tree, report: ImportReport) -> Ite
 
 
 def couplings(
-    start: RobotAtStart, tree: Tree, taken: list[str], report: ImportReport
+    start: RobotAtStart, tree: Tree, used_names: list[str], report: ImportReport
 ) -> Iterator[JointCoupling]:
     """Yield a gear for each mimic, and a gear or another coupling for each entry of `coupled`.
 
     A coupling of the loop file maps names of joints to the factors of the powers 1, 2, ... of their
-    coordinates. The sum of the products is constant.
+    coordinates. The sum of the factors times the powers is constant.
 
     Args:
         start: Pinocchio's model, the loop file and the mimics, with data at the start state.
         tree: imported bodies and joints of the tree.
-        taken: names of the scene's joints, which couplings must not have.
+        used_names: names of the scene's joints, which couplings must not have.
         report: report that receives the entries.
     """
     gears: list[tuple[str, Key, Key, float]] = []  # element, follower, driver, ratio
@@ -94,7 +95,7 @@ def couplings(
         # powers higher than 1
         if any(len(factors) > 1 for factors in coupling.values()):
             wanted_name = f"polynomial_{len(polynomial_couplings) + 1}"
-            if polynomial := _polynomial_coupling(start, tree, coupling, wanted_name, taken):
+            if polynomial := _polynomial_coupling(start, tree, coupling, wanted_name, used_names):
                 polynomial_couplings.append(polynomial)
                 report.imported(element, f"polynomial coupling {polynomial.name!r}")
             else:
@@ -108,8 +109,9 @@ def couplings(
             if factor and name in coordinate_of
         ]
         if len(terms) > 2:
-            name = unique_name(f"coupling_{len(linear_couplings) + 1}", "coupling", taken)
-            linear_couplings.append(LinearCoupling(name, tuple((*key, factor) for key, factor in terms)))
+            name = unique_name(f"coupling_{len(linear_couplings) + 1}", "coupling", used_names)
+            joint_number_factor = tuple((*key, factor) for key, factor in terms)
+            linear_couplings.append(LinearCoupling(name, joint_number_factor))
             report.imported(element, f"coupling {name!r} of {len(terms)} joint coordinates")
             continue
         if len(terms) != 2:
@@ -120,7 +122,7 @@ def couplings(
         gears.append((element, follower, driver, -driver_factor / follower_factor))
     # name and yield gears, then the other couplings
     for number, (element, follower, driver, ratio) in enumerate(gears):
-        name = unique_name(f"gear_{number + 1}", "gear", taken)
+        name = unique_name(f"gear_{number + 1}", "gear", used_names)
         (driver_joint, driver_coordinate), (follower_joint, follower_coordinate) = driver, follower
         yield Gear(name, driver_joint, follower_joint, ratio, driver_coordinate, follower_coordinate)
         report.imported(element, f"gear {name!r} of ratio {ratio:.6g}")
@@ -133,7 +135,7 @@ def _polynomial_coupling(
     tree: Tree,
     coupling: dict[str, tuple[float, ...]],
     wanted_name: str,
-    taken: list[str],
+    used_names: list[str],
 ) -> PolynomialCoupling | None:
     """Return the polynomial coupling of two moving joints, one of which has its first power only.
 
@@ -142,7 +144,7 @@ def _polynomial_coupling(
         tree: imported bodies and joints of the tree.
         coupling: factors of the powers 1, 2, ... of coordinates, by name of the joint.
         wanted_name: name of the coupling, if no joint has it.
-        taken: names of joints.
+        used_names: names of joints.
 
     Returns:
         The coupling; None for a coupling of another form.
@@ -160,7 +162,7 @@ def _polynomial_coupling(
         coordinate_of[driver],
         coordinate_of[follower],
     )
-    name = unique_name(wanted_name, "polynomial", taken)
+    name = unique_name(wanted_name, "polynomial", used_names)
     in_file_coordinates = PolynomialCoupling(
         name, driver_joint, follower_joint, coefficients, driver_coordinate, follower_coordinate
     )

@@ -1,6 +1,6 @@
 """Collect the messages that Pinocchio's URDF parser writes on standard error, and report them.
 
-The errors that Pinocchio raises name no element of the file. The messages on standard error do.
+The errors that Pinocchio raises name no element of the file. The messages on standard error name elements.
 """
 
 from __future__ import annotations
@@ -16,16 +16,22 @@ from newton_euler.reading.import_report import Finding, ImportReport
 
 
 def report_complaints(messages: Sequence[str], report: ImportReport) -> None:
-    """Add one finding for all messages of the parser, except messages about colors."""
+    """Add one finding (a likely mistake in the file) for all messages of the parser, except about colors.
+
+    Args:
+        messages: lines that the parser has printed.
+        report: report that receives the finding.
+    """
     complaints = [line for line in messages if not re.search("material|visual|color|texture", line, re.I)]
     if complaints:
         report.findings.append(
             Finding(
-                "parser-message",
-                "the file",
-                f"Pinocchio's parser prints {len(complaints)} messages, the first is {complaints[0]!r:.200}",
-                "the parser may read the file differently from your intention",
-                "correct the element that the message names",
+                name="parser-message",
+                element="the file",
+                what=f"Pinocchio's parser prints {len(complaints)} messages, the first is "
+                f"{complaints[0]!r:.200}",
+                consequence="the parser may read the file differently from your intention",
+                remedy="correct the element that the message names",
             )
         )
 

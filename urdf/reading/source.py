@@ -41,6 +41,19 @@ class SourceError(source_file.SourceError, UrdfError):
     """File that is not a usable model. The message has the file, the place in the file and the problem."""
 
 
+class JointLimits(NamedTuple):
+    """Limits of a joint.
+
+    Attributes:
+        low, high: smallest and largest coordinate, m or rad.
+        speed: largest rate, m/s or rad/s; may be infinite.
+    """
+
+    low: float
+    high: float
+    speed: float
+
+
 class JointProperties(NamedTuple):
     """Properties of a joint in addition to its kind, axis and placement.
 
@@ -49,19 +62,20 @@ class JointProperties(NamedTuple):
         damping: N s/m or N m s/rad.
         friction: dry friction, N or N m.
         armature: rotor inertia, kg or kg m^2.
-        limits: smallest and largest coordinate, m or rad, and largest rate; None without limits.
-        unit: unit of the coordinate, m or rad.
+        limits: limits of coordinate and rate; None without limits.
+        unit: unit of the coordinate, "m" or "rad".
         has_safety: True for a joint with a safety controller.
         stiffness: stiffness of the spring, N/m or N m/rad.
         rest: coordinate, m or rad, at which the spring exerts no force.
-        rotor: rotor inertia times squared gear ratio, kg m^2 or kg, if the armature does not contain it.
+        rotor: rotor inertia times squared gear ratio, kg m^2 or kg, of a Pinocchio model that has these two
+            numbers but no armature; Pinocchio's dynamics ignore them.
     """
 
     name: str
     damping: float
     friction: float
     armature: float
-    limits: tuple[float, float, float] | None
+    limits: JointLimits | None
     unit: str
     has_safety: bool = False
     stiffness: float = 0.0
@@ -79,20 +93,27 @@ def joint_properties(root: ET.Element) -> list[JointProperties]:
         )
         limits = None
         if limit is not None and joint.get("type") in ("revolute", "prismatic"):
-            low, high, speed = (float(limit.get(name, 0.0)) for name in ("lower", "upper", "velocity"))
-            limits = low, high, speed
+            limits = JointLimits(*(float(limit.get(name, 0.0)) for name in ("lower", "upper", "velocity")))
         unit = "m" if joint.get("type") == "prismatic" else "rad"
-        has_safety = joint.find("safety_controller") is not None
         joints.append(
-            JointProperties(str(joint.get("name")), damping, friction, 0.0, limits, unit, has_safety)
+            JointProperties(
+                str(joint.get("name")),
+                damping=damping,
+                friction=friction,
+                armature=0.0,
+                limits=limits,
+                unit=unit,
+                has_safety=joint.find("safety_controller") is not None,
+            )
         )
     return joints
 
 
 def read_loops(path: str, text: str) -> Loops:
-    """Parse the text of the loop file `path`; raises `LoopFileError`."""
+    """Parse the text of the loop file `path`; raises `LoopFileError`, also for too many loops."""
     loops = parse_loops(text, path)
     for key in ("closed_loop", "coupled"):
+        # a message if the number is above the limit "closures", which users can change
         if problem := exceeded("closures", len(getattr(loops, key))):
             raise LoopFileError(path, key, problem)
     return loops
@@ -107,7 +128,9 @@ def parsed(path: str, text: str) -> ET.Element:
     Raises:
         SourceError: with the line or the element at fault.
     """
-    scan(path, text, None, check_expanded(path, SourceError), SourceError)
+    # `scan` refuses dangerous XML; the callback refuses SDF files and xacro macros
+    any_root = None
+    scan(path, text, any_root, check_expanded(path, SourceError), SourceError)
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:  # a prefix without namespace
@@ -119,7 +142,7 @@ def parsed(path: str, text: str) -> ET.Element:
         for name, count in Counter(names).items():
             if count > 1:
                 raise SourceError(path, f"{what} {name!r:.100}: {count} of that name")
-    # sizes, joints, and the tree of links
+    # sizes (by name of the limit), joints, and the tree of links
     links, joints = ({element.get("name") for element in root.findall(tag)} for tag in ("link", "joint"))
     if not links:
         raise SourceError(path, "no links")
@@ -192,7 +215,7 @@ def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: s
 
 
 def _check_tree(path: str, root: ET.Element) -> None:
-    """Raise `SourceError` unless joints connect one root link to all others; parsers do not check this."""
+    """Raise `SourceError` unless joints connect one root link to all others, which parsers do not check."""
     # each link is the child of at most one joint
     joint_above: dict[str, ET.Element] = {}
     for joint in root.findall("joint"):

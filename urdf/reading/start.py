@@ -3,7 +3,7 @@
 A mimic of a URDF makes one joint follow another: x_follower = multiplier * x_driver + offset. Followers start
 at their offsets. `RobotAtStart` holds Pinocchio's model and data at the start. All modules of the reader take
 element values from this model and positions from this data. The base class `FileStart` closes the loops by
-Newton steps, with residuals, Jacobian and units from this module.
+Newton steps, with residuals, Jacobian and units from `RobotAtStart`.
 """
 
 from __future__ import annotations
@@ -83,8 +83,9 @@ class RobotAtStart(FileStart):
             loops: content of the loop file.
             mimics: mimics of the URDF.
             report: report that receives lines about the start.
-            tolerance: `redundancy_tolerance` of the scene.
-            first: configuration (nq,) to start near to, with its name; None for coordinates 0.
+            tolerance: size, without unit, of the independent part of a constraint below which the constraint
+                counts as redundant (`redundancy_tolerance` of the scene).
+            first: configuration (nq,) near which to start, with its name; None for coordinates 0.
 
         Raises:
             SourceError: for loops that do not close.
@@ -92,16 +93,20 @@ class RobotAtStart(FileStart):
         self.path, self.closed_model = path, closed_model
         self.model, self.loops, self.mimics = closed_model.model, loops, mimics
         self.data: Any = self.model.createData()
-        self._closures = Closures(closed_model, _IdentityMap(), 1.0)  # type: ignore[arg-type]
-        # element of each residual, in the order loops, couplings, mimics; a rod has no residual
+        # `length` is not used: Newton steps divide residuals by the units of the method `units`
+        self._closures = Closures(closed_model, _IdentityMap(), length=1.0)  # type: ignore[arg-type]
+        # element of each residual, in the order loops, couplings, mimics; rods are measured as they are, and
+        # have no residual
         self.owners: list[str] = []
         for pair, kind in zip(loops.closed_loop, loops.type, strict=True):
             if kind != "rod":
-                self.owners += [f"loop of {' and '.join(pair)}"] * (3 if kind == "3d" else 6)
+                row_count = 3 if kind == "3d" else 6  # a frame, or the two points of a hinge
+                self.owners += [f"loop of {' and '.join(pair)}"] * row_count
         self.owners += ["a coupling"] * len(closed_model.couplings)
         self.owners += [f"mimic of {mimic.follower}" for mimic in mimics]
-        # residuals of couplings and mimics at q0 (`_q0`) with displacement x0 from neutral, for q = q0 + x:
-        # _linear x + _residuals_at_q0 + polynomials of second and higher powers of x0 + x
+        # residuals of couplings and mimics: let q0 (`_q0`) be the first configuration, with displacement x0
+        # from neutral. At q = q0 + x the residuals are `_linear` x + `_residuals_at_q0` + polynomials of
+        # second and higher powers of x0 + x
         self._linear = np.array([*closed_model.couplings[:, 0], *(self._mimic_row(path, m) for m in mimics)])
         self._linear = self._linear.reshape(-1, self.model.nv)
         x0 = self._mimicked(mimics)
@@ -112,7 +117,7 @@ class RobotAtStart(FileStart):
         self._residuals_at_q0 = self._linear @ x0 - offsets
         self._x0, self._higher_powers = x0, closed_model.couplings.copy()
         self._higher_powers[:, 0] = 0.0
-        # the configuration to start near to, its name, and the closed configuration
+        # the configuration near which to start, its name in the report, and the closed configuration
         name = "coordinates 0"
         followers = [f"{m.follower!r} {x:.6g}" for m in mimics if (x := x0[self.velocity_index(m.follower)])]
         if followers:
@@ -178,33 +183,34 @@ class RobotAtStart(FileStart):
         x = pin.difference(self.model, self._q0, q)
         coupled, slopes = self._linear @ x + self._residuals_at_q0, self._linear.copy()
         count = len(self._higher_powers)  # couplings; mimics are linear
-        coupled[:count] += np.sum(power_sums(self._higher_powers, self._x0 + x, 0), axis=1)
-        slopes[:count] += power_sums(self._higher_powers, self._x0 + x, 1)
+        coupled[:count] += np.sum(power_sums(self._higher_powers, self._x0 + x, derivative=0), axis=1)
+        slopes[:count] += power_sums(self._higher_powers, self._x0 + x, derivative=1)
         phi = np.concatenate([self._closures.phi(self.data), coupled])
         return phi, np.vstack([self._closures.jacobian(self.data), slopes])
 
     def units(self) -> Units:
         """Return units of velocities (nv,) and of residuals (k,), which make loop closure dimensionless."""
         model, data = self.model, self.data
-        # velocities: 1 rad/s for rotations, the size of the mechanism for translations
+        # velocities: 1 rad/s for rotations; for translations the radius of the mechanism, m, per second
         points = [*self.centers()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
         is_rotation = np.any(np.reshape(data.J, (6, -1))[3:] != 0.0, axis=0)
-        velocity_units = np.where(is_rotation, 1.0, characteristic_length(points))
-        # residuals of loop closures: largest motion of one of the two bodies, see `reach`
+        velocity_units = np.where(is_rotation, 1.0, spread(points))
+        # residuals of loop closures: the largest motion that one unit velocity gives to the closing point on
+        # one of the two bodies alone, see `reach`; motions of both bodies can cancel in the row
         row_units = []
         for pair, is_weld in self._closures.pairs:
             body_jacobians, levers = [], []
             for frame in pair:
                 joint = model.frames[frame].parentJoint
                 center = data.oMi[joint].act(model.inertias[joint].lever)
-                # velocity of the origin of the world to velocity of the center of mass
+                # convert the velocity of the body's point at the world's origin to that of the center of mass
                 jacobian = np.array(pin.getJointJacobian(model, data, joint, pin.WORLD)).reshape(6, -1)
                 jacobian[:3] += np.cross(jacobian[3:].T, center).T
                 body_jacobians.append(jacobian)
                 levers.append(float(np.linalg.norm(data.oMf[frame].translation - center)))
             translation, rotation = reach(body_jacobians, levers, velocity_units)
             row_units += [translation] * 3 + [rotation] * (3 if is_weld else 0)
-        # residuals of couplings and mimics: norm of the row
+        # residuals of couplings and mimics: norm of the Jacobian row in these units
         norms = np.linalg.norm(self._linear * velocity_units, axis=1)
         return Units(velocity_units, np.array([*row_units, *np.where(norms > 0.0, norms, 1.0)]))
 

@@ -1,7 +1,7 @@
 """Import the visual elements of a URDF's links for display: boxes, cylinders, spheres and meshes.
 
 Mesh files are read in a separate process with limits of time and memory (`load_meshes`), because a file may
-be hostile. An element that cannot be shown is reported, and changes nothing else.
+be hostile. An element that cannot be shown is reported as left out; this does not affect the simulation.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from newton_euler.model.geometry import Box, Cylinder, Mesh, Shape, Sphere
 from newton_euler.model.mechanism import Body
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
-from urdf.reading.bodies import Tree
+from urdf.reading.bodies import W_X_Y_Z, Tree
 from urdf.reading.start import RobotAtStart
 
 MAX_MESH_BYTES = 50_000_000
 """Largest size of a mesh file."""
 
 MAX_MESHES_S = 60.0
-"""Largest waiting time for all meshes, s; the CPU-time limit is in `urdf.reading.load_meshes`."""
+"""Largest waiting time, s, for the process that reads all meshes; `load_meshes` limits the CPU time."""
 
 Color = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
@@ -77,7 +77,7 @@ def with_visuals(
         report: report that receives the entries.
     """
     shapes: list[tuple[_Visual, Shape]] = []
-    meshes: list[tuple[_Visual, Path, Array]] = []
+    meshes: list[tuple[_Visual, Path, Array]] = []  # visual element, file, scale (3,)
     for visual in _visuals(root, start, tree):
         element = f"visual of link {visual.link!r}"
         try:
@@ -158,7 +158,7 @@ def _primitive(visual: _Visual) -> Shape | None:
     )
     pose = visual.pose
     if box is not None:
-        quaternion = pin.SE3ToXYZQUAT(pose)[[6, 3, 4, 5]]
+        quaternion = pin.SE3ToXYZQUAT(pose)[W_X_Y_Z]
         half = 0.5 * _numbers(box, "size", 3)
         return Box(half, pose.translation, quaternion / np.linalg.norm(quaternion))
     if cylinder is not None:
@@ -211,10 +211,10 @@ def _mesh_file(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
 
 
 def packages(home: Path, name: str) -> list[Path]:
-    """Return the folders that may be a package, nearest to `home` first, never directly below `/`.
+    """Return the folders that may be the ROS package `name`, nearest to the folder `home` of the URDF first.
 
-    A folder that does not contain `home` needs a `package.xml`. Otherwise a URDF could name any file of the
-    disk.
+    They are parents of `home` with this name, and folders of this name in a parent. The latter need a
+    `package.xml`; otherwise a URDF could name any file of the disk. The root of the disk is not searched.
     """
     if name in ("", ".", "..") or "\0" in name:
         return []

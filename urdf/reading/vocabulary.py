@@ -1,7 +1,8 @@
 """Vocabulary of URDF files: which elements and attributes are read, which move nothing, which are unknown.
 
-Many tools extend URDF, and parsers ignore elements that they do not know. An element that is in no list of
-this module may exert a force or a constraint. The import report counts such an element as not understood.
+Many tools extend URDF, and parsers ignore elements that they do not know. `unknown` yields the elements that
+are in no list of this module. Such an element may exert a force or a constraint: `urdf.reading.extensions`
+reads it, refuses it, or reports it as not understood.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ READ_ELEMENTS = {
 REPEATED_ELEMENTS = frozenset({"visual", "collision"})
 """Elements that a link may have several times. Of other repeated elements, parsers read only the first."""
 
-PASSIVE_ELEMENTS = {
+PASSIVE_ELEMENTS: dict[str, frozenset[str]] = {
     "robot": frozenset(
         [
             "material",
@@ -157,9 +158,10 @@ PASSIVE_ELEMENTS = {
     "transmission": frozenset({"drake:gear_ratio", "drake:rotor_inertia"}),
     "mujoco": frozenset({"compiler", "size"}),
 }
-"""Tags of elements without forces and constraints, by parent element.
+"""Tags of elements without forces and constraints, by tag of the parent element.
 
-A `<gazebo>` element belongs to a link, to a joint ("gazebo link", "gazebo joint"), or to the whole model."""
+A `<gazebo>` element belongs to a link ("gazebo link"), to a joint ("gazebo joint"), or to the whole model
+("gazebo")."""
 
 READ_ATTRIBUTES = {
     "origin": frozenset({"xyz", "rpy"}),
@@ -195,7 +197,7 @@ PASSIVE_PLUGIN = re.compile(
 """Pattern of the file names of Gazebo's plugins that exert no force without a command."""
 
 ACTING_IN_TRANSMISSION = re.compile(r"inertia|stiff|damp|friction|backlash|spring|elastic", re.IGNORECASE)
-"""Pattern of the tags in transmissions that exert forces; other tags map commands to forces."""
+"""Pattern of the tags in a `<transmission>` that exert forces; other tags map commands to forces."""
 
 ACTING_TAGS = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
 """Pattern of the tags, of any tool, of elements that connect or push bodies."""
@@ -214,17 +216,17 @@ def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str
         path: path of the file, for messages.
         error: class of the error to raise.
     """
-    seen: list[str] = []
+    tags: list[str] = []  # of all elements so far
 
     def begin(tag: str, attributes: dict[str, str], line: int) -> None:
         """Check the beginning of an element."""
-        seen.append(tag)
-        if len(seen) == 1 and tag == "sdf":
+        tags.append(tag)
+        if len(tags) == 1 and tag == "sdf":
             needed = (
                 "needed: a URDF or an MJCF; `sdf2mjcf IN.sdf OUT.xml` of the package sdformat-mjcf makes one"
             )
             raise error(path, f"line {line}: an SDF file, which is not read; {needed}")
-        if len(seen) == 1 and tag != "robot":
+        if len(tags) == 1 and tag != "robot":
             raise error(path, f"line {line}: root element is <{tag:.100}>, not <robot>")
         macro = next((value for value in attributes.values() if "${" in value or "$(" in value), "")
         if tag.startswith("xacro:") or macro:
@@ -263,8 +265,8 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
     for element in (*root.findall("link"), *root.findall("joint")):
         yield from _repeated(element)
         for part in (*element, *element.findall("inertial/*")):
-            known = READ_ATTRIBUTES.get(part.tag, part.attrib)
-            unknown_attributes = [name for name in part.attrib if name not in known]
+            known_attributes = READ_ATTRIBUTES.get(part.tag, part.attrib)
+            unknown_attributes = [name for name in part.attrib if name not in known_attributes]
             if unknown_attributes:
                 parent_name = f"{element.tag} {element.get('name')!r:.100}"
                 yield part, f"{', '.join(unknown_attributes)} of <{part.tag}> of {parent_name}"
@@ -287,20 +289,20 @@ def _inside(element: ET.Element, key: str, parent_name: str) -> Iterator[tuple[E
         key: key of `PASSIVE_ELEMENTS`.
         parent_name: name of the parent in reports.
     """
-    known = READ_ELEMENTS.get(key, frozenset()) | PASSIVE_ELEMENTS[key]
+    known_tags = READ_ELEMENTS.get(key, frozenset()) | PASSIVE_ELEMENTS[key]
     if key.startswith("gazebo"):  # flags of joints on links, and of links on joints, do nothing
-        known |= PASSIVE_ELEMENTS["gazebo link"] | PASSIVE_ELEMENTS["gazebo joint"]
+        known_tags |= PASSIVE_ELEMENTS["gazebo link"] | PASSIVE_ELEMENTS["gazebo joint"]
     for part in element:
         tag = tag_of(part)
         text = f"{part.get('filename', '')} {part.get('name', '')}" if tag == "plugin" else tag
-        passive = key.startswith("gazebo") and PASSIVE_PLUGIN.search(text)
-        if tag not in known and not passive:
+        is_passive = key.startswith("gazebo") and PASSIVE_PLUGIN.search(text)
+        if tag not in known_tags and not is_passive:
             file = f" {part.get('filename')!r:.100}" if part.get("filename") else ""
             yield part, f"<{tag}>{file} of {parent_name}"
 
 
 def report_unmoving(root: ET.Element, report: ImportReport) -> None:
-    """Report, for each tag below the root, how many elements move nothing."""
+    """Report how many children of the root move nothing, for each tag except those of links and joints."""
     counts = Counter(tag_of(element) for element in root)
     for tag, count in counts.items():
         if tag not in ("link", "joint", "material"):

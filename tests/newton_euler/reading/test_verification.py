@@ -108,7 +108,9 @@ def test_every_engine_has_what_the_file_says(name: str, tmp_path: Path) -> None:
         assert not [figure for figure in figures if not figure.agrees]
 
 
-def scaled_gain(self: Any, actuator: int, element: str, affine: Any = Actuators._affine) -> Affine | None:
+def scaled_gain(
+    self: Any, actuator: int, element: str, affine: Any = Actuators._affine_force
+) -> Affine | None:
     law = affine(self, actuator, element)
     return Affine(*(0.5 * x for x in law)) if law and element.endswith("'m'") else law
 
@@ -118,7 +120,7 @@ def heavier(self: Any, root: int, path: str, body: Any = Bodies._body) -> Body:
     return replace(made, mass=2.0 * made.mass)
 
 
-def nothing(*_: object) -> None:
+def nothing(*_: object, **__: object) -> None:
     return None
 
 
@@ -157,7 +159,7 @@ BORNE = model(
 @pytest.mark.parametrize(
     ("text", "method", "fault", "named"),
     [
-        (ZOO, (Actuators, "_affine"), scaled_gain, "actuator 'm'.*actuators, rel"),
+        (ZOO, (Actuators, "_affine_force"), scaled_gain, "actuator 'm'.*actuators, rel"),
         (ZOO, (Bodies, "_body"), heavier, "crank.*mass, rel"),
         (ZOO, (Loops, "_add_closure"), nothing, "elements unaccounted for"),
         (ZOO, (Loops, "_couple"), nothing, "elements unaccounted for"),
