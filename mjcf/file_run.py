@@ -178,10 +178,13 @@ class Inputs:
 
     @property
     def terms(self) -> dict[str, list[float]]:
-        """Terms of the controls, (nu,) each: constant + sine sin(w t) + cosine cos(w t), w in rad/s."""
+        """Numbers (nu,) of the controls constant + sine sin(w t) + cosine cos(w t), by name.
+
+        "angular_frequency" is w, rad/s; it is 0 for a constant control.
+        """
         frequency, sine, cosine = np.zeros((3, len(self.control)))
-        frequency[self._places] = self._frequency
-        sine[self._places], cosine[self._places] = self._by_sine, self._by_cosine
+        frequency[self._control_indices] = self._frequency
+        sine[self._control_indices], cosine[self._control_indices] = self._by_sine, self._by_cosine
         terms = {"constant": self.control, "sine": sine, "cosine": cosine, "angular_frequency": frequency}
         return {name: values.tolist() for name, values in terms.items()}
 
@@ -197,15 +200,18 @@ def _attributes(values: Mapping[str, str]) -> str:
 
 
 def _differing_numbers(model: Any, changed: Any) -> dict[str, Any]:
-    """Return the numbers of a changed compiled model that differ from another one, by name in Python."""
-    found: dict[str, Any] = {}
-    for prefix, one, other in (("opt.", model.opt, changed.opt), ("", model, changed)):
-        for name in dir(one):
-            value = getattr(other, name)
+    """Return the numbers and arrays of a changed `MjModel` that differ from those of a model.
+
+    Keys are the attributes of the `MjModel` in Python, such as "opt.disableflags".
+    """
+    differing: dict[str, Any] = {}
+    for prefix, before, after in (("opt.", model.opt, changed.opt), ("", model, changed)):
+        for name in dir(before):
+            value = getattr(after, name)
             is_number = isinstance(value, int | float | np.ndarray) and not name.startswith("_")
-            if is_number and not np.array_equal(getattr(one, name), value, equal_nan=True):
-                found[prefix + name] = np.asarray(value).tolist()
-    return found
+            if is_number and not np.array_equal(getattr(before, name), value, equal_nan=True):
+                differing[prefix + name] = np.asarray(value).tolist()
+    return differing
 
 
 class MujocoFile(FileSimulation[MujocoSettings]):
@@ -302,9 +308,14 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         return "\n".join(lines)
 
     def run_inputs(self, reduced: bool) -> dict[str, Any]:
-        """Return qpos, qvel, act, eq_active and controls; and arrays of the model that the run changes.
+        """Return start and controls of a run, as numbers for JSON, so that MuJoCo alone can repeat the run.
 
-        See `FileSimulation.run_inputs`. Arrays are named as in Python, such as "opt.disableflags".
+        Args:
+            reduced: True for a run without the elements that the imported scene does not have.
+
+        Returns:
+            Initial "qpos", "qvel", "act" and "eq_active"; "ctrl", see `Inputs.terms`; and "model", the
+            numbers and arrays of the compiled file that the run changes, such as "opt.disableflags".
         """
         model, active = self._prepared(reduced)
         return {

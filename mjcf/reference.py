@@ -144,7 +144,7 @@ class MjcfReference(ReferenceModel):
         for k in self._roots:
             names.append(unique_name(model.body(k).name, f"body_{k}", names))
         # two halves of a body that an export has cut at a loop have the name of the scene's body
-        self.names = names_of_wholes(names[1:], scene.mechanism.body_names)
+        self.names = whole_body_names(names[1:], scene.mechanism.body_names)
 
     def _set_units(self, scene: Scene) -> None:
         """Set the names, units and largest random displacements of the velocities, see `ReferenceModel`."""

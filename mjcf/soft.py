@@ -51,7 +51,7 @@ class SoftMuJoCo(EvaluatedScene):
 
     Attributes:
         prescribed: (m,) numbers of MuJoCo's velocities that follow prescribed motions.
-        driven: PD laws that depend on time, evaluated together. `driven.places` are their numbers.
+        driven: PD laws that depend on time, evaluated together. `driven.law_indices` are their numbers.
         evaluated: control laws of the scene without an equivalent actuator of MuJoCo (state feedback,
             computed torque, gravity compensation), by number.
     """
@@ -128,8 +128,8 @@ class SoftMuJoCo(EvaluatedScene):
 
     def _control_callback(self, model: Any, data: Any) -> None:
         """Set time-dependent controls, wind and motions; MuJoCo calls this method in each evaluation."""
-        if len(self.driven.places):  # controls of other PD laws are constant
-            data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
+        if len(self.driven.law_indices):  # controls of other PD laws are constant
+            data.ctrl[self.driven.law_indices] = self.driven.forces_at(self.scene.control, data.time)
         if self.evaluated:
             readings = self.readings(data)
             model_forces = self.model_forces(data, readings)

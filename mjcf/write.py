@@ -482,7 +482,7 @@ def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float
         assert_never(law)
     if law.uses_model:
         return float(law.force(x=0.0, x_rate=0.0, time=time) + model[law.key])
-    if law.is_driven:
+    if law.depends_on_time:
         return float(law.force(x=0.0, x_rate=0.0, time=time))
     return float(law.references(time)[law.key].value)
 

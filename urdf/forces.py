@@ -49,7 +49,7 @@ class JointLaws:
         self._index_of_key = {key: keys.index(key) for key in keys}
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
-        self._driven = DrivenLaws(laws)  # time-dependent part of the PD laws `_driven.places`
+        self._driven = TimeDependentPD(laws)  # time-dependent part of the PD laws `_driven.law_indices`
         self._other_laws = [k for k, law in enumerate(laws) if not isinstance(law, PD | JointSpring)]
         for k, law in enumerate(laws):
             if not isinstance(law, PD | JointSpring):

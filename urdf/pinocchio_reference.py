@@ -128,7 +128,7 @@ class PinocchioReference(ReferenceModel):
         for k in self._joints:
             bodies = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
             names.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", names))
-        self.names = names_of_wholes(names[1:], scene.mechanism.body_names)
+        self.names = whole_body_names(names[1:], scene.mechanism.body_names)
         # velocities; largest random displacements: nearly half a revolution, or three sizes of the mechanism,
         # less for several hinges without mass between them
         massless = {k for k in range(1, model.njoints) if k not in self._joints}

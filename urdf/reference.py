@@ -110,7 +110,7 @@ class UrdfReference(PinocchioReference):
             if ARMATURE not in topics:
                 model.armature[index] = extensions.armatures.get(name, 0.0)
         # springs between two points of one body do nothing
-        without_effect = {entry.element for entry in self._report.entries if entry.inert}
+        without_effect = {entry.element for entry in self._report.entries if entry.moves_nothing}
         for spring in extensions.point_springs:
             if f"spring {spring.name!r}" not in without_effect:
                 first, second = (int(model.getFrameId(frame)) for frame in spring.frames)

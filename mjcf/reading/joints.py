@@ -98,7 +98,7 @@ class Joints:
             for k in numbers
         }
         # `coordinates`: number of the coordinate within the joint, by name of the part; a ball has none
-        joint, coordinates = combined(name, parent, child, list(parts.values()), actuated)
+        joint, coordinates = combine_motions(name, parent, child, list(parts.values()), actuated)
         for k, part in parts.items():
             if part.name in coordinates:
                 self.coordinate_keys[k] = (name, coordinates[part.name])

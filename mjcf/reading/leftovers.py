@@ -138,14 +138,14 @@ def _report_flags(start: ModelAtStart, report: ImportReport) -> None:
             report.left_out(flag.lower(), f'<flag {flag.lower()}="disable"/>: {effect}', switched_off=True)
 
 
-def _tendon_friction_watches(start: ModelAtStart, joints: Joints, tendon: int) -> list[Rest]:
+def _tendon_friction_watches(start: ModelAtStart, joints: Joints, tendon: int) -> list[FrictionWatch]:
     """Return the watch of a tendon's dry friction: a fixed tendon rests if all its joint coordinates rest.
 
     Other tendons, and fixed tendons of a joint without a coordinate, have no watch.
     """
     keys = [joints.coordinate_keys.get(joint) for joint in fixed_tendon_weights(start, tendon) or ()]
     known = tuple(key for key in keys if key)
-    return [Rest(known)] if keys and len(known) == len(keys) else []
+    return [FrictionWatch(known)] if keys and len(known) == len(keys) else []
 
 
 def _tendon_watch(start: ModelAtStart, joints: Joints, poses: Poses, tendon: int) -> Watch:

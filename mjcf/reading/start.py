@@ -146,7 +146,7 @@ class ModelAtStart(FileStart):
         # velocities: 1 rad/s for rotations; for translations the radius of the mechanism, m, per second
         movable = data.xipos[np.flatnonzero(model.body_weldid)]
         is_rotation = np.any(data.cdof[:, :3] != 0.0, axis=1)  # `cdof`: angular, then linear velocity
-        velocity_units = np.where(is_rotation, 1.0, spread([*movable, *data.xanchor]))
+        velocity_units = np.where(is_rotation, 1.0, characteristic_length([*movable, *data.xanchor]))
         # residuals of couplings: norm of the Jacobian row in these units
         _, jacobian = self.residuals(np.array(data.qpos))
         row_units = np.linalg.norm(jacobian * velocity_units, axis=1)

@@ -138,7 +138,7 @@ class Tree:
         else:
             driven = bool(motors & set(names))
             # `coordinates`: number of the coordinate within the joint, by name of the part
-            joint, coordinates = combined(joint_name, parent, name, parts, driven)
+            joint, coordinates = combine_motions(joint_name, parent, name, parts, driven)
             self.joints.append(joint)
             self.coordinate_keys |= {part: (joint_name, k) for part, k in coordinates.items()}
         for k in names:

@@ -194,7 +194,7 @@ class RobotAtStart(FileStart):
         # velocities: 1 rad/s for rotations; for translations the radius of the mechanism, m, per second
         points = [*self.centers()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
         is_rotation = np.any(np.reshape(data.J, (6, -1))[3:] != 0.0, axis=0)
-        velocity_units = np.where(is_rotation, 1.0, spread(points))
+        velocity_units = np.where(is_rotation, 1.0, characteristic_length(points))
         # residuals of loop closures: the largest motion that one unit velocity gives to the closing point on
         # one of the two bodies alone, see `reach`; motions of both bodies can cancel in the row
         row_units = []
