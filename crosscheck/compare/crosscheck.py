@@ -135,8 +135,9 @@ def crosscheck(
         acting = [Event(entry.since or 0.0, what_acted(entry)) for entry in mapping.acting]
         with collecting_errors(JUDGING, note_stops), limited(JUDGING, SHORTER_RUN_ADVICE, progress):
             own_run = judge(mapping.simulation, acting)
-    # Compare equations and runs; runs are not comparable if the scene does not determine its motion
-    until = mapping.acting[0].since if mapping and mapping.acting else None  # time of the first such element
+    # Compare equations and runs; runs are not comparable if the scene does not determine its motion. `until`
+    # is the time at which the first element that is not simulated would act
+    until = mapping.acting[0].since if mapping and mapping.acting else None
     comparable = {} if any(stop.undetermined for stop in stops) else runs
     for what, stage in stages(scene, usable, comparable, _count_random_states(scene), until).items():
         with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):

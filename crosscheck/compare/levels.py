@@ -97,7 +97,13 @@ def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iter
 def _compare_formulations(
     engine: Engine, engines: Sequence[Engine], samples: EngineSamples
 ) -> Iterator[Check]:
-    """Compare the formulations of one engine with each other; see `compare_equations`."""
+    """Yield the checks of `compare_equations` on one engine: of its formulations and soft constraints.
+
+    Args:
+        engine: the engine.
+        engines: all engines, with which formulations that differ from each other are compared.
+        samples: equations of all engines.
+    """
     differ = False
     for one, two in combinations(samples[engine.name], 2):
         for check in compare_pair((one.name, two.name), [one], [two]):
@@ -117,7 +123,7 @@ def _compare_formulations(
         yield softness_check(engine.name, engine.evaluate_soft_constraints(scene), rigid)
 
 
-def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
+def sample_engines(engines: Sequence[Engine], states: States) -> EngineSamples:
     """Return the equations of motion of all engines at some states."""
     return {
         engine.name: [Samples(system, states) for system in engine.systems(states.scene)]
@@ -156,7 +162,7 @@ def stages(
         others = random_states(scene, states)
         # Leave out a singular initial state, at which the constraints do not determine accelerations
         compared = others if others and start.is_singular else [*start.all, *others]
-        return sampled(engines, States(scene, tuple(compared)))
+        return sample_engines(engines, States(scene, tuple(compared)))
 
     def equations(_: Sequence[Check]) -> Iterator[Check]:
         yield from compare_equations(engines, samples())

@@ -13,7 +13,7 @@ from verdicts import ALL, figure, verdicts
 
 import mjcf
 from crosscheck.compare.check import LEVELS_OF_EQUATIONS, Check, not_compared
-from crosscheck.compare.levels import compare, compare_equations, sampled
+from crosscheck.compare.levels import compare, compare_equations, sample_engines
 from crosscheck.compare.momentum import momentum_check
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples, States
@@ -222,7 +222,7 @@ def test_an_error_of_a_millionth_in_one_engine_is_found_and_placed(name, mistake
     engines = [replace(engine, evaluate_soft_constraints=None) for engine in ALL]
     engines = [mistaken(e, mistake) if e.name == name else e for e in engines]
     states = States(scene, (initial_state(scene), *random_states(scene, 5)))
-    found = compare_equations(engines, sampled(engines, states))
+    found = compare_equations(engines, sample_engines(engines, states))
     rows = [row for row in found if row.between in PAIRS]
     failed = [row for row in rows if not row.agrees]
     assert {row.between for row in failed} == {pair for pair in PAIRS if name in pair}
@@ -242,7 +242,7 @@ def test_momentum_tells_of_one_engine_alone(mistake, where):
     states = States(scene, (initial_state(scene), *random_states(scene, 2)))
     for engine in ALL:
         (right, *_), (wrong, *_) = (
-            sampled([e], states)[engine.name] for e in (engine, mistaken(engine, mistake))
+            sample_engines([e], states)[engine.name] for e in (engine, mistaken(engine, mistake))
         )
         row = momentum_check(engine.name, right)
         assert row.value < 1e-13  # some hundred operations at 1e-16 each

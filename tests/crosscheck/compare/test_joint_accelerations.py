@@ -7,7 +7,7 @@ import pytest
 from elements import ELEMENTS
 
 from crosscheck.compare.accelerations import acceleration_checks
-from crosscheck.compare.levels import compare_equations, compare_pair, sampled
+from crosscheck.compare.levels import compare_equations, compare_pair, sample_engines
 from crosscheck.compare.samples import RATE_ERROR, Samples, States
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import load
@@ -36,7 +36,7 @@ class Wrong(Relative):
 @pytest.mark.parametrize("name", ["free_top", "four_bar", "tracker_on_boat", "chain"])
 def test_engines_agree_far_below_the_tolerance(name):
     scene = load(name)
-    rows = compare_equations(list(ENGINES.values()), sampled(list(ENGINES.values()), states_of(scene)))
+    rows = compare_equations(list(ENGINES.values()), sample_engines(list(ENGINES.values()), states_of(scene)))
     found = [row for row in rows if row.quantity == QUANTITY]
     assert {row.between for row in found} >= {("newton_euler", "mujoco"), ("newton_euler", "pinocchio")}
     assert all(row.value < 0.01 * RATE_ERROR for row in found)

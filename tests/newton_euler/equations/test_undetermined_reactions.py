@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mechanisms import planar_four_bar, seven_hinges
 
-from crosscheck.compare.levels import compare_equations, sampled
+from crosscheck.compare.levels import compare_equations, sample_engines
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import load
@@ -89,7 +89,7 @@ def test_engines_agree_on_what_is_determined_and_an_error_there_is_found(make):
             found.reaction_force[0] *= 1.001
             return found
 
-    samples = sampled(engines, states)
+    samples = sample_engines(engines, states)
     rows = [row for row in compare_equations(engines, samples) if "reaction" in row.quantity]
     assert len(rows) == 4  # forces and torques of two pairs: engines, formulations
     assert all(row.agrees for row in rows)
