@@ -53,9 +53,9 @@ class Callbacks:
         counts: counters of the run (COUNTS,), or of several runs (COUNTS, lanes); see
             `newton_euler.integrators.stepper.Count`. The counter `STOP_REQUEST` tells native code to stop.
         pause: callback by which native code asks whether the user wants to stop.
-        error: exception of the equations in the last call, None without one. The integrator can recover, for
-            example by a shorter step.
-        fatal: exception that ended the run, None without one.
+        error: exception that the equations raised in the last call, else None. The integrator can recover,
+            for example by a shorter step.
+        fatal: exception that ended the run, else None.
     """
 
     def __init__(self, counts: Array, stopped: Sequence[bool] = ()) -> None:
@@ -86,7 +86,7 @@ class Callbacks:
         """
 
         def call(x: int, y: int, on: int) -> None:
-            """Call the function; store an exception, mark the results and stop the run if necessary."""
+            """Call the function; store an exception, mark the results and stop the run if it is fatal."""
             try:
                 function(x, y, on)
                 self.error = None
@@ -110,8 +110,12 @@ class Callbacks:
     def _pause(self, counts: int, request: int, on: int) -> None:
         """Request a stop if the user has pressed Ctrl-C or another thread has asked for one.
 
-        Python runs pending signal handlers while this function executes. `request` is the address of the
-        stop request of native code.
+        Python runs pending signal handlers while this function executes.
+
+        Args:
+            counts: address of the counters of the run, not needed here.
+            request: address of the counter `STOP_REQUEST`.
+            on: bit mask of the active lanes, not needed here.
         """
         if self._interrupted or self._stopped:
             vector_at(request, 1)[0] = STOP_ALL_RUNS

@@ -2,7 +2,7 @@
 
 Projection returns a state to the constraints after an integration step. The integrator projects each group of
 coordinates separately. Coordinates without constraints, such as those of a rotor next to a linkage, belong to
-no group and are never changed. Input is a system of equations; output is a group number per coordinate and
+no group; projection never changes them. Input is a system of equations; output is a group number per coordinate and
 velocity.
 """
 
@@ -30,11 +30,12 @@ def constraint_groups(system: System) -> Array:
     of_v = connected(system.phi_jacobian(q) != 0.0)
     # groups of coordinates: move along a small step, then along the same step times the group number of each
     # velocity; the ratio of the two displacements of a coordinate is the number of its group
-    shift = 1e-6
-    step, at = shift * units * rng.uniform(0.5, 1.5, system.nv), system.retract(q, np.zeros(system.nv))
-    alike, numbered = (system.retract(q, factor * step) - at for factor in (np.ones(system.nv), of_v))
-    moves = np.abs(alike) > 1e-3 * shift * units.min(initial=1.0)
-    of_q = np.where(moves, np.clip(np.rint(numbered / alike), 0.0, of_v.max(initial=0.0)), 0.0)
+    shift = 1e-6  # small, so that displacements are proportional to the step
+    step = shift * units * rng.uniform(0.5, 1.5, system.nv)
+    start = system.retract(q, np.zeros(system.nv))
+    plain, multiplied = (system.retract(q, factor * step) - start for factor in (np.ones(system.nv), of_v))
+    moves = np.abs(plain) > 1e-3 * shift * units.min(initial=1.0)
+    of_q = np.where(moves, np.clip(np.rint(multiplied / plain), 0.0, of_v.max(initial=0.0)), 0.0)
     for quaternion in system.quaternions:  # its four elements belong together
         of_q[quaternion] = of_q[quaternion].max()
     return np.concatenate([of_q, of_v])
@@ -67,9 +68,9 @@ def group_places(groups: Array, nq: int) -> Array:
     Returns:
         For each group: number of coordinates, their indices, number of velocities, their indices.
     """
-    found: list[float] = []
+    places: list[float] = []
     for group in np.unique(groups[groups > 0.0]):
         members = np.flatnonzero(groups == group)
         for part in (members[members < nq], members[members >= nq]):
-            found += [float(len(part)), *part.astype(float)]
-    return np.array(found)
+            places += [float(len(part)), *part.astype(float)]
+    return np.array(places)

@@ -1,12 +1,17 @@
 """Equations of motion of a scene as native functions: accelerations, projection, outputs and others.
 
 Tracing evaluates the Python equations once over symbolic scalars and records their operations as a program.
-LLVM compiles the program. A program is kept in a cache on disk under a fingerprint of all that it depends on.
+LLVM compiles the program. Machine code is kept in a cache on disk under a fingerprint (hash) of all that the
+program depends on.
 
 All functions take one vector x = (q, v, time, flags, parameters) and write one vector. q and v are the
-coordinates and velocities of the formulation. A flag is 1 if an exchangeable constraint row is left out:
-where loops are redundant, a run may replace one redundant row by another
-(`newton_euler.equations.row_choice`). Most scenes have no such rows.
+coordinates and velocities of the formulation. Parameters are numbers of the scene, such as masses and
+joint points, that vary from run to run without a new compilation.
+
+A constraint row is one scalar constraint equation, a row of the constraint Jacobian Phi_q. Redundant rows
+follow from the other rows and are left out; the others are the rows in use. In a few scenes a redundant row
+and a row in use are exchangeable: a run may leave out either (`newton_euler.equations.row_choice`). x has a
+flag for each exchangeable row: 1 if the row is left out, else 0.
 `newton_euler.integrators.stepper.Equations` lists the functions for integrators.
 """
 
@@ -18,7 +23,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,23 +68,24 @@ from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
 
 MULTI_STATE_GROUPS = (("output",), ("position", "velocity"))
-"""Names of programs that evaluate several states per call, unless a program of the group is large.
+"""Groups of programs that evaluate several states per call, one in each lane of a vector register.
 
-All programs of a group take the same number of states."""
+All programs of a group take the same number of states. If one of them has `MIN_ROLLED_SIZE` operations or
+more, all of them take one state per call."""
 
 POSITION_OUTPUTS = frozenset({"violation"})
 """Outputs of a scene that depend on the coordinates q but not on the velocities; poses always do."""
 
 CACHED_SCENES = 8
-"""Number of most recently used scenes whose compiled code stays in memory, for each kind of code."""
+"""Number of most recently used scenes whose compiled code each cache in memory (`lru_cache`) keeps."""
 
 NOT_COMPILED_FIELDS = frozenset(
     {"description", "duration", "output_period", "controller", "shapes", "meshes", "times", "values"}
 )
 """Fields of scenes, control laws, bodies and splines that do not enter the compiled equations.
 
-Samples of a spline (`times`, `values`) are excluded because its current polynomial is an input of the
-code."""
+Samples of a spline (`times`, `values`) do not enter because the current polynomial of the spline is an input
+of the code."""
 
 KINEMATIC_PROGRAMS = ("position", "velocity")
 """Names of the projection programs, whose only parameters are those of geometry and prescribed motions."""
@@ -87,27 +93,46 @@ KINEMATIC_PROGRAMS = ("position", "velocity")
 OPEN_TOLERANCE = 1e-9
 """Largest constraint violation after projection: lengths divided by the mechanism's size, or rad."""
 
-
 MAX_ROW_SUMS = 8
-"""Number of random sums of left-out constraint rows that stand for all rows when more rows are left out.
+"""Largest number of combinations of rows in use that the program `shares` computes.
 
-With 8 sums it is unlikely that a row with a large share in a left-out row has a small share in every sum."""
+A left-out row is a combination of the rows in use; its coefficients are called shares. If there are more
+exchangeable rows than this number, sums of rows with random signs replace the single rows. With 8 sums it is
+unlikely that a row with a large share in a left-out row has a small share in every sum."""
+
+
+class RankDecisions(NamedTuple):
+    """Choice of the constraint rows of a scene, as stored in the cache on disk.
+
+    Attributes:
+        rows: constraint rows that imply all other rows, exchangeable rows included.
+        exchangeable: the rows that a run may exchange for each other.
+        redundant: True if redundant constraints make the joint reactions non-unique.
+        nearly_redundant: constraints that are almost redundant.
+    """
+
+    rows: RowsInUse
+    exchangeable: ExchangeableRows
+    redundant: bool
+    nearly_redundant: tuple[NearlyRedundant, ...]
 
 
 class CompiledEquations:
     """Native functions of one formulation of a scene, each traced and compiled when first needed.
 
     Attributes:
-        scene: the scene that is compiled.
-        system: the same equations over floats, the reference for the compiled ones.
+        scene: the scene that is compiled: mechanism, forces, control laws, prescribed motions.
+        system: the same equations over floats, in Python, from which the programs are traced.
         formulation: "relative" (joint coordinates) or "cartesian" (poses of all bodies).
         stabilization: "projection", "baumgarte" or "none": how runs keep constraints closed.
         alpha: 1/s, Baumgarte's parameter.
-        parameters: names and shapes of the parameters that end x. The order is: polynomial pieces of
+        parameters: shapes, by name, of the parameters at the end of x. The order is: polynomial pieces of
             prescribed motions, requested parameters of geometry and motions, other requested parameters,
-            polynomial pieces of control laws, forces held by sampled controllers.
+            polynomial pieces of other functions of time, forces that sampled controllers hold between two
+            samples.
         kinematic: names of the requested parameters that belong to geometry or prescribed motions.
-        piecewise: True if a function of time consists of polynomial pieces between knots.
+        piecewise: True if a function of time, such as a spline, consists of polynomial pieces between knots.
+            The coefficients of its current piece are a parameter.
         size: length of a state (q, v).
         programs: programs traced so far, by name: derivative, position, velocity, rate, jacobian, output,
             measured, retract, surface, shares, ratio. The method `_trace_NAME` describes the results.
@@ -134,29 +159,31 @@ class CompiledEquations:
             alpha: 1/s, Baumgarte's parameter; the default of the stabilization if None.
             parameters: names of scene parameters that become inputs of the code
                 (`newton_euler.equations.parameters`).
-            independent: numbers of the constraint rows to use in every configuration. If None, rank decisions
-                at the start select the rows, and runs may exchange redundant ones.
+            independent: numbers of the constraint rows, in joint coordinates, to use in every configuration.
+                If None, the mobility analysis of the scene selects the rows, and runs may exchange redundant
+                ones.
         """
         self.scene = scene
         formulation = formulation or cheaper_formulation(scene.mechanism)
-        self._independent, self._named = independent, tuple(parameters)
+        self._independent, self._requested = independent, tuple(parameters)
         self.formulation, self.stabilization = formulation, stabilization
         self.alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self.alpha)
-        of_functions = list(pieces(scene, 0.0))  # names of the polynomial pieces of functions of time
-        of_motions = [name for name in of_functions if name.startswith("motions")]
-        self.piecewise = len(of_functions) > 0
+        # names of the parameters in their order in x; prescribed motions come first among the pieces
+        piece_names = list(pieces(scene, 0.0))
+        motion_pieces = [name for name in piece_names if name.startswith("motions")]
+        self.piecewise = len(piece_names) > 0
         requested = places(scene, parameters)
         self.kinematic = tuple(name for name, place in requested.items() if place.field.moves_loops)
-        self._kinematic = (*of_motions, *self.kinematic)
+        self._kinematic = (*motion_pieces, *self.kinematic)
         others = [name for name in parameters if name not in self.kinematic]
-        held = [f"{law.prefix}.held" for law in scene.sampled]
-        names = [*self._kinematic, *others, *of_functions[len(of_motions) :], *held]
+        held_forces = [f"{law.prefix}.held" for law in scene.sampled]
+        names = [*self._kinematic, *others, *piece_names[len(motion_pieces) :], *held_forces]
         self.parameters = {name: value.shape for name, value in parameter_values(scene, names).items()}
         self.size = self.system.nq + self.system.nv
         self.programs: dict[str, Program] = {}
         self.functions: dict[str, NativeFunction] = {}
-        self._layouts: dict[str, Any] = {}
+        self._layouts: dict[str, Any] = {}  # descriptions of the results of programs, for their callers
         self.trace_time = self.compile_time = 0.0
 
     @cached_property
@@ -192,8 +219,8 @@ class CompiledEquations:
     @property
     def projects(self) -> bool:
         """True if runs project states onto the constraints, or at least quaternions onto norm 1."""
-        closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
-        return self.stabilization == "projection" and closes
+        has_constraints = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
+        return self.stabilization == "projection" and has_constraints
 
     @cached_property
     def groups(self) -> Array:
@@ -205,7 +232,10 @@ class CompiledEquations:
 
     @cached_property
     def loses_rank(self) -> bool:
-        """True if constraints of loops or couplings may become dependent in a singular configuration."""
+        """True if constraints of loops or couplings may become dependent in a singular configuration.
+
+        The cuts of a spanning tree are the joints outside the tree; each closes a loop.
+        """
         return len(SpanningTree(self.scene.mechanism).cuts) > 0 or len(self.system.couplings) > 0
 
     @cached_property
@@ -215,7 +245,7 @@ class CompiledEquations:
 
     @cached_property
     def arrays(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
-        """Slice of the results of the function `output`, and shape, of each array that the scene asks for."""
+        """Slice in the results of the function `output`, and shape, of each array that the scene asks for."""
         layout = self.function("output").layout
         return {name: (slice(start, stop), tuple(shape)) for name, (start, stop, shape) in layout.items()}
 
@@ -229,10 +259,11 @@ class CompiledEquations:
         key = f"{name} in lanes" if in_lanes else name
         if key not in self.functions:
             known = self._identity_of(name)
-            identity = known and f"{known} {key}"
-            start, traced = time.perf_counter(), self.trace_time
+            identity = f"{known} {key}" if known else None
+            start, earlier_trace_time = time.perf_counter(), self.trace_time
             self.functions[key] = NativeFunction(lambda: self._traced(name, in_lanes), identity)
-            self.compile_time += time.perf_counter() - start - (self.trace_time - traced)
+            # the function traces the program if its code is not in the cache
+            self.compile_time += time.perf_counter() - start - (self.trace_time - earlier_trace_time)
         return self.functions[key]
 
     def program(self, name: str) -> Program:
@@ -244,27 +275,29 @@ class CompiledEquations:
         return self.programs[name]
 
     def _traced(self, name: str, in_lanes: bool) -> Traced:
-        """Return a program by name, with the layout of its results and the number of states per call."""
+        """Return a program by name, with the instructions how to compile it."""
+        program, layout = self.program(name), self._layouts.get(name)
+        if in_lanes:
+            straight = program.operation_count < MIN_ROLLED_SIZE_IN_LANES
+            return Traced(program, many=True, layout=layout, straight=straight, lanes=lane_count())
         group = next((group for group in MULTI_STATE_GROUPS if name in group), ())
         many = len(group) > 0 and all(
             self.program(other).operation_count < MIN_ROLLED_SIZE for other in group
         )
-        program, layout = self.program(name), self._layouts.get(name)
-        if in_lanes:
-            return Traced(
-                program, True, layout, program.operation_count < MIN_ROLLED_SIZE_IN_LANES, lane_count()
-            )
-        return Traced(program, many, layout)
+        return Traced(program, many=many, layout=layout)
 
     def _identity_of(self, name: str) -> str | None:
-        """Return the fingerprint of all that a program by name, or the choice of constraint "rows", depends
-        on.
+        """Return the fingerprint of all that a program depends on.
 
-        None if the scene contains objects without a fingerprint, such as classes of the user.
+        Args:
+            name: name of the program, or "rows" for the choice of the constraint rows.
+
+        Returns:
+            None if the scene contains objects without a fingerprint, such as classes of the user.
         """
         parameters = self._kinematic if name in KINEMATIC_PROGRAMS else tuple(self.parameters)
-        neutral = NOT_COMPILED_FIELDS if name == "output" else NOT_COMPILED_FIELDS | {"outputs"}
-        return self._fingerprint(parameters, neutral)
+        ignored = NOT_COMPILED_FIELDS if name == "output" else NOT_COMPILED_FIELDS | {"outputs"}
+        return self._fingerprint(parameters, ignored)
 
     @cached_property
     def _fingerprint(self) -> Callable[[tuple[str, ...], frozenset[str]], str | None]:
@@ -272,27 +305,22 @@ class CompiledEquations:
 
         The function remembers its results.
         """
-        chosen: list[Any] = [self.formulation, self.stabilization, self.alpha, self.scene.tracks_work]
+        settings: list[Any] = [self.formulation, self.stabilization, self.alpha, self.scene.tracks_work]
         if self._independent is not None:
-            chosen.append(tuple(self._independent))
+            settings.append(tuple(self._independent))
         # constraint rows are selected at the scene's initial pose, which depends on prescribed motions
-        chosen += [float(motion.function.value(0.0)) for motion in self.scene.motions]
+        settings += [float(motion.function.value(0.0)) for motion in self.scene.motions]
 
-        def found(parameters: tuple[str, ...], neutral: frozenset[str]) -> str | None:
+        def compute(parameters: tuple[str, ...], ignored: frozenset[str]) -> str | None:
             """Compute the fingerprint for names of parameters and names of fields to ignore."""
             inputs = parameter_layout(self.scene, parameters)
-            return fingerprint(self.scene, *chosen, inputs, neutral=neutral)
+            return fingerprint(self.scene, *settings, inputs, neutral=ignored)
 
-        return cache(found)
+        return cache(compute)
 
     @cached_property
-    def _decided(self) -> tuple[RowsInUse, ExchangeableRows, bool, tuple[NearlyRedundant, ...]]:
-        """Rank decisions for the constraints, from the cache on disk if possible.
-
-        Returns:
-            Constraint rows in use; exchangeable rows among them; True if redundant constraints make the
-            reactions non-unique; constraints that are almost redundant.
-        """
+    def _decided(self) -> RankDecisions:
+        """Choice of the constraint rows, from the cache on disk if possible."""
         known = self._identity_of("rows")
         key = known and cache_key(known, "rows")
         stored = read_cache(key) if key else None
@@ -300,16 +328,19 @@ class CompiledEquations:
             # an entry of another format than the one written below raises one of these errors
             with suppress(ValueError, TypeError, RecursionError):
                 rows, exchangeable, redundant, nearly = json.loads(stored)
-                weak = tuple(NearlyRedundant(*each) for each in nearly)
-                return RowsInUse(*rows), ExchangeableRows(*exchangeable), bool(redundant), weak
+                nearly_redundant = tuple(NearlyRedundant(*each) for each in nearly)
+                return RankDecisions(
+                    RowsInUse(*rows), ExchangeableRows(*exchangeable), bool(redundant), nearly_redundant
+                )
         with np.errstate(all="ignore"):  # a run reports forces that overflow
-            found = mobility(self.scene)
+            analysis = mobility(self.scene)
             exchange = exchangeable_rows(self.system) if self._independent is None else NO_ROWS
             chosen = rows_in_use(self.system, self._independent, exchange)._replace(flags=None)
+        # rows not in use are redundant, but in joint coordinates some of them are zero everywhere and have no
+        # reaction: there the analysis counts the redundant ones
         unused = len(self.system.phi_units) - len(chosen.numbers) + sum(exchange.left_out)
-        if isinstance(self.system, Relative):  # unused rows of this form may be zero and not redundant
-            unused = len(found.redundant)
-        decided = chosen, exchange, unused > 0, found.nearly
+        redundant_count = len(analysis.redundant) if isinstance(self.system, Relative) else unused
+        decided = RankDecisions(chosen, exchange, redundant_count > 0, analysis.nearly)
         if key:
             write_cache(key, json.dumps(decided).encode())
         return decided
@@ -317,12 +348,12 @@ class CompiledEquations:
     @property
     def rows(self) -> RowsInUse:
         """Constraint rows that imply all other rows, exchangeable rows included."""
-        return self._decided[0]
+        return self._decided.rows
 
     @property
     def exchangeable(self) -> ExchangeableRows:
         """Constraint rows of which some are redundant; a run chooses which of them to leave out."""
-        return self._decided[1]
+        return self._decided.exchangeable
 
     @property
     def rank(self) -> int:
@@ -332,16 +363,19 @@ class CompiledEquations:
     @property
     def redundant(self) -> bool:
         """True if redundant constraints make the joint reactions non-unique."""
-        return self._decided[2]
+        return self._decided.redundant
 
     @property
     def nearly_redundant(self) -> tuple[NearlyRedundant, ...]:
         """Constraints that are almost redundant, each with its treatment: kept or ignored."""
-        return self._decided[3]
+        return self._decided.nearly_redundant
 
     @property
     def noise(self) -> float:
-        """Largest dimensionless singular value of constraints that are treated as redundant; 0 for none."""
+        """Largest dimensionless singular value of almost redundant constraints that are ignored, else 0.
+
+        Rounded numbers in a model file cause such singular values.
+        """
         return residual(self.nearly_redundant)
 
     @cached_property
@@ -363,9 +397,9 @@ class CompiledEquations:
             time: s.
             values: values of parameters by name; all others have the scene's own values.
         """
-        own = parameter_values(self.scene, self.parameters) | pieces(self.scene, time) | (values or {})
+        by_name = parameter_values(self.scene, self.parameters) | pieces(self.scene, time) | (values or {})
         flags = self.exchangeable.left_out
-        return np.concatenate([q, v, [time], flags, *(np.ravel(own[name]) for name in self.parameters)])
+        return np.concatenate([q, v, [time], flags, *(np.ravel(by_name[name]) for name in self.parameters)])
 
     def float_system(self, x: Array) -> Formulation:
         """Return the equations over floats at the time and the parameters in x (inputs,)."""
@@ -376,14 +410,14 @@ class CompiledEquations:
         return at_time(system, x[self.size])
 
     def _formulated(self, scene: Scene) -> Formulation:
-        """Return the equations of the scene with other values of its parameters."""
+        """Return the equations of a scene that differs from this one in the values of its parameters."""
         system = formulate(scene, self.formulation, self.alpha)
-        share_model_control(system, self.system)
+        share_model_control(system, self.system)  # inverse dynamics of controllers with a model
         return system
 
     def parametrized(self, x: Array) -> Scene:
         """Return the scene with the values that x (inputs,) has for the requested parameters."""
-        return with_values(self.scene, self.values(x, self._named)) if self._named else self.scene
+        return with_values(self.scene, self.values(x, self._requested)) if self._requested else self.scene
 
     def place(self, parameter: str) -> int:
         """Return the index in x (inputs,) at which a parameter begins.
@@ -427,7 +461,7 @@ class CompiledEquations:
         return system
 
     def rows_at(self, x: Array) -> RowsInUse:
-        """Return the constraint rows in use, with the flags in x (inputs,) of those left out."""
+        """Return the constraint rows `rows`, with the flags in x (inputs,) of the exchangeable ones."""
         numbers = self.exchangeable.numbers
         if not numbers:
             return self.rows
@@ -442,8 +476,9 @@ class CompiledEquations:
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace (dq/dt, dv/dt, pivot ratio).
 
-        The pivot ratio is the smallest pivot of the elimination divided by its usual size: 1 far from a
-        singular configuration, at most 0 if the elimination fails.
+        The pivot ratio is the smallest quotient of a pivot of the elimination and its usual size, the
+        largest value in some configurations that are not singular. The ratio is about 1 far from a singular
+        configuration, and at most 0 if the elimination fails.
         """
         acceleration, pivot_ratio = system.sparse_acceleration(q, v, used_by(system))
         return [*system.rate(q, v), *acceleration, minimum(pivot_ratio, 1.0)]
@@ -462,16 +497,17 @@ class CompiledEquations:
 
     def _trace_position(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace one Newton step onto the constraints: (new q, v, squared residual before, pivot ratio)."""
-        norms = [q[place] @ q[place] - 1.0 for place in system.quaternions]
+        norm_errors = [q[place] @ q[place] - 1.0 for place in system.quaternions]
         q = system.retract(q, np.zeros(system.nv))  # quaternions of norm 1
         phi, step, pivot_ratio = self._correction(system, q, None)
-        square = self._squared_violation(phi) + sum(norm * norm for norm in norms)
+        square = self._squared_violation(phi) + sum(error * error for error in norm_errors)
         return [*system.retract(q, -step), *v, square, pivot_ratio]
 
     def _squared_violation(self, phi: Array) -> Scalar:
         """Compute the squared norm of dimensionless constraint residuals (k,).
 
-        Rows in `omitted` have a smaller weight, because their violation may be larger.
+        Rows in `omitted` have a smaller weight, because their violation may be as large as `loose_tolerance`
+        instead of `OPEN_TOLERANCE`.
         """
         weights = np.ones(len(phi))
         if self.omitted:
@@ -501,18 +537,18 @@ class CompiledEquations:
         rows, used = dimensionless_rows(system, jacobian, self.rows.numbers), used_by(system)
         phi = phi / system.phi_units
         right = phi[self.rows.numbers]
-        if v is not None:
-            rate = (system.phi_t() / system.phi_units)[self.rows.numbers]
-            right = rate + [sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows]
-        step, pivot_ratio = least_squares(rows, right, used)
-        least = np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)])
-        return phi, least, minimum(pivot_ratio, 1.0)
+        if v is not None:  # dPhi/dt = Phi_q v + Phi_t
+            phi_t = (system.phi_t() / system.phi_units)[self.rows.numbers]
+            right = phi_t + [sum(entry * (v[k] / units[k]) for k, entry in row.items()) for row in rows]
+        solution, pivot_ratio = least_squares(rows, right, used)
+        step = np.array([units[k] * solution.get(k, 0.0) for k in range(system.nv)])
+        return phi, step, minimum(pivot_ratio, 1.0)
 
     def _trace_ratio(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the pivot ratio of the constraint Jacobian alone, without masses."""
         rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
-        usual = constraint_scales(self.system, self._independent, self.exchangeable)
-        return [minimum(gram_factor(rows, used_by(system), usual).pivot_ratio, 1.0)]
+        usual_pivots = constraint_scales(self.system, self._independent, self.exchangeable)
+        return [minimum(gram_factor(rows, used_by(system), usual_pivots).pivot_ratio, 1.0)]
 
     def pivot_ratio(self, x: Array) -> float:
         """Evaluate the pivot ratio at x (inputs,) in the same way as integrators do.
@@ -522,7 +558,7 @@ class CompiledEquations:
         if not self.loses_rank:
             return 1.0
         ratio = float(self.function("derivative")(x)[-1])
-        if ratio < NEAR_PIVOT_RATIO:
+        if ratio < NEAR_PIVOT_RATIO:  # masses alone may make it small: compare with the ratio without masses
             ratio = ratio_for_steps(ratio, float(self.function("ratio")(x)[0]))
         return ratio
 
@@ -536,30 +572,31 @@ class CompiledEquations:
             The square of the largest share, then the nonzeros of the dimensionless constraint Jacobian. The
             layout lists the indices of the nonzeros in the flattened matrix (k, nv).
         """
-        # matrix of the rows in use, factorized; weights (sums, left-out rows): each row alone, or, if there
-        # are many, sums of all rows with random signs
+        # Gram matrix (inner products) of the rows in use, factorized
         exchange, used = self.exchangeable, used_by(system)
         rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
         factor, flags, count = gram_factor(rows, used), used.flags or {}, len(exchange.numbers)
+        # weights (sums, count) of the exchangeable rows: each row alone, or, if there are many, sums of all
+        # rows with random signs
         weights = np.eye(count)
         if count > MAX_ROW_SUMS:
             weights = np.random.default_rng(0).choice([-1.0, 1.0], (MAX_ROW_SUMS, count))
-        positions = [used.numbers.index(number) for number in exchange.numbers]  # among the rows
-        worst: Scalar = 0.0  # minus the square of the largest share
-        for signs in weights / np.array(exchange.units):
-            # the row or sum of rows that is left out: flags are 0 for rows in use
-            total: dict[int, Scalar] = {}
-            for position, number, sign in zip(positions, exchange.numbers, signs, strict=True):
-                for k, entry in rows[position].items() if sign != 0.0 else ():
-                    add(total, k, flags[number] * (sign * entry))
-            # its combination of the rows in use
-            right = {n: dot(row, total) for n, row in enumerate(rows)}
+        positions = [used.numbers.index(number) for number in exchange.numbers]  # indices into `rows`
+        least: Scalar = 0.0  # minus the square of the largest share
+        for row_weights in weights / np.array(exchange.units):  # units: usual magnitudes of the rows
+            # sum of the left-out rows: a flag is 0 for a row in use, which therefore adds nothing
+            left_out: dict[int, Scalar] = {}
+            for position, number, weight in zip(positions, exchange.numbers, row_weights, strict=True):
+                for k, entry in rows[position].items() if weight != 0.0 else ():
+                    add(left_out, k, flags[number] * (weight * entry))
+            # coefficients of the rows in use, by least squares with the factorized Gram matrix
+            right = {n: dot(row, left_out) for n, row in enumerate(rows)}
             shares = factor.solve({n: x for n, x in right.items() if not is_zero(x)})
             for position, unit in zip(positions, exchange.units, strict=True):
                 share = unit * shares.get(position, 0.0)
-                worst = minimum(worst, -(share * share))
+                least = minimum(least, -(share * share))
         self._layouts["shares"] = [system.nv * n + k for n, row in enumerate(rows) for k in row]
-        return [-worst, *(entry for row in rows for entry in row.values())]
+        return [-least, *(entry for row in rows for entry in row.values())]
 
     def _trace_retract(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace q after a step. The step (nv,), m or rad, is passed in place of the velocities v."""
@@ -575,27 +612,27 @@ class CompiledEquations:
             of the mass matrix M on and below its diagonal. The layout has the number of rows, and the indices
             of the nonzeros in the flattened matrices Phi_q (k, nv) and M (nv, nv).
         """
-        # residuals and their rates
+        # residuals and their rates dPhi/dt = Phi_q v + Phi_t
         units, phi_units = self.system.velocity_units, self.system.phi_units
         phi, jacobian = system.phi_and_jacobian(q)
         phi_t = system.phi_t()
         kept = [i for i in range(len(phi)) if i not in self.omitted and (jacobian[i] or not is_zero(phi[i]))]
         scalars: list[Scalar] = [phi[i] / phi_units[i] for i in kept]
         for i in kept:
-            rate = sum(x * v[k] for k, x in jacobian[i].items()) + phi_t[i]
+            rate = sum(entry * v[k] for k, entry in jacobian[i].items()) + phi_t[i]
             scalars.append(rate / phi_units[i])
         # constraint Jacobian
-        on_jacobian: list[int] = []
+        jacobian_places: list[int] = []
         for row, i in enumerate(kept):
-            on_jacobian.extend(system.nv * row + k for k in jacobian[i])
-            scalars.extend(x * (units[k] / phi_units[i]) for k, x in jacobian[i].items())
+            jacobian_places.extend(system.nv * row + k for k in jacobian[i])
+            scalars.extend(entry * (units[k] / phi_units[i]) for k, entry in jacobian[i].items())
         # lower triangle of the mass matrix
-        on_mass: list[int] = []
+        mass_places: list[int] = []
         for i, entries in enumerate(system.mass_rows(q)):
             lower = [k for k in entries if k <= i]
-            on_mass.extend(system.nv * i + k for k in lower)
+            mass_places.extend(system.nv * i + k for k in lower)
             scalars.extend(entries[k] * (units[i] * units[k]) for k in lower)
-        self._layouts["surface"] = len(kept), (on_jacobian, on_mass)
+        self._layouts["surface"] = len(kept), (jacobian_places, mass_places)
         return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
@@ -606,12 +643,12 @@ class CompiledEquations:
         # 1. evaluate the system; accelerations only if an output needs them
         wanted = self.scene.outputs
         if self.scene.needs_accelerations:
-            e, pivot_ratio = system.sparse_evaluation(q, v, used_by(system))
-            seen: Observation = e
+            evaluation, pivot_ratio = system.sparse_evaluation(q, v, used_by(system))
+            observation: Observation = evaluation
         else:
-            seen = system.observe(q, v)
+            observation = system.observe(q, v)
         # 2. collect the arrays by name
-        state = seen.state
+        state = observation.state
         arrays: dict[str, Any] = {"position": state.position, "quaternion": state.quaternion}
         if state.angles:
             arrays["joint_angle"] = np.array(list(state.angles.values()))
@@ -619,15 +656,16 @@ class CompiledEquations:
             arrays["linear_velocity"] = state.linear_velocity
             arrays["angular_velocity"] = state.angular_velocity
         if "reactions" in wanted:
-            arrays["reaction_force"], arrays["reaction_torque"] = e.reaction_force, e.reaction_torque
+            arrays["reaction_force"] = evaluation.reaction_force
+            arrays["reaction_torque"] = evaluation.reaction_torque
         if "actuation" in wanted:
-            arrays["actuator_force"] = e.actuator_force
+            arrays["actuator_force"] = evaluation.actuator_force
         if "energy" in wanted:
-            arrays["kinetic_energy"] = np.array(seen.kinetic_energy)
-            arrays["potential_energy"] = np.array(seen.potential_energy)
-        if self.scene.tracks_work:
+            arrays["kinetic_energy"] = np.array(observation.kinetic_energy)
+            arrays["potential_energy"] = np.array(observation.potential_energy)
+        if self.scene.tracks_work:  # the state contains the work of forces without potential energy
             arrays["work"] = np.array(q[system.work][0])
-        if "violation" in wanted or self.stabilization != "projection":
+        if "violation" in wanted or self.stabilization != "projection":  # then runs check for open joints
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:
             arrays["pivot_ratio"] = np.array(minimum(pivot_ratio, 1.0))
@@ -642,11 +680,11 @@ class CompiledEquations:
 
     def _trace_measured(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the joint coordinates that controllers measure (m or rad), then their rates."""
-        seen = system.measure(q, v)
-        return [*(x for x, _ in seen), *(rate for _, rate in seen)]
+        measured = system.measure(q, v)
+        return [*(coordinate for coordinate, _ in measured), *(rate for _, rate in measured)]
 
 
 def used_by(system: Formulation) -> RowsInUse:
-    """Return the constraint rows in use of a system over symbolic scalars."""
+    """Return the constraint rows that `CompiledEquations` has set for a system over symbolic scalars."""
     assert system.in_use is not None
     return system.in_use

@@ -1,10 +1,12 @@
 """Adaptive integration (DOP853, Radau) of equations of motion that Python evaluates, such as Pinocchio's.
 
 The integrator is native code, and calls back into Python for accelerations and for projection onto the
-constraints. Near a singular configuration the constraints become dependent. The distance from it is measured
-by the pivot ratio: the squared ratio of the smallest to the largest singular value of the constraint
-Jacobian, divided by the largest such value in the sample configurations of
+constraints. Constraints become dependent in a singular configuration. The pivot ratio of a state measures the
+distance from it. Here the ratio is the squared ratio of the smallest to the largest singular value of the
+constraint Jacobian, divided by the largest such value in the sample configurations of
 `newton_euler.equations.redundancy.Mobility`.
+
+Redundant constraint rows that files give only approximately are left out; the others are the rows in use.
 """
 
 from __future__ import annotations
@@ -104,7 +106,8 @@ def integrate_adaptive(
     with evaluated.interruptible(), np.errstate(all="ignore"):  # the integrator rejects infinite numbers
         native_method(integrate)(integrate, evaluated.equations, table, method)
     found = {"steps": int(evaluated.counts[Count.STEPS]), "evaluations": evaluated.evaluations}
-    stopped = evaluated.failure(start[:-1], options.integrator, max_steps)
+    last = start[:-1]  # the integrator has overwritten `start` with the end of the run
+    stopped = evaluated.failure(last, options.integrator, max_steps)
     return states[: int(evaluated.counts[Count.ROWS_WRITTEN])], found, stopped
 
 
@@ -131,8 +134,8 @@ class EvaluatedSystem(Callbacks):
         self._rank = constraint_rank(system)
         self.evaluations = 0
         self._usual_ratio = 0.0
-        # DOP853 alone avoids steps that end at a singular configuration; without projection a run may
-        # continue on another branch of the motion
+        # DOP853 alone avoids steps that end at a singular configuration, where a run could continue on
+        # another branch of the motion; without projection it does not look for singular configurations
         watches = options.integrator == "DOP853" and options.projection and self._rank > 0
         if watches:
             states = mobility(system.scene).states
@@ -142,10 +145,9 @@ class EvaluatedSystem(Callbacks):
         # marks of the first elements of quaternions, which the integrator normalizes
         n, nq, nv, rows = system.nq + system.nv, system.nq, system.nv, len(self._kept)
         marks = np.zeros(n)
-        with_rates = isinstance(system, Cartesian)
-        marks[[place.start for place in system.quaternions]] = (
-            QUATERNION_WITH_RATES if with_rates else QUATERNION
-        )
+        # the Cartesian form has rates of quaternions as velocities, the other systems angular velocities
+        mark = QUATERNION_WITH_RATES if isinstance(system, Cartesian) else QUATERNION
+        marks[[place.start for place in system.quaternions]] = mark
         # the record for the native integrator
         groups = constraint_groups(system) if options.projection and rows > 0 else np.zeros(0)
         derivative = self.callback(n + 1, self._derivative)
@@ -163,13 +165,13 @@ class EvaluatedSystem(Callbacks):
             lanes=1,
             position=self.callback(n + 2, self._position),
             velocity=self.callback(n + 2, self._velocity),
-            closing=closing_of(
-                nq,
-                system.velocity_units,
-                n + 1,
-                ([*range(rows * nv)], [*range(nv * nv)]),
-                rows,
-                (
+            closing=closing_of(  # projection with dense matrices near singular configurations
+                nq=nq,
+                units=system.velocity_units,
+                inputs=n + 1,
+                places=([*range(rows * nv)], [*range(nv * nv)]),  # all elements of Phi_q and M
+                constraints=rows,
+                functions=(
                     self.callback(nq, self._system.retract),
                     self.callback(2 * rows + rows * nv + nv * nv, self._surface),
                 ),
@@ -216,6 +218,8 @@ class EvaluatedSystem(Callbacks):
         """Compute dq/dt and dv/dt, followed by the pivot ratio, one vector (n + 1,)."""
         ratio = 1.0
         if self._usual_ratio > 0.0:
+            # above `DENSE_PIVOT_RATIO`, by which the integrator knows a singular state: these equations have
+            # no second form to evaluate there
             ratio = max(self._ratio(self._jacobian(q)) / self._usual_ratio, 2.0 * DENSE_PIVOT_RATIO)
         return np.append(self._rates(q, v), ratio)
 
@@ -225,12 +229,12 @@ class EvaluatedSystem(Callbacks):
         Returns:
             The Jacobian, row by row, (n * n,).
         """
-        at, y = self._rates(q, v), np.concatenate([q, v])
+        rates, y = self._rates(q, v), np.concatenate([q, v])
         columns = np.empty((len(y), len(y)))
         for k, h in enumerate(JACOBIAN_STEP * np.maximum(1.0, np.abs(y))):
             moved = y.copy()
             moved[k] += h
-            columns[k] = (self._rates(moved[: len(q)], moved[len(q) :]) - at) / h
+            columns[k] = (self._rates(moved[: len(q)], moved[len(q) :]) - rates) / h
         return columns.T.ravel()
 
     def _jacobian(self, q: Array) -> Array:
@@ -273,10 +277,15 @@ class EvaluatedSystem(Callbacks):
         return np.concatenate([q, v - step, [float(phi @ phi), ratio]])
 
     def _least_step(self, jacobian: Array, residual: Array) -> tuple[Array, float]:
-        """Compute the shortest step that a dimensionless residual (k,) corresponds to, by singular values.
+        """Compute the shortest step that changes the constraints by a given residual, by singular values.
+
+        Args:
+            jacobian: (k, nv) dimensionless Jacobian of the constraint rows in use.
+            residual: (k,) dimensionless residuals, or their rates.
 
         Returns:
-            The step (nv,), m or rad, and the pivot ratio of the dimensionless Jacobian (k, nv).
+            The step (nv,), m or rad, or per s; the squared ratio of the smallest to the largest singular
+            value.
         """
         if self._rank == 0:
             return np.zeros(len(jacobian.T)), 1.0
@@ -315,7 +324,7 @@ class EvaluatedSystem(Callbacks):
         if status == Status.DONE:
             return None
         if status == Status.INTERRUPTED:
-            raise self.fatal or KeyboardInterrupt
+            raise self.fatal or KeyboardInterrupt  # an exception in a callback also interrupts the run
         system, time = self._system, float(self.counts[Count.TIME_REACHED])
         system.time = time
         state = system.state(last[: system.nq], last[system.nq :])
@@ -328,6 +337,6 @@ class EvaluatedSystem(Callbacks):
             reason = str(error)
         if status in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL) and integrator == "DOP853":
             reason += "; for stiff equations use Radau"
-        with np.errstate(all="ignore"):  # the message also covers numbers that are not finite
+        with np.errstate(all="ignore"):  # a run may have ended because its numbers are not finite
             around = surroundings(system.scene, state, time)
             return IntegrationError(time, with_likely_causes(system.scene, state, reason, around))

@@ -33,23 +33,24 @@ DIFFERENCE_STEP = 1e-7
 """Step of difference quotients, relative to each coordinate or velocity; absolute for magnitudes below 1."""
 
 UNSTABLE_STATUSES = (Status.NOT_FINITE, Status.OPEN, Status.STRAYING)
-"""Statuses with which a run may end because its fixed step is too long."""
+"""Statuses with which a run may end because its fixed step is too long.
+
+`OPEN`: projection cannot close a joint. `STRAYING`: accelerations within one step contradict each other."""
 
 LEFT_MOTION_FACTOR = 30.0
 """Factor beyond the stability limit at which a rate is no property of the motion but of a diverged run.
 
-In tests with light links in loops, rates exceed the limit by a factor of 1.5 before the run diverges, and by
-a
-factor of 100 or more in the next step."""
+A rate is an eigenvalue magnitude, 1/s, of the linearized motion. In tests with light links in loops, rates
+exceed the limit by a factor of 1.5 before the run diverges, and by a factor of 100 or more one step later."""
 
 EXAMINED_FROM_END = (1, 2, 4, 16, 64)
-"""States of a run, counted from its end, that are examined for rates too fast for the step."""
+"""States of a run, counted from its end, at which rates are computed first to find one above the limit."""
 
 POWER_ITERATIONS = 40
 """Number of power iterations for the fastest rate; the result is averaged over the second half."""
 
 
-@np.errstate(all="ignore")  # the message also covers numbers that are not finite
+@np.errstate(all="ignore")  # a run may have ended because its numbers are not finite
 def failure(
     code: CompiledEquations,
     options: Options,
@@ -83,17 +84,18 @@ def failure(
         reason += "; a shorter step, or DOP853, may pass" if options.step is not None else ""
     else:
         reason = _reason(code, options, Status(status), x)
-    stopped = UndeterminedStartError if status == Status.UNDETERMINED else IntegrationError
-    return stopped(reached, with_likely_causes(system.scene, state, reason, system.surroundings(q, v)))
+    error_class = UndeterminedStartError if status == Status.UNDETERMINED else IntegrationError
+    surroundings = system.surroundings(q, v)  # the quantities that forces depend on
+    return error_class(reached, with_likely_causes(system.scene, state, reason, surroundings))
 
 
 def _instability(code: CompiledEquations, options: Options, states: Sequence[Array]) -> str:
     """Report that a fixed step is too long for the fastest rate of the motion; empty if no state shows this.
 
-    The first state with a rate above the stability limit is quoted, because later states may belong to a
-    diverged run. If its rate is far above the limit and the state is not the start, the run has probably
-    diverged before, and the rate is not quoted. States near a singular configuration are ignored, because
-    rates have no bound there.
+    A rate is an eigenvalue magnitude, 1/s, of the linearized motion. The message has the first rate above the
+    stability limit, because later states may belong to a diverged run. If this rate is far above the limit
+    and its state is not the start, the run has probably diverged before, and the message has no rate. States
+    near a singular configuration are ignored, because rates have no bound there.
 
     Args:
         code: compiled equations of the scene.
@@ -106,7 +108,8 @@ def _instability(code: CompiledEquations, options: Options, states: Sequence[Arr
     def rate_at(number: int) -> float:
         """Estimate the fastest rate, 1/s, at a state; 0 near a singular configuration."""
         x = states[number]
-        return fastest_rate(code, x) if code.pivot_ratio(x) > FAR_PIVOT_RATIO else 0.0
+        is_regular = code.pivot_ratio(x) > FAR_PIVOT_RATIO  # the ratio falls from 1 to 0 at a singular one
+        return fastest_rate(code, x) if is_regular else 0.0
 
     limit = STABILITY_LIMITS[options.integrator]
     too_long = f"step={options.step:g} s is too long for {options.integrator}"
@@ -135,22 +138,23 @@ def first_above(rate_at: Callable[[int], float], count: int, limit: float) -> tu
     Returns:
         Number of the state and its rate, 1/s; (0, 0.0) if no examined rate is above the limit.
     """
-    # a state above the limit: `last`; the states before it are not examined yet
-    first, last, rate = 0, 0, 0.0
+    # the start, then states from the end backwards, until the rate of one is above the limit
+    above, rate = 0, 0.0
     for number in dict.fromkeys([0, *(count - back for back in EXAMINED_FROM_END)]):
         if 0 <= number < count and rate <= limit:
-            last, rate = number, rate_at(number)
+            above, rate = number, rate_at(number)
     if rate <= limit:
         return 0, 0.0
-    # bisection: the rate at `last` is above the limit
-    while last - first > 1:
-        middle = (first + last) // 2
-        found = rate_at(middle)
-        if found > limit:
-            last, rate = middle, found
+    # bisection between the start, which is not above the limit, and the state `above`
+    not_above = 0
+    while above - not_above > 1:
+        middle = (not_above + above) // 2
+        middle_rate = rate_at(middle)
+        if middle_rate > limit:
+            above, rate = middle, middle_rate
         else:
-            first = middle
-    return last, rate
+            not_above = middle
+    return above, rate
 
 
 def fastest_rate(code: CompiledEquations, x: Array) -> float:
@@ -161,31 +165,33 @@ def fastest_rate(code: CompiledEquations, x: Array) -> float:
     rates are not finite.
     """
     derivative, n = code.function("derivative"), code.size
-    at, units = derivative(x)[:n], DIFFERENCE_STEP * np.maximum(1.0, np.abs(x[:n]))
-    direction, growth = np.random.default_rng(0).standard_normal(n), np.zeros(POWER_ITERATIONS)
+    rates, steps = derivative(x)[:n], DIFFERENCE_STEP * np.maximum(1.0, np.abs(x[:n]))
+    direction, log_growth = np.random.default_rng(0).standard_normal(n), np.zeros(POWER_ITERATIONS)
     for k in range(POWER_ITERATIONS):
         moved = x.copy()
-        moved[:n] += units * direction
-        direction = (derivative(moved)[:n] - at) / units
+        moved[:n] += steps * direction
+        direction = (derivative(moved)[:n] - rates) / steps
         size = float(np.linalg.norm(direction))
         if not 0.0 < size < np.inf:
             return 0.0
-        direction, growth[k] = direction / size, np.log(size)
-    return float(np.exp(np.mean(growth[POWER_ITERATIONS // 2 :])))
+        direction, log_growth[k] = direction / size, np.log(size)
+    return float(np.exp(np.mean(log_growth[POWER_ITERATIONS // 2 :])))
 
 
 def _reason(code: CompiledEquations, options: Options, status: Status, x: Array) -> str:
     """Complete the message of a status with the singular configuration near x (inputs,), or with advice."""
+    # messages of these statuses name the singular configuration
     is_singular = status in (Status.STRAYING, Status.UNDETERMINED, Status.UNPROJECTED)
     near = is_singular or code.pivot_ratio(x) < NEAR_PIVOT_RATIO
-    joint, value = nearly_dependent(code, x) if near else ("", 0.0)
+    joint, singular_value = nearly_dependent(code, x) if near else ("", 0.0)
     place = f"a singular configuration, where joint {joint!r} loses rank"
     reason = status.message.format(max_steps=max_adaptive_steps(options), place=place)
     if status not in (Status.TOO_MANY_STEPS, Status.STEP_TOO_SMALL):
         return reason
     if near:
+        noise = f"round-off near {place} (singular value {singular_value:.1e}), is larger than rtol allows"
+        # "one" is a larger rtol
         remedy = "a larger one, up to 1e-8, may pass, unless dimensions miss that configuration by more"
-        noise = f"round-off near {place} (singular value {value:.1e}), is larger than rtol allows"
         return f"{reason}; {noise}; {remedy}"
     return f"{reason}; for stiff equations use Radau" if options.integrator == "DOP853" else reason
 
@@ -203,8 +209,9 @@ def nearly_dependent(code: CompiledEquations, x: Array) -> tuple[str, float]:
         x: (inputs,) state, time, flags and parameters.
 
     Returns:
-        Name of the joint or gear, and the smallest dimensionless singular value of the constraint rows in
-        use. Without constraints: the joint that moves fastest, and 1.
+        Name of the joint or gear, and the smallest dimensionless singular value of the Jacobian of the
+        constraints in use (redundant ones are left out). Without constraints: the joint that moves fastest,
+        and 1.
     """
     system, rows = code.float_system(x), code.rows_at(x).in_use
     if not rows:

@@ -26,7 +26,8 @@ FORMULATIONS: dict[FormulationName, Callable[[Scene, float], Formulation]] = {
 MAX_PRODUCTS_PER_BODY = 270
 """Number of products in J M^-1 J^T per body above which the Cartesian form takes fewer operations.
 
-Measured with ladders of rods and balls. With 10 rungs there are 234 products per body, and both forms take
+J is the constraint Jacobian, M the mass matrix in joint coordinates, see `cheaper_formulation`. Measured with
+ladders of rods and ball joints. With 10 rungs there are 234 products per body, and both forms take
 2,100 operations per body. With 20 rungs there are 864 products per body; joint coordinates take 5,100
 operations, the Cartesian form takes 2,100."""
 
@@ -41,8 +42,8 @@ def cheaper_formulation(mechanism: Mechanism) -> FormulationName:
     # joint axes between the ground (body 0) and each body
     tree = SpanningTree(mechanism)
     paths: dict[int, list[int]] = {0: []}
-    for kept in tree.joints:
-        paths[kept.child] = [*paths[kept.parent], *range(kept.v.start, kept.v.stop)]
+    for joint in tree.joints:
+        paths[joint.child] = [*paths[joint.parent], *range(joint.v.start, joint.v.stop)]
     # number of constraint rows whose paths contain each axis; a cut is a joint outside the tree, which
     # closes a loop
     rows = [0] * tree.nv

@@ -43,21 +43,21 @@ def integrate(
     if options.integrator in ADAPTIVE:
         return integrate_adaptive(system, q, v, times, options)
     evaluations = 0
-    good = np.concatenate([q, v])  # last state with finite accelerations, for error messages
+    last_good = np.concatenate([q, v])  # last state with finite accelerations, for error messages
 
     def derivative(t: float, y: Array) -> Array:
         """Compute dq/dt and dv/dt at time t, s, and state y (nq + nv,)."""
-        nonlocal evaluations, good
+        nonlocal evaluations, last_good
         evaluations += 1
         q, v = y[: system.nq], y[system.nq :]
         now = at_time(system, t)
         try:
             rates = np.concatenate([now.rate(q, v), now.acceleration(q, v)])
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
-            raise IntegrationError(t, _with_blame(system, t, good, str(error))) from error
+            raise IntegrationError(t, _with_causes(system, t, last_good, str(error))) from error
         if not np.isfinite(rates).all():
-            raise IntegrationError(t, _with_blame(system, t, good, "accelerations are not finite"))
-        good = y
+            raise IntegrationError(t, _with_causes(system, t, last_good, "accelerations are not finite"))
+        last_good = y
         return rates
 
     def project(t: float, y: Array) -> Array:
@@ -76,12 +76,13 @@ def integrate(
     rows: list[Array] = []
     try:
         with np.errstate(all="ignore"):  # the loop checks that numbers are finite
-            rows.append(project(float(times[0]), good))
-            for step, y in _fixed(system, derivative, project, rows[0], times, options):
-                steps = step
+            rows.append(project(float(times[0]), last_good))
+            for steps_so_far, y in _fixed(system, derivative, project, rows[0], times, options):
+                steps = steps_so_far
                 if not np.all(np.isfinite(y)):
-                    reason = _with_blame(system, float(times[len(rows)]), good, "the solution is not finite")
-                    raise IntegrationError(float(times[len(rows)]), reason)
+                    time = float(times[len(rows)])
+                    reason = _with_causes(system, time, last_good, "the solution is not finite")
+                    raise IntegrationError(time, reason)
                 rows.append(y)
     except IntegrationError as error:
         stopped = error
@@ -89,7 +90,7 @@ def integrate(
     return table, {"steps": steps, "evaluations": evaluations}, stopped
 
 
-def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
+def _with_causes(system: System, time: float, y: Array, reason: str) -> str:
     """Append the fastest joint and the largest force at a state y (nq + nv,) and time, s, to a reason."""
     state = system.state(y[: system.nq], y[system.nq :])
     return with_likely_causes(system.scene, state, reason, surroundings(system.scene, state, time))
@@ -125,7 +126,7 @@ def _fixed(
         for k in range(count):
             moved = advance(system, derivative, begin + k * h, y, h)
             if not np.all(np.isfinite(moved)):
-                reason = _with_blame(system, float(begin + k * h), y, "the solution is not finite")
+                reason = _with_causes(system, float(begin + k * h), y, "the solution is not finite")
                 raise IntegrationError(float(begin + (k + 1) * h), reason)
             y = project(begin + (k + 1) * h, moved)
         steps += count
@@ -133,7 +134,15 @@ def _fixed(
 
 
 def _rk4(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
-    """Return the state after a step of the classical Runge-Kutta method of order 4 (h in s)."""
+    """Return the state after a step of h, s, of the classical Runge-Kutta method of order 4.
+
+    Args:
+        system: not needed; the arguments are those of `_semi_implicit_euler`.
+        derivative: computes the time derivative of a state.
+        t: s, time at the start of the step.
+        y: (nq + nv,) state at the start of the step.
+        h: s, size of the step.
+    """
     k1 = derivative(t, y)
     k2 = derivative(t + 0.5 * h, y + 0.5 * h * k1)
     k3 = derivative(t + 0.5 * h, y + 0.5 * h * k2)
@@ -142,7 +151,10 @@ def _rk4(system: System, derivative: Derivative, t: float, y: Array, h: float) -
 
 
 def _semi_implicit_euler(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
-    """Return the state after a step of semi-implicit Euler (h in s): velocities first, then coordinates."""
+    """Return the state after a step of semi-implicit Euler: velocities first, then coordinates.
+
+    See `_rk4` for the arguments.
+    """
     q = y[: system.nq]
     v = y[system.nq :] + h * derivative(t, y)[system.nq :]
     return np.concatenate([q + h * system.rate(q, v), v])

@@ -5,8 +5,13 @@ The equations of motion are solved with the desired accelerations as additional 
 actuator and redundant actuators need no special cases. The functions are compiled once for a scene and
 evaluate many states per call.
 
-The functions also take flags. A flag leaves out a redundant constraint row that can replace another one in
-some configurations (`newton_euler.equations.row_choice`). Most scenes have no such rows.
+The functions also take flags. A constraint row is one scalar constraint equation. If constraints are
+redundant, some rows are exchangeable: which of them is best left out depends on the configuration
+(`newton_euler.equations.row_choice`). The flag of an exchangeable row is 1 if the row is left out, else 0.
+Most scenes have no such rows.
+
+Functions of time, such as splines, consist of polynomial pieces between knots. The coefficients of the piece
+that is valid at a state's time are inputs, so that one compiled function serves all times.
 """
 
 from __future__ import annotations
@@ -62,8 +67,8 @@ class InverseDynamics:
     """Inverse dynamics of one scene, compiled when first needed.
 
     Attributes:
-        scene: the scene, with control laws of zero force on the coordinates and the actuators. The actuator
-            forces of a state are set as the constant parts of these laws.
+        scene: the scene, whose control laws are replaced by laws of zero force on the actuators, then on the
+            coordinates. The actuator forces of a state are set as the constant parts of these laws.
         servos: the joint coordinates with desired accelerations, and the actuators.
         system: equations of the scene in joint coordinates.
     """
@@ -118,15 +123,15 @@ class InverseDynamics:
             trace: one of the `_trace_...` methods, which computes the results over symbolic scalars.
             given_count: number of given accelerations, rates or forces.
         """
-        held = pieces(self.scene, 0.0)
+        functions = pieces(self.scene, 0.0)  # polynomial coefficients by parameter name; only lengths matter
         rows = self._exchangeable.numbers
-        lengths = [self.system.nq, self.system.nv, len(rows), given_count, 1, *map(len, held.values())]
+        lengths = [self.system.nq, self.system.nv, len(rows), given_count, 1, *map(len, functions.values())]
         ends = np.cumsum(lengths)
 
         def traced(x: Array) -> tuple[list[Scalar], None]:
-            """Split x (inputs,) into its parts and compute the results; they need no layout."""
-            q, v, flags, given, (time,), *numbers = np.split(x, ends[:-1])
-            scene = with_values(self.scene, dict(zip(held, numbers, strict=True)))
+            """Split x (inputs,) into its parts and compute the results; they need no description (layout)."""
+            q, v, flags, given, (time,), *coefficients = np.split(x, ends[:-1])
+            scene = with_values(self.scene, dict(zip(functions, coefficients, strict=True)))
             servos = self.servos.with_flags(dict(zip(rows, flags, strict=True)))
             return trace(scene, servos, q, v, given, time), None
 
@@ -142,8 +147,8 @@ class InverseDynamics:
         """Trace actuator forces (a,), pivot ratio and squared loop-closure error (without couplings)."""
         system = at_time(Relative(scene), time)
         forces, pivot_ratio = system.servo_forces(q, v, servos, list(accelerations))
-        loops = system.rows - len(system.couplings)
-        phi = (system.phi(q) / system.phi_units)[:loops]
+        loop_rows = system.rows - len(system.couplings)  # rows of couplings follow those of loops
+        phi = (system.phi(q) / system.phi_units)[:loop_rows]
         return [*forces, minimum(pivot_ratio, 1.0), phi @ phi]
 
     def _trace_motion(
@@ -151,19 +156,20 @@ class InverseDynamics:
     ) -> list[Scalar]:
         """Trace the velocities v (nv,) for given rates of the coordinates, and the pivot ratio."""
         system = at_time(Relative(scene), time)
-        found, pivot_ratio = system.servo_velocities(q, servos, list(rates))
-        return [*found, minimum(pivot_ratio, 1.0)]
+        velocities, pivot_ratio = system.servo_velocities(q, servos, list(rates))
+        return [*velocities, minimum(pivot_ratio, 1.0)]
 
     def _trace_evaluation(
         self, scene: Scene, servos: Servos, q: Array, v: Array, forces: Array, time: Scalar
     ) -> list[Scalar]:
         """Trace the reactions and accelerations under given actuator forces (a,)."""
-        found, _ = self._with_forces(scene, forces, time).sparse_evaluation(q, v, servos.rows)
-        return [scalar for array in _arrays(found) for scalar in array.ravel()]
+        evaluation, _ = self._with_forces(scene, forces, time).sparse_evaluation(q, v, servos.rows)
+        return [scalar for array in _arrays(evaluation) for scalar in array.ravel()]
 
     def _with_forces(self, scene: Scene, forces: Array, time: Scalar) -> Relative:
         """Return the equations of the scene at a time, s, with given actuator forces (a,), N or N m."""
-        values = {numbered("control", k, "feedforward"): u for k, u in enumerate(forces)}
+        # law number k acts on actuator number k; `feedforward` is its constant part
+        values = {numbered("control", k, "feedforward"): force for k, force in enumerate(forces)}
         return at_time(Relative(with_values(scene, values)), time)
 
     def _time_inputs(self, time: Array) -> Array:
@@ -192,31 +198,37 @@ class InverseDynamics:
         Raises:
             SingularityError: for a state at which the coordinates do not determine the motion.
         """
-        unused, flags = np.zeros((len(q), self.system.nv)), self.flags(q)
-        found = at_rows(self.motion, np.column_stack([q, unused, flags, *rates, self._time_inputs(time)]))
-        self._check_pivots(found[:, -1], found, q)
-        return found[:, :-1]
+        ignored_v, flags = np.zeros((len(q), self.system.nv)), self.flags(q)
+        inputs = np.column_stack([q, ignored_v, flags, *rates, self._time_inputs(time)])
+        results = at_rows(self.motion, inputs)
+        self._check_pivots(results[:, -1], results, q)
+        return results[:, :-1]
 
-    def _check_pivots(self, pivot_ratio: Array, found: Array, q: Array) -> None:
-        """Raise `SingularityError` for the first state without a positive pivot ratio or finite results.
+    def _check_pivots(self, pivot_ratio: Array, results: Array, q: Array) -> None:
+        """Raise an error for the first state without a positive pivot ratio or finite results.
 
         Args:
             pivot_ratio: (n,) smallest pivot of the elimination relative to its usual size.
-            found: (n, k) results of the elimination.
+            results: (n, k) results of the elimination.
             q: (n, nq) coordinates.
+
+        Raises:
+            SingularityError: for a singular state, naming the coordinate or a joint that closes a loop.
+            MechanismError: for numbers that overflow in a mechanism without loops.
         """
-        for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(found).all(axis=1))[:1]:
+        for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(results).all(axis=1))[:1]:
             flags = dict(zip(self._exchangeable.numbers, self.flags(q[[row]])[0].tolist(), strict=True))
             # find the coordinate at fault; rows with dimensionless singular values below 1e-4 are dependent
             # to the precision at which the elimination fails
-            at = find_fault(self.system, q[row], self.servos.with_flags(flags), tolerance=1e-4)
-            if at is None and not len(self.servos.rows.numbers):
+            fault = find_fault(self.system, q[row], self.servos.with_flags(flags), tolerance=1e-4)
+            if fault is None and not len(self.servos.rows.numbers):
                 problem = f"has no finite solution at state {row}"
                 raise MechanismError("inverse dynamics", problem, "smaller rates and accelerations")
-            if at is None:
-                cut = self.system.row_owners[self.servos.rows.numbers[0]]
-                raise SingularityError(cut, f"the loops at state {row} do not determine the motion")
-            raise SingularityError(at[0][0], f"at state {row} the coordinate {at[1]}")
+            if fault is None:
+                joint = self.system.row_owners[self.servos.rows.numbers[0]]
+                raise SingularityError(joint, f"the loops at state {row} do not determine the motion")
+            (joint, _), reason = fault  # key (joint, number) of the coordinate
+            raise SingularityError(joint, f"at state {row} the coordinate {reason}")
 
     def solve(self, q: Array, v: Array, accelerations: Sequence[Array], time: Array) -> SolvedStates:
         """Solve inverse dynamics at n states.
@@ -233,10 +245,10 @@ class InverseDynamics:
                 naming the coordinate.
         """
         # actuator forces
-        table, flags, times = np.column_stack([q, v]), self.flags(q), self._time_inputs(time)
-        found = at_rows(self.forces, np.column_stack([table, flags, *accelerations, times]))
-        forces, pivot_ratio, opening = found[:, :-2], found[:, -2], found[:, -1]
-        for row in np.flatnonzero(~(opening <= MAX_OPEN_LOOP**2))[:1]:
+        states, flags, times = np.column_stack([q, v]), self.flags(q), self._time_inputs(time)
+        results = at_rows(self.forces, np.column_stack([states, flags, *accelerations, times]))
+        forces, pivot_ratio, squared_error = results[:, :-2], results[:, -2], results[:, -1]
+        for row in np.flatnonzero(~(squared_error <= MAX_OPEN_LOOP**2))[:1]:
             joint, distance = worst_joint(self.system, self.system.state(q[row], v[row]))
             problem = f"joint {quoted(joint)} is open by {distance:.3g} (m or rad)"
             needed = f"closed loops, to {MAX_OPEN_LOOP:g} sizes of the mechanism"
@@ -248,7 +260,7 @@ class InverseDynamics:
         if mobility(self.scene).redundant:  # only the dense form finds the smallest reactions
             values = self._dense_evaluation(q, v, forces, time)
         else:
-            values = at_rows(self.evaluation, np.column_stack([table, flags, forces, times]))
+            values = at_rows(self.evaluation, np.column_stack([states, flags, forces, times]))
         parts = np.split(values, np.cumsum([count * 3 for count, _ in shapes])[:-1], axis=1)
         return SolvedStates(
             forces, *(part.reshape(-1, *shape) for part, shape in zip(parts, shapes, strict=True))
@@ -260,17 +272,18 @@ class InverseDynamics:
         Redundant constraints leave the reactions undetermined; the minimum-norm solution is one of many.
         """
         rows = []
-        for own_q, own_v, u, t in zip(q, v, forces, time, strict=True):
-            found = self._with_forces(self.scene, u, float(t)).evaluate(own_q, own_v)
-            rows.append(np.concatenate([array.ravel() for array in _arrays(found)]))
+        for state_q, state_v, state_forces, t in zip(q, v, forces, time, strict=True):
+            system = self._with_forces(self.scene, state_forces, float(t))
+            evaluation = system.evaluate(state_q, state_v)
+            rows.append(np.concatenate([array.ravel() for array in _arrays(evaluation)]))
         return np.array(rows)
 
 
-def _arrays(found: Evaluation) -> tuple[Array, ...]:
+def _arrays(evaluation: Evaluation) -> tuple[Array, ...]:
     """Return the reactions and accelerations of an evaluation in the order of `SolvedStates`."""
     return (
-        found.reaction_force,
-        found.reaction_torque,
-        found.linear_acceleration,
-        found.angular_acceleration,
+        evaluation.reaction_force,
+        evaluation.reaction_torque,
+        evaluation.linear_acceleration,
+        evaluation.angular_acceleration,
     )

@@ -26,6 +26,7 @@ from newton_euler.compiled.run import (
     marks,
     method_of,
     native_method,
+    needed,
     table_of,
 )
 from newton_euler.errors import NewtonEulerError
@@ -39,16 +40,20 @@ LANE_METHODS = frozenset({"DOP853", "RK4", "Euler"})
 """Integrators that run in lanes. Radau does not: its linear solver chooses different pivots in each run."""
 
 MAX_TABLE_BYTES = 4_000_000
-"""Memory for the states of a group of runs, bytes; the value fits into the cache of a processor core."""
+"""Memory for the states of a group of runs, bytes; the value fits into the cache of a processor core.
+
+A group is a number of runs that one call of native code integrates."""
 
 MIN_GROUP, MAX_GROUP = 32, 1024
-"""Smallest and largest number of runs in a group. At the end of a group some lanes are idle."""
+"""Smallest and largest number of runs in a group. Small groups waste time, because some lanes are idle while
+the last runs of a group complete."""
 
 
 def runs_in_lanes(code: CompiledEquations, integrator: str) -> bool:
     """Return True if runs of a scene with an integrator are integrated in lanes.
 
-    Runs with knots of functions of time or with digital control restart at given times and run one by one.
+    Runs with splines or other piecewise functions of time restart at the knots of the functions, and runs
+    with digital controllers (`scene.sampled`) at their samples. Such runs are integrated one by one.
     """
     return integrator in LANE_METHODS and not code.piecewise and not code.scene.sampled
 
@@ -58,10 +63,9 @@ def load_lanes(code: CompiledEquations, integrator: str) -> None:
     load(code, integrator)
     if runs_in_lanes(code, integrator):
         native_method(METHODS[integrator], in_lanes=True)
-        names = ["derivative"] + ["position", "velocity"] * code.projects + ["rate"] * (integrator == "Euler")
-        names += ["shares"] * (len(code.exchangeable.numbers) > 0)
-        for name in names:
-            code.function(name, in_lanes=True)
+        for name in needed(code, integrator):
+            if name != "output":  # outputs are computed after the runs, by the same function as for one run
+                code.function(name, in_lanes=True)
 
 
 class LaneExit(DenseCallbacks):
@@ -138,13 +142,14 @@ class SideBySide:
         # a scalar integrator for runs that leave their lanes, and the number of runs in a group
         self._code, self._stopped = code, stopped
         self._alone = Integrator(code, times, options, stopped)
-        self._group = min(max(MAX_TABLE_BYTES // (8 * len(times) * max(code.size, 1)), MIN_GROUP), MAX_GROUP)
+        bytes_of_run = 8 * len(times) * max(code.size, 1)
+        self._group = min(max(MAX_TABLE_BYTES // bytes_of_run, MIN_GROUP), MAX_GROUP)
         # the integrator in lanes
         counts = np.zeros((COUNTS, lane_count()))
         python = LaneExit(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
         system = equations(code, python, derivative, marks(code, options.integrator))
-        method = method_of(code, options, np.zeros((0, 0)), lane_count())
+        method = method_of(code, options, steps=np.zeros((0, 0)), lanes=lane_count())
         integrate = METHODS[options.integrator]
         self._times = times.copy()
         self._states = np.zeros((self._group, len(times), code.size))
@@ -177,7 +182,7 @@ class SideBySide:
                     self._alone(runs.starts[number])
                     self._alone.outputs(runs.results[number])
                 else:
-                    outputs.complete(runs.results[number], k)
+                    outputs.complete(runs.results[number], run=k)
             except IntegrationError as error:
                 runs.errors[number] = error
                 runs.results[number] = np.nan
@@ -201,12 +206,12 @@ class SideBySide:
         code = self._code
         if code.stabilization != "projection" or ("reactions" in code.scene.outputs and code.redundant):
             return np.ones(len(numbers), dtype=bool)
-        # examine a slice of consecutive runs, which needs no copy of the results
+        # examine a slice of consecutive runs, because a selection by `numbers` would copy the results
         first = np.min(numbers)
         examined = results[first : np.max(numbers) + 1]
         with np.errstate(all="ignore"):
             needs_python = ~np.isfinite(examined.sum(axis=(1, 2)))
         if "reactions" in code.scene.outputs:
-            pivot_ratio, _ = code.arrays["pivot_ratio"]
+            pivot_ratio, _ = code.arrays["pivot_ratio"]  # slice; the ratio is at most 0 at singular states
             needs_python |= ~(examined[:, :, pivot_ratio] > 0.0).all(axis=(1, 2))
         return np.asarray(needs_python[numbers - first])

@@ -1,8 +1,9 @@
 """Outputs of a scene (poses, velocities, reactions, energies, ...), computed from the states of a run.
 
 A native loop evaluates the compiled function `output` of the scene at each state. Python then completes what
-native code cannot decide: joint reactions at singular states, and checks for open joints and infinite
-numbers.
+native code cannot compute: joint reactions at singular states and under redundant constraints. Python also
+checks for open joints and infinite numbers. A lane is one element of a vector register; a function with
+several lanes evaluates one state in each lane per call.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from newton_euler.scalars import Array
 
 @dataclass(frozen=True, eq=False)
 class StateTable(Record):
-    """States of some runs, and a function that a native loop evaluates at each of them.
+    """States of some runs, and a function that native loops evaluate at each of them.
 
     Attributes:
         runs: number of runs.
@@ -39,7 +40,8 @@ class StateTable(Record):
         x: (runs, inputs) gives the flags and parameters of each run.
         times: (count,) s, times of the states.
         states: (runs, count, n).
-        result_numbers: (runs,) where the results of each run are written, as the number of a run.
+        result_numbers: (runs,) for each run here, its index in the array of results, which may have more
+            runs.
         x_block, y_block: (inputs, lanes) and (outputs, lanes) scratch for one call of the function.
     """
 
@@ -64,7 +66,7 @@ def map_runs(table: StateTable, results: Vector) -> None:
 
     Args:
         table: the states and the function.
-        results: (..., count, outputs), written at the numbers of the runs.
+        results: (all runs, count, outputs), written at the indices `table.result_numbers`.
     """
     size = table.count * table.outputs
     for run in range(table.runs):
@@ -98,18 +100,18 @@ def map_states(table: StateTable, x: Vector, states: Vector, results: Vector) ->
             if source >= table.count:
                 source = table.count - 1
             state = states[n * source :]
-            taken = table.x_block[lane:]
+            input_of_lane = table.x_block[lane:]
             for i in range(n):
-                taken[lanes * i] = state[i]
-            taken[lanes * n] = table.times[source]
+                input_of_lane[lanes * i] = state[i]
+            input_of_lane[lanes * n] = table.times[source]
         # evaluate, and copy the results of each lane to its row
         table.function(table.x_block, table.y_block)
         for lane in range(lanes):
             if row + lane < table.count:
                 result = results[outputs * (row + lane) :]
-                computed = table.y_block[lane:]
+                output_of_lane = table.y_block[lane:]
                 for j in range(outputs):
-                    result[j] = computed[lanes * j]
+                    result[j] = output_of_lane[lanes * j]
         row += lanes
 
 
@@ -161,7 +163,8 @@ class Outputs:
 
     Attributes:
         shape: (n, outputs), shape of the results of one run.
-        write: writes the results of all runs into an array (..., n, outputs), at the numbers of the runs.
+        write: native function that writes the results of all runs into an array (all runs, n, outputs), at
+            the indices `result_numbers`.
     """
 
     def __init__(
@@ -174,7 +177,7 @@ class Outputs:
             times: (n,) s, output times.
             x: (runs, inputs) vectors with the flags and parameters of each run.
             states: (runs, n, size) states at the output times.
-            result_numbers: (runs,) where `write` puts the results of each run, as the number of a run.
+            result_numbers: (runs,) indices of the runs in the array that `write` writes to.
         """
         function = code.function("output")
         self._code, self._times, self._x, self._states = code, times, x, states
@@ -220,7 +223,7 @@ class Outputs:
 
         Args:
             results: (rows, outputs) of the run.
-            run: number of the run among the states.
+            run: index of the run in `states`.
 
         Returns:
             Views of the results by name.
@@ -244,14 +247,14 @@ class Outputs:
 
         Args:
             arrays: outputs of the run by name; `pivot_ratio` is not positive at a singular state.
-            run: number of the run among the states.
+            run: index of the run in `states`.
         """
         code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]
-        open_rows = np.arange(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0))
-        if not len(open_rows):
+        rows = np.arange(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0))
+        if not len(rows):
             return
         system_of_run = code.float_system(self._x[run])  # the equations with the parameters of this run
-        for row in open_rows:
+        for row in rows:
             system, state = at_time(system_of_run, float(times[row])), self._states[run, row]
             try:
                 evaluation = system.evaluate(state[: system.nq], state[system.nq :])

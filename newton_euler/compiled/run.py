@@ -1,8 +1,12 @@
 """Integrate a compiled scene: bind its native functions to a native integrator and run it.
 
-No Python runs inside a step, except near singular configurations. An `Integrator` turns an initial state into
-a table of states at given output times. The other functions build the records of sizes, callbacks and work
-arrays that the native integrators in `newton_euler.integrators` read.
+No Python runs inside a step, except near singular configurations, where constraints become dependent. An
+`Integrator` turns an initial state into a table of states at given output times.
+
+The other functions build records: structures of sizes, function pointers and work arrays that the native
+integrators in `newton_euler.integrators` read. Their classes there describe the fields. Native code can
+integrate several runs at once, each in one *lane* of the processor's vector registers
+(`newton_euler.compiled.lanes`). Arrays then have an additional last axis for the lanes.
 """
 
 from __future__ import annotations
@@ -85,17 +89,22 @@ def native_method(method: Callable[..., Any], in_lanes: bool = False) -> NativeF
 def load(code: CompiledEquations, integrator: str) -> None:
     """Compile, or load from the cache, all functions that a run with an integrator needs."""
     native_method(METHODS[integrator])
-    loops()
+    loops()  # the native code that evaluates the outputs of all states
     for name in needed(code, integrator):
         code.function(name)
 
 
 def needed(code: CompiledEquations, integrator: str) -> list[str]:
     """Return the names of the scene's functions that a run with an integrator needs."""
-    names = ["derivative", "output"] + ["position", "velocity"] * code.projects
-    names += ["shares"] * (len(code.exchangeable.numbers) > 0)
+    names = ["derivative", "output"]
+    if code.projects:
+        names += ["position", "velocity"]
+    if code.exchangeable.numbers:
+        names += ["shares"]  # whether to exchange redundant constraint rows, see `exchange_of`
     names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
-    return names + ["measured"] * bool(code.scene.sampled)
+    if code.scene.sampled:
+        names += ["measured"]  # the joint coordinates that digital controllers read
+    return names
 
 
 def marks(code: CompiledEquations, integrator: str) -> Array:
@@ -121,13 +130,13 @@ def marks(code: CompiledEquations, integrator: str) -> Array:
 def round_off_units(code: CompiledEquations) -> Array:
     """Return the magnitudes (size,) below which the round-off of a coordinate is constant, m or rad.
 
-    Below its magnitude, a coordinate has the round-off of the magnitude. The magnitude of angles that are
-    counted with their revolutions is 1 rad. It is 0 for velocities and work, whose round-off is relative.
+    A coordinate that is smaller than its magnitude has the round-off of the magnitude. The magnitude is 0 for
+    velocities and work, whose round-off is relative.
     """
-    system, found = code.system, np.zeros(code.size)
-    found[: system.carried.start] = system.coordinate_units
-    found[system.carried] = 1.0
-    return found
+    system, magnitudes = code.system, np.zeros(code.size)
+    magnitudes[: system.carried.start] = system.coordinate_units
+    magnitudes[system.carried] = 1.0  # rad, angles that are counted with their full revolutions
+    return magnitudes
 
 
 class Fallback(DenseCallbacks):
@@ -152,10 +161,10 @@ class Fallback(DenseCallbacks):
         q, v = state[: system.nq], state[system.nq : self._code.size]
         with np.errstate(all="ignore"):  # the integrator checks that rates are finite
             results[:-1] = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
-        results[-1] = 1.0
+        results[-1] = 1.0  # in place of the pivot ratio: the rates are valid
 
     def _failed(self, y: int, on: int) -> None:
-        """Mark the rates at address y as missing."""
+        """Mark the rates at address y as missing, after an exception of the equations."""
         vector_at(y, self._code.size + 1)[-1] = -1.0
 
 
@@ -171,7 +180,8 @@ class Integrator:
             coordinates are written.
         outputs: evaluates the arrays that the scene asks for.
         counts: (COUNTS,) counters of the run, see `newton_euler.integrators.stepper.Count`.
-        steps: (room, size + 2 + flags) state, time, flags and size of the first steps of DOP853.
+        steps: (room, size + 2 + flags) state, time and flags at the start of each of the first steps of
+            DOP853, and the size of the step, s.
     """
 
     def __init__(
@@ -194,7 +204,7 @@ class Integrator:
         Raises:
             OptionError: if the option `rest` ends runs at rest although functions of time may move the scene.
         """
-        functions = (f for each in code.scene.functions.values() for f in each)
+        functions = (f for functions in code.scene.functions.values() for f in functions)
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
         self._code, self._options, self._stopped = code, options, stopped
@@ -203,9 +213,10 @@ class Integrator:
         self.table, self.steps = np.zeros((len(times), code.size)), np.zeros((room, code.flags.stop + 1))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked)
-        table = table_of(code, self.times, self.x[None], self.table[None], np.zeros((1, COUNTS)))
+        starts, states = self.x[None], self.table[None]  # views with a leading axis for the single run
+        table = table_of(code, self.times, starts, states, tallies=np.zeros((1, COUNTS)))
         method = method_of(code, options, self.steps)
-        self.outputs = Outputs(code, self.times, self.x[None], self.table[None], np.zeros(1))
+        self.outputs = Outputs(code, self.times, starts, states, result_numbers=np.zeros(1))
         integrate = METHODS[options.integrator]
         self._run = native_method(integrate).bind(integrate, system, table, method)
 
@@ -221,10 +232,11 @@ class Integrator:
             # the integrator may recover from an error of the dense equations and stop later for another
             # reason, so the last error counts only if the run ended as singular
             error = error or (self._python.error if status == Status.SINGULAR else None)
-            passed: list[Array] = []
+            # earlier states show whether a fixed step was too long
+            earlier: list[Array] = []
             if self._options.step is not None and error is None and status in UNSTABLE_STATUSES:
-                passed = [x, *self._outputs_passed(), *self._steps_passed()]
-            raise failure(self._code, self._options, status, [*passed, self.x], self.counts, error)
+                earlier = [x, *self._outputs_passed(), *self._steps_passed()]
+            raise failure(self._code, self._options, status, [*earlier, self.x], self.counts, error)
 
     def _execute(self) -> Exception | None:
         """Run from the vector `self.x`; Ctrl-C stops the run.
@@ -234,7 +246,7 @@ class Integrator:
 
         Raises:
             KeyboardInterrupt: if the user pressed Ctrl-C or `stopped` is not empty.
-            BaseException: a programming error in a callback.
+            BaseException: the exception, a programming error, that ended the run in a callback.
         """
         python = self._python
         python.begin()
@@ -273,7 +285,7 @@ class Integrator:
         return [repeated._row(row) for row in range(max(1, written - MAX_EXAMINED_STEPS), written)]
 
     def _row(self, row: int) -> Array:
-        """Return the vector x (inputs,) of a row of the table; fixed-step integrators write whole states."""
+        """Return the vector x (inputs,) of a row of the table, with velocities: only for fixed steps."""
         x, n = self.x.copy(), self._code.size
         x[: n + 1] = [*self.table[row], self.times[row]]
         return x
@@ -309,7 +321,8 @@ def equations(
         code: compiled equations of the scene.
         python: callbacks into Python. If its counters are of several runs, (COUNTS, lanes), the functions
             evaluate one state for each lane.
-        derivative: computes dq/dt, dv/dt and the pivot ratio.
+        derivative: computes dq/dt, dv/dt and the pivot ratio, which is about 1 far from singular
+            configurations and at most 0 if the elimination fails.
         marked: (size,) marks of angles and quaternions, see `marks`.
     """
     # projection functions take several states per call: one of each run, or several outputs of a single run
@@ -344,7 +357,7 @@ def equations(
 
 
 def closing_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> Closing:
-    """Return the record for dense projection onto the constraints, used near singular configurations.
+    """Return the record for projection with dense matrices, which works near singular configurations.
 
     Its functions are compiled when a run first comes near a singular configuration.
 
@@ -355,15 +368,23 @@ def closing_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes:
     """
 
     def prepare(x: int, y: int, on: int) -> None:
-        """Compile the functions and fill in the record; native code calls this at the first use."""
+        """Compile the functions and fill in the record; native code calls this at the first use.
+
+        The addresses x and y and the mask `on` of active lanes, which native code passes, are not needed.
+        """
         with COMPILATION_LOCK:
             retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
-        system, (constraints, places) = code.system, surface.layout
-        functions, lanes = (retract, surface), surface.lanes
-        units = system.velocity_units
-        closing.overwrite_with(
-            closing_of(system.nq, units, code.inputs, places, constraints, functions, lanes)
+        constraints, places = surface.layout
+        prepared = closing_of(
+            nq=code.system.nq,
+            units=code.system.velocity_units,
+            inputs=code.inputs,
+            places=places,
+            constraints=constraints,
+            functions=(retract, surface),
+            lanes=surface.lanes,
         )
+        closing.overwrite_with(prepared)
 
     closing = unprepared(python.guarded(prepare), code.system.nq, code.system.nv)
     return closing
@@ -372,6 +393,7 @@ def closing_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes:
 def ratio_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> ConstraintRatio:
     """Return the record of the pivot ratio of the constraints, which shows how close a state is to singular.
 
+    The pivot ratio of the equations of motion is small also if masses differ much; this one ignores masses.
     Its function is compiled when the pivots of the equations of motion are small for the first time.
 
     Args:
@@ -384,19 +406,24 @@ def ratio_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: b
         """Compile the function and fill in the record; native code calls this at the first use."""
         with COMPILATION_LOCK:
             function = code.function("ratio", in_lanes)
-        ratio.overwrite_with(ConstraintRatio(Progress.READY, None, function, result))
+        ratio.overwrite_with(
+            ConstraintRatio(Progress.READY, prepare=None, evaluate=function, results=results)
+        )
 
-    result = np.zeros((1, lane_count() if in_lanes else 1))
-    ratio = ConstraintRatio(Progress.UNPREPARED, python.guarded(prepare), None, result)
+    results = np.zeros((1, lane_count() if in_lanes else 1))
+    ratio = ConstraintRatio(
+        Progress.UNPREPARED, prepare=python.guarded(prepare), evaluate=None, results=results
+    )
     return ratio
 
 
 def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool) -> RowExchange:
     """Return the record by which a run exchanges redundant constraint rows.
 
-    If loops are redundant, some rows imply the others, but near some configurations another choice of rows is
-    better conditioned. The record has a function that detects this, and a callback that makes the better
-    choice.
+    A constraint row is one scalar constraint equation. If constraints are redundant, some rows imply the
+    others. Near some configurations another choice of these rows is better conditioned. The record has a
+    function `shares` that detects this, and a callback that makes the better choice. A share is a coefficient
+    of a row in use, in the combination that gives a left-out row.
 
     Args:
         code: compiled equations of the scene.
@@ -407,7 +434,7 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
     if not rows.numbers:
         return no_exchange(code.flags.start)
     shares, units = code.function("shares", in_lanes), np.array(rows.units)
-    places = [code.rows.numbers.index(number) for number in rows.numbers]
+    places = [code.rows.numbers.index(number) for number in rows.numbers]  # indices into the Jacobian
     lanes = shares.lanes if in_lanes else 1
 
     def exchange(x: int, y: int, on: int) -> None:
@@ -415,7 +442,7 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
         inputs = vector_at(x, code.inputs * lanes).reshape(-1, lanes)
         results = vector_at(y, shares.outputs * lanes).reshape(-1, lanes)
         for lane in range(lanes):
-            if on >> lane & 1:
+            if on >> lane & 1:  # the lane is active
                 # the constraint Jacobian from its nonzeros, which follow the largest share
                 jacobian = np.zeros(len(code.rows.numbers) * code.system.nv)
                 jacobian[shares.layout] = results[1:, lane]
@@ -438,15 +465,15 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
 def table_of(
     code: CompiledEquations, times: Array, ends: Array, states: Array, tallies: Array, lanes: int = 1
 ) -> Table:
-    """Return the record of the runs that an integrator has to do, with the table of their states.
+    """Return the record of the runs that an integrator makes, with the table of their states.
 
     Args:
         code: compiled equations of the scene.
         times: (n,) s, output times.
-        ends: (runs, inputs) where runs start, afterwards where they ended.
+        ends: (runs, inputs) start states with time, flags and parameters; overwritten with the end states.
         states: (runs, n, size) states at the output times, written.
         tallies: (runs, COUNTS) counters of the runs, written.
-        lanes: number of runs that are integrated at once; lane k starts with run k.
+        lanes: number of runs that are integrated at once; lane k makes the runs k, k + lanes, ...
     """
     return Table(
         count=len(times),
@@ -467,21 +494,17 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
     Args:
         code: compiled equations of the scene.
         options: integrator and step control.
-        steps: (room, size + 2 + flags) receives the first steps of DOP853.
+        steps: (room, size + 2 + flags) receives the first steps of DOP853, see `Integrator.steps`.
         lanes: number of runs that are integrated at once.
     """
     n, max_steps = code.size, max_adaptive_steps(options)
-
-    def scratch(*shape: int) -> Array:
-        """Return a work array of a shape, for each lane."""
-        return np.zeros((*shape, lanes))
-
     if options.step is not None:
-        euler = options.integrator == "Euler"
+        scratch = scratch_for(lanes)
+        is_euler = options.integrator == "Euler"
         return FixedStep(
             number=FIXED.index(options.integrator),
             step=options.step,
-            rate=code.function("rate", lanes > 1) if euler else None,
+            rate=code.function("rate", in_lanes=lanes > 1) if is_euler else None,
             now=scratch(code.inputs),
             at=scratch(code.inputs),
             k=scratch(4, n + 1),
@@ -492,6 +515,11 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
         near = options.near_singular(code.noise, code.scene.mechanism.size)
         return dop853_of(n, code.inputs, options, near, max_steps, round_off_units(code), steps, lanes)
     return radau_of(n, code.inputs, options, max_steps, code.function("jacobian"), lanes)
+
+
+def scratch_for(lanes: int) -> Callable[..., Array]:
+    """Return a function that makes a work array of a given shape for each of some lanes."""
+    return lambda *shape: np.zeros((*shape, lanes))
 
 
 def dop853_of(
@@ -513,15 +541,10 @@ def dop853_of(
         near: relative and absolute tolerance next to a singular configuration.
         max_steps: largest number of steps.
         units: (n,) magnitudes below which the round-off of a number is constant, see `round_off_units`.
-        steps: (room, n + 2 + flags) receives the first steps; None to keep no steps.
+        steps: (room, n + 2 + flags) receives the first steps, see `Integrator.steps`; None to keep no steps.
         lanes: number of runs that are integrated at once.
     """
-    steps = np.zeros((0, n + 2)) if steps is None else steps
-
-    def scratch(*shape: int) -> Array:
-        """Return a work array of a shape, for each lane."""
-        return np.zeros((*shape, lanes))
-
+    steps, scratch = np.zeros((0, n + 2)) if steps is None else steps, scratch_for(lanes)
     return Dop853(
         rtol=options.rtol,
         atol=options.atol,
@@ -534,7 +557,7 @@ def dop853_of(
         at=scratch(inputs),
         end=scratch(inputs),
         projected=scratch(inputs),
-        k=scratch(16 * (n + 1) + 1),
+        k=scratch(16 * (n + 1) + 1),  # 12 stages and 4 evaluations for the dense output
         terms=scratch(7, n),
         room=len(steps),
         steps=steps,
@@ -556,11 +579,7 @@ def radau_of(
         jacobian: computes the Jacobian (n, n) of the rates dq/dt, dv/dt.
         lanes: number of runs that are integrated at once.
     """
-
-    def scratch(*shape: int) -> Array:
-        """Return a work array of a shape, for each lane."""
-        return np.zeros((*shape, lanes))
-
+    scratch = scratch_for(lanes)
     return Radau(
         rtol=options.rtol,
         atol=options.atol,
@@ -591,10 +610,11 @@ class Projection:
         """Bind the compiled equations of a scene to the native projection."""
         self._python, self._projects = Fallback(code, np.zeros(COUNTS)), code.projects
         self.x = np.zeros(code.inputs)
-        # projection never evaluates rates; the Python form saves the time of compilation
-        rates = self._python.derivative
-        system = equations(code, self._python, rates, np.zeros(code.size))
-        self._run = native_method(project).bind(project, system, 1, self.x)
+        # projection never evaluates the rates, so that the Python callback stands for them uncompiled
+        derivative = self._python.derivative
+        system = equations(code, self._python, derivative, marked=np.zeros(code.size))
+        with_velocities = 1
+        self._run = native_method(project).bind(project, system, with_velocities, self.x)
 
     def __call__(self, x: Array) -> bool:
         """Move the state in x (inputs,) onto the constraints by the shortest steps.

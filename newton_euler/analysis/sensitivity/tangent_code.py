@@ -82,7 +82,7 @@ class TangentCode(CompiledScene):
         """
         if not (SpanningTree(self.scene.mechanism).cuts or self.system.couplings):
             return False
-        found = places(self.scene, self._named).values()
+        found = places(self.scene, self._requested).values()
         return any(place.field.moves_loops and place.owner[0] != "bodies" for place in found)
 
     def _traced(self, name: str, in_lanes: bool) -> Traced:
