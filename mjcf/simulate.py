@@ -279,12 +279,12 @@ def _run(
             if held_values:
                 system = with_held_values(original, held_values)  # a copy that shares `model` and `data`
                 system.set_controls()
-            if interval.wanted[0]:
+            if interval.is_output[0]:
                 record()
             # steps to each time of the interval; `wanted` is True for output times. In the context, MuJoCo
             # calls back for controls, wind and motions that depend on time.
             with system.following():
-                for (number, step_size), wanted in zip(steps, interval.wanted[1:], strict=True):
+                for (number, step_size), wanted in zip(steps, interval.is_output[1:], strict=True):
                     system.use_step(step_size, solref)
                     if work is None:
                         mujoco.mj_step(model, data, number)

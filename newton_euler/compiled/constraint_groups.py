@@ -2,8 +2,8 @@
 
 Projection returns a state to the constraints after an integration step. The integrator projects each group of
 coordinates separately. Coordinates without constraints, such as those of a rotor next to a linkage, belong to
-no group; projection never changes them. Input is a system of equations; output is a group number per coordinate and
-velocity.
+no group; projection never changes them. Input is a system of equations; output is a group number per
+coordinate and velocity.
 """
 
 from __future__ import annotations

@@ -2,6 +2,10 @@
 
 A consistent state has poses that close all joints and velocities that keep them closed. `assemble` finds one
 near a guess; `initial_state` gives the state from which runs of a scene start.
+
+Couplings are constraints between joint coordinates: gears, screws and prescribed motions. A key (joint,
+number) names a joint coordinate. Some forces and couplings depend on the full revolutions of an angle, which
+poses do not show; a state therefore has these angles in addition (`State.angles`, by key).
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ from newton_euler.model.state import State, stacked, whole_revolutions
 from newton_euler.scalars import Array, unstacked
 
 VELOCITY_TOLERANCE = 1e-9
-"""Largest rate of a constraint residual at the start, divided by the largest speed of the state.
+"""Largest rate of a constraint residual at the start, divided by the largest speed of the state (`_speed`).
 
 Rates in rad/s are multiplied by the mechanism's size before the division."""
 
@@ -91,9 +95,9 @@ def initial_state(scene: Scene) -> State:
             check_revolutions(scene, state)
             _check_couplings(scene, state)
         state = with_angles(scene, state)
-        at = surroundings(scene, state)
+        force_inputs = surroundings(scene, state)  # the quantities that forces depend on
         for force in scene.forces:
-            force.check_start(at)
+            force.check_start(force_inputs)
         CONSISTENT_STARTS[scene] = state
     return CONSISTENT_STARTS[scene]
 
@@ -106,11 +110,12 @@ def with_angles(scene: Scene, state: State) -> State:
     keys = counted_angles(scene)
     if state.angles.keys() >= set(keys):
         return state
-    frames, coupled = state.frames(), couplings(scene)
-    needed = dict.fromkeys([*keys, *(key for coupling in coupled for key in coupling.factors)])
-    x = {key: float(scene.mechanism.measure(key, frames)[0]) for key in needed}
-    turned = revolutions(coupled, x, keys, 0.0, state.angles)
-    return replace(state, angles={**{key: x[key] + turned.get(key, 0.0) for key in keys}, **state.angles})
+    frames, scene_couplings = state.frames(), couplings(scene)
+    needed = dict.fromkeys([*keys, *(key for coupling in scene_couplings for key in coupling.factors)])
+    x = {key: float(scene.mechanism.measure(key, frames)[0]) for key in needed}  # angles of the poses
+    turned = revolutions(scene_couplings, x, keys, time=0.0, known=state.angles)
+    angles = {key: x[key] + turned.get(key, 0.0) for key in keys}
+    return replace(state, angles={**angles, **state.angles})
 
 
 def check_revolutions(scene: Scene, state: State) -> None:
@@ -125,7 +130,10 @@ def check_revolutions(scene: Scene, state: State) -> None:
 
 
 def _matches_pose(angle: Any, x: Any) -> Any:
-    """Return True if an angle and the angle x of the poses, rad, differ by full revolutions; or an array."""
+    """Return True if an angle and the angle x of the poses, rad, differ by full revolutions.
+
+    For arrays (n,) of angles, the result is an array (n,).
+    """
     gap = np.abs(x + whole_revolutions(angle - x) - angle)
     return gap <= CLOSURE_TOLERANCE + 4.0 * np.finfo(float).eps * np.abs(angle)
 
@@ -159,23 +167,24 @@ def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
     """
     if system.couplings:
         return np.array([np.concatenate(system.coordinates(state)) for state in states])
-    found = unstacked(np.concatenate(system.coordinates(stacked(states))), len(states))
+    rows = unstacked(np.concatenate(system.coordinates(stacked(states))), len(states))
     for key, place in system.angles.items():
         angles = np.array([state.angles.get(key, np.nan) for state in states])
-        found[:, place] += whole_revolutions(angles - found[:, place])
-    return found
+        rows[:, place] += whole_revolutions(angles - rows[:, place])
+    return rows
 
 
 def _check_joints(scene: Scene, state: State) -> None:
     """Raise `MechanismError` for a joint that is open or opening.
 
-    Joints whose constraints are redundant except for noise may be open as far as the noise requires.
+    Dimensions in files are rounded, so that redundant constraints may contradict each other slightly. Joints
+    with such constraints may be open as far as the rounding requires.
     """
     try:
         scene.mechanism.check_closed(state.frames(), "in the initial state")
         _check_velocities(scene, state)
     except MechanismError:
-        if not _is_closed_but_for_noise(scene, state):
+        if not _is_closed_but_for_rounding(scene, state):
             raise
 
 
@@ -222,8 +231,8 @@ def check_states(scene: Scene, states: Sequence[State]) -> dict[int, MechanismEr
             scene.check_numbers(states[k], f"run {k}")
             initial_state(replace(scene, initial_state=states[k]))
         except MechanismError as error:
-            of_numbers = error.element == f"run {k}"
-            element = error.element if of_numbers else f"run {k}: {error.element}"
+            names_run = error.element == f"run {k}"  # the error is one of `check_numbers`
+            element = error.element if names_run else f"run {k}: {error.element}"
             errors[k] = MechanismError(element, error.problem, error.needed)
     return errors
 
@@ -235,12 +244,13 @@ def _surely_consistent(scene: Scene, states: Sequence[State]) -> Array:
         (n,) True for a consistent state; all False if the scene has couplings or prescribed motions.
     """
     shape, sure = (len(scene.mechanism.bodies), 3), np.zeros(len(states), dtype=bool)
-    whole = [
+    # states with the expected arrays and angles
+    usable = [
         k for k, state in enumerate(states) if isinstance(state, State) and _has_float_arrays(state, shape)
     ]
-    whole = [k for k in whole if _has_angles(scene, states[k])]
-    if whole and not couplings(scene):
-        sure[whole] = _are_consistent(scene, [states[k] for k in whole])
+    usable = [k for k in usable if _has_angles(scene, states[k])]
+    if usable and not couplings(scene):
+        sure[usable] = _are_consistent(scene, [states[k] for k in usable])
     return sure
 
 
@@ -261,15 +271,19 @@ def _has_angles(scene: Scene, state: State) -> bool:
 
 @np.errstate(all="ignore")  # states that are not finite are not consistent
 def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
-    """Find the consistent states of a scene without couplings, (n,) True for a consistent state."""
+    """Find the consistent states of a scene without couplings, (n,) True for a consistent state.
+
+    `stacked` combines the states to one, whose numbers are objects that hold an array (n,) each; `unstacked`
+    converts such numbers (k,) to an array (n, k).
+    """
     count, mechanism, state = len(states), scene.mechanism, stacked(states)
-    # ground at its place, unit quaternions
+    # ground at its place and at rest (6 velocities), unit quaternions
     ground, frames = mechanism.bodies[0], state.frames()
-    place = np.concatenate([ground.center_of_mass, ground.quaternion, np.zeros(6)])
-    own = np.concatenate([array[0] for array in state.arrays])
-    found = np.all(np.abs(unstacked(own, count) - place) <= np.finfo(float).eps, axis=1)
+    expected = np.concatenate([ground.center_of_mass, ground.quaternion, np.zeros(6)])
+    actual = np.concatenate([array[0] for array in state.arrays])
+    consistent = np.all(np.abs(unstacked(actual, count) - expected) <= np.finfo(float).eps, axis=1)
     norms = [unstacked([p @ p], count)[:, 0] for p in state.quaternion]
-    found &= np.all(np.abs(np.sqrt(norms) - 1.0) <= UNIT_TOLERANCE, axis=0)
+    consistent &= np.all(np.abs(np.sqrt(norms) - 1.0) <= UNIT_TOLERANCE, axis=0)
     # joints closed, and not opening
     speed = np.array([_speed(scene, each) for each in states])[:, None]
     for equations in mechanism.equations:
@@ -277,48 +291,53 @@ def _are_consistent(scene: Scene, states: Sequence[State]) -> Array:
         phi = unstacked(equations.phi(first, second), count)
         rates = unstacked(equations.jacobian(first, second).rate(first, second), count)
         allowed = _rates_allowed(equations, speed, mechanism.size)
-        found &= np.all((np.abs(phi) <= CLOSURE_TOLERANCE) & (np.abs(rates) <= allowed), axis=1)
-    # given angles match the poses; the end points of springs differ
+        consistent &= np.all((np.abs(phi) <= CLOSURE_TOLERANCE) & (np.abs(rates) <= allowed), axis=1)
+    # given angles match the poses
     for key in {key for each in states for key in each.angles}:
         angles = np.array([each.angles.get(key, np.nan) for each in states])
         x = unstacked([mechanism.measure(key, frames)[0]], count)[:, 0]
-        found &= np.isnan(angles) | _matches_pose(angles, x)
-    at = surroundings(scene, state)
-    for span in (span for force in scene.forces for span in force.spans(at)):
-        found &= unstacked([span @ span], count)[:, 0] > CLOSURE_TOLERANCE**2
-    return found
+        consistent &= np.isnan(angles) | _matches_pose(angles, x)
+    # the two end points of a spring differ, so that its force has a direction
+    force_inputs = surroundings(scene, state)
+    for span in (span for force in scene.forces for span in force.spans(force_inputs)):
+        consistent &= unstacked([span @ span], count)[:, 0] > CLOSURE_TOLERANCE**2
+    return consistent
 
 
-def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:
-    """Return True if only almost redundant constraints of a state are violated, no more than they must be."""
-    if mobility(scene).residual == 0.0:
+def _is_closed_but_for_rounding(scene: Scene, state: State) -> bool:
+    """Return True if a state is the one that `assemble` finds near it, although some joints are open.
+
+    Only almost redundant constraints stay open in `assemble`.
+    """
+    if mobility(scene).residual == 0.0:  # no constraint is almost redundant
         return False
     try:
         closed = assemble(scene, state)
     except AssemblyError:
         return False
-    apart = (
+    differences = (  # with the unit of each
         (closed.position - state.position, 1.0),
         (closed.quaternion - state.quaternion, 1.0),
         (closed.linear_velocity - state.linear_velocity, _speed(scene, state)),
     )
-    return all(np.max(np.abs(gap)) <= CLOSURE_TOLERANCE * max(1.0, unit) for gap, unit in apart)
+    return all(np.max(np.abs(gap)) <= CLOSURE_TOLERANCE * max(1.0, unit) for gap, unit in differences)
 
 
 def _check_couplings(scene: Scene, state: State) -> None:
     """Raise `MechanismError` for the first coupling or prescribed motion that the state violates."""
-    found = couplings(scene)
-    seen = residuals(scene.mechanism, found, state.frames(), 0.0, state.angles)
+    scene_couplings = couplings(scene)
+    errors = residuals(scene.mechanism, scene_couplings, state.frames(), 0.0, state.angles)
     speed, size = _speed(scene, state), scene.mechanism.size
-    of_couplings = zip(found, seen.phi, seen.rate, seen.sensitivity, strict=True)
-    for coupling, gap, opening, sensitivity in of_couplings:
+    by_coupling = zip(scene_couplings, errors.phi, errors.rate, errors.sensitivity, strict=True)
+    for coupling, error, rate, sensitivity in by_coupling:
         unit = "m" if coupling.is_length else "rad"
-        allowed = VELOCITY_TOLERANCE * speed * (1.0 if coupling.is_length else 1.0 / size)
-        allowed *= sensitivity
-        if abs(gap) > CLOSURE_TOLERANCE:
-            problem, needed = f"has an error of {gap:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
-        elif abs(opening) > allowed:
-            problem, needed = f"has an error of {opening:.3g} {unit}/s", f"at most {allowed:.3g} {unit}/s"
+        allowed_rate = VELOCITY_TOLERANCE * speed * (1.0 if coupling.is_length else 1.0 / size)
+        allowed_rate *= sensitivity  # rate of the residual for unit rates of the joint coordinates
+        if abs(error) > CLOSURE_TOLERANCE:
+            problem, needed = f"has an error of {error:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
+        elif abs(rate) > allowed_rate:
+            problem = f"has an error of {rate:.3g} {unit}/s"
+            needed = f"at most {allowed_rate:.3g} {unit}/s"
         else:
             continue
         raise MechanismError(

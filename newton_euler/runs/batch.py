@@ -63,7 +63,9 @@ MAX_THREADS = 4096
 """Largest number of threads. Each thread takes memory for its stack."""
 
 MIN_PIECE_RUNS = 64
-"""Smallest number of runs in a piece of work for lanes; at the end of a piece some lanes are idle."""
+"""Smallest number of runs in a piece of work for lanes.
+
+Small pieces waste time, because some lanes are idle while the last runs of a piece complete."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +104,8 @@ class Batch(Sequence[Trajectory]):
             raise self.errors[number]
         arrays = named(self._compiled, self._runs.results[number])
         settings = self.settings | reported_counts(self._runs.counts[number])
-        found = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
-        return replace(found, mechanism=self._mechanism(number))
+        trajectory = native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
+        return replace(trajectory, mechanism=self._mechanism(number))
 
     @checked
     def stacked(self, name: str) -> Floats:
@@ -124,35 +126,42 @@ class Batch(Sequence[Trajectory]):
 
     @checked
     def joint(self, name: str) -> JointMotion:
-        """Compute the coordinates (runs, n, k) of a joint and their rates, as `Trajectory.joint` does.
+        """Compute the k coordinates of a joint, (runs, n, k), and their rates, as `Trajectory.joint` does.
 
         Values of runs that stopped early are NaN. If the geometry varies, each run takes some milliseconds.
 
         Raises:
             UnknownNameError: for an unknown joint.
         """
-        # arrays of all runs; `carried` has the joint's angles with counted revolutions, by coordinate number
-        times, known = self.scene.times, self._compiled.arrays
+        # arrays of all runs; velocities may not be among the outputs of the scene
+        times, available = self.scene.times, self._compiled.arrays
         position, quaternion = self.stacked("position"), self.stacked("quaternion")
         velocities = [
-            self.stacked(each) if each in known else None for each in ("linear_velocity", "angular_velocity")
+            self.stacked(each) if each in available else None
+            for each in ("linear_velocity", "angular_velocity")
         ]
-        counted = [(k, key[1]) for k, key in enumerate(counted_angles(self.scene)) if key[0] == name]
-        carried = {number: self.stacked("joint_angle")[:, :, k] for k, number in counted}
+        # angles of the joint with counted full revolutions, (runs, n), by coordinate number
+        keys = enumerate(counted_angles(self.scene))
+        angles = {
+            number: self.stacked("joint_angle")[:, :, k] for k, (joint, number) in keys if joint == name
+        }
         # one geometry for all runs
         if not self._compiled.kinematic:
             equations = self.scene.mechanism.joint_equations(name)
-            return joint_motion(equations, times, carried, position, quaternion, *velocities)
+            return joint_motion(equations, times, angles, position, quaternion, *velocities)
         # a geometry for each run
-        found = []
+        motions = []
         for run, mechanism in enumerate(self._mechanisms):
             equations = mechanism.joint_equations(name)
-            own = [None if array is None else array[run] for array in velocities]
-            angles = {number: array[run] for number, array in carried.items()}
-            found.append(joint_motion(equations, times, angles, position[run], quaternion[run], *own))
-        coordinates = np.array([motion.coordinates for motion in found])
-        rates = None if velocities[0] is None else np.array([motion.rates for motion in found])
-        return JointMotion(found[0].names, coordinates, rates)
+            run_velocities = [None if array is None else array[run] for array in velocities]
+            run_angles = {number: array[run] for number, array in angles.items()}
+            motion = joint_motion(
+                equations, times, run_angles, position[run], quaternion[run], *run_velocities
+            )
+            motions.append(motion)
+        coordinates = np.array([motion.coordinates for motion in motions])
+        rates = None if velocities[0] is None else np.array([motion.rates for motion in motions])
+        return JointMotion(motions[0].names, coordinates, rates)
 
     @cached_property
     def _mechanisms(self) -> list[Mechanism]:
@@ -179,11 +188,11 @@ def simulate_batch(
     alpha: float | None = None,
     **control: Unpack[StepControl],
 ) -> Batch:
-    """Run a scene many times, from different states or with different parameters; compiled once.
+    """Run a scene many times, from different states or with different parameters; compile it once.
 
-    Results do not depend on the number of threads. A run from a state is the run of `simulate` from there.
-    All outputs of all runs are kept in memory, 8 bytes per number: 0.7 MB per run of the tracker.
-    `crosscheck.sweep` keeps a few numbers of each run instead.
+    Results do not depend on the number of threads. A run from a state equals the run of `simulate` from this
+    state. All outputs of all runs are kept in memory, 8 bytes per number: 0.7 MB per run of the example scene
+    `tracker`. `crosscheck.sweep` keeps a few numbers of each run instead.
 
     Args:
         scene: the scene of all runs.
@@ -226,9 +235,10 @@ def make_batch(
     options = Options.of(integrator, control)
     options.check_steps(scene.duration)
     parameters = dict(parameters or {})
-    given = states if isinstance(states, list | tuple) else ()
-    of_kind = states is given and (not given or any(isinstance(each, State) for each in given))
-    if states is not None and not of_kind:
+    are_states = isinstance(states, list | tuple) and (
+        not states or any(isinstance(each, State) for each in states)
+    )
+    if states is not None and not are_states:
         needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
         raise OptionError("states", quoted(states), needed)
     for law in scene.sampled:
@@ -254,7 +264,7 @@ def make_batch(
         raise OptionError("states and parameters", f"{count} runs", needed) from error
     # set states and parameters, and run
     errors = _set_starts(starts, compiled, states, parameters)
-    results[list(errors)] = np.nan
+    results[list(errors)] = np.nan  # runs that cannot start
     runs = Runs(starts, results, np.zeros((count, COUNTS)), errors)
     wall_time = _run_all(runs, compiled, options, workers)
     settings = compiled.settings | {"threads": workers} | options.as_settings()
@@ -276,20 +286,20 @@ def _run_all(runs: Runs, compiled: CompiledScene, options: Options, workers: int
     # divide the runs into pieces of work
     side_by_side = runs_in_lanes(compiled, options.integrator)
     numbers = np.setdiff1d(np.arange(len(runs.starts)), list(runs.errors))
-    most = len(numbers) // MIN_PIECE_RUNS if side_by_side else len(numbers)
+    max_pieces = len(numbers) // MIN_PIECE_RUNS if side_by_side else len(numbers)
     waiting: SimpleQueue[Array] = SimpleQueue()
-    for piece in np.array_split(numbers, max(min(PIECES_PER_THREAD * workers, most), workers)):
+    for piece in np.array_split(numbers, max(min(PIECES_PER_THREAD * workers, max_pieces), workers)):
         waiting.put(piece)
-    stopped: list[bool] = []
+    stopped: list[bool] = []  # not empty after an error or Ctrl-C: all threads stop
 
     def work() -> None:
         """Take pieces of work until none is left."""
-        make: Callable[[Runs, Array], None] = partial(_run_one_by_one, compiled, options, stopped)
+        integrate: Callable[[Runs, Array], None] = partial(_run_one_by_one, compiled, options, stopped)
         if side_by_side:
-            make = SideBySide(compiled, compiled.scene.times, options, stopped)
+            integrate = SideBySide(compiled, compiled.scene.times, options, stopped)
         with suppress(Empty):
             while not stopped:
-                make(runs, waiting.get_nowait())
+                integrate(runs, waiting.get_nowait())
 
     start = time.perf_counter()
     with ThreadPoolExecutor(workers) as pool:
@@ -305,7 +315,10 @@ def _run_all(runs: Runs, compiled: CompiledScene, options: Options, workers: int
 def _run_one_by_one(
     compiled: CompiledScene, options: Options, stopped: Sequence[bool], runs: Runs, numbers: Array
 ) -> None:
-    """Run some of the runs, given by their numbers (k,), one after another, interval by interval.
+    """Integrate some of the runs, given by their numbers (k,), one after another.
+
+    The runs are integrated interval by interval, between the samples of digital controllers and the knots of
+    splines.
 
     Args:
         compiled: the compiled scene.
@@ -317,20 +330,23 @@ def _run_one_by_one(
     for k in numbers.tolist():
         if stopped:
             return
-        found = integrate_intervals(compiled, runs.starts[k], options, stopped)
-        if found.stopped:
-            runs.errors[k] = found.stopped
+        native_run = integrate_intervals(compiled, runs.starts[k], options, stopped)
+        if native_run.stopped:
+            runs.errors[k] = native_run.stopped
             runs.results[k] = np.nan
         else:
-            runs.results[k] = found.results
-        runs.counts[k] = found.counts
+            runs.results[k] = native_run.results
+        runs.counts[k] = native_run.counts
 
 
 @lru_cache(maxsize=CACHED_SCENES)
 def _compiled(
     scene: Scene, formulation: str | None, stabilization: str, alpha: float | None, names: tuple[str, ...]
 ) -> CompiledScene:
-    """Return the compiled scene for parameters by name; recent ones are kept, because LLVM frees no code."""
+    """Return the compiled scene for parameters by name.
+
+    Recent scenes are kept, because LLVM does not free the memory of code that is no longer needed.
+    """
     return CompiledScene(scene, formulation, stabilization, alpha, names)
 
 
@@ -353,11 +369,11 @@ def _run_count(states: Sequence[State] | None, parameters: Mapping[str, Any]) ->
     Raises:
         OptionError: for states and parameter values of different lengths, or without elements.
     """
-    series = dict(parameters) if states is None else {**parameters, "states": states}
-    for name, each in series.items():
-        if not len(each):
-            raise OptionError(name, each, "one value per run, of one run or more")
-    lengths = {name: len(values) for name, values in series.items()}
+    by_name = dict(parameters) if states is None else {**parameters, "states": states}
+    for name, values in by_name.items():
+        if not len(values):
+            raise OptionError(name, values, "one value per run, of one run or more")
+    lengths = {name: len(values) for name, values in by_name.items()}
     if len(set(lengths.values())) != 1:
         raise OptionError("states and parameters", lengths, "one state or value per run, of one length")
     return next(iter(lengths.values()))
@@ -380,22 +396,22 @@ def _set_starts(
     Returns:
         Errors by number of the run.
     """
-    # check states and values
+    # check states and values; a run with an invalid state gets the scene's own, and an error
     scene = compiled.scene
-    unclosed = check_states(scene, states or ())
-    closed = [initial_state(scene) if k in unclosed else state for k, state in enumerate(states or ())]
+    state_errors = check_states(scene, states or ())
+    closed = [initial_state(scene) if k in state_errors else state for k, state in enumerate(states or ())]
     values = run_values(scene, parameters)
     for name, array in values.arrays.items():
         if name in compiled.parameters:
             place, flat = compiled.place(name), array.reshape(len(array), -1)
             starts[:, place : place + flat.shape[1]] = flat
     # close the loops with the parameters of each run
-    errors: dict[int, NewtonEulerError] = {**values.errors, **unclosed}
+    errors: dict[int, NewtonEulerError] = {**values.errors, **state_errors}
     assembly = assembly_of(scene, tuple(parameters))
     if assembly.is_needed:
-        x, lost = assembly(values.arrays, closed or None)
+        x, assembly_errors = assembly(values.arrays, closed or None)
         starts[:, : compiled.size] = assembly.starts(compiled, x)
-        return {**lost, **errors}
+        return {**assembly_errors, **errors}
     if closed:
         starts[:, : compiled.size] = coordinates_of(compiled.system, closed)
     return errors

@@ -1,7 +1,8 @@
 """Sampled controllers of a run, and the mechanism model of digital computed-torque control.
 
-At each sampling instant a controller gets the readings of its sensors and returns a force, which acts until
-the next instant. A digital law with computed torque or gravity compensation uses a model of the mechanism.
+At each sampling instant a controller gets the readings of its sensors and returns a force. This held force
+acts until the next instant. A digital law with computed torque or gravity compensation uses a model of the
+mechanism.
 Encoders give the actuated joint coordinates and their rates. Forward kinematics finds the pose, starting from
 the pose at the previous instant. Inverse dynamics then gives the forces. A key (joint, number) names a joint
 coordinate.
@@ -71,7 +72,7 @@ class Controllers:
 
 
 def _one_line(text: str) -> str:
-    """Replace line breaks and repeated spaces by single spaces."""
+    """Replace line breaks and repeated spaces in an error message of a user's controller by single spaces."""
     return " ".join(text.split())
 
 
@@ -79,7 +80,8 @@ class ControllerModel:
     """Inverse dynamics for digital control laws that use a model of the mechanism, in one run.
 
     Attributes:
-        roles: joint coordinates of these control laws.
+        roles: joint coordinates of these control laws: `torque` under computed torque, `holding` under
+            gravity compensation.
         encoders: forward kinematics from the joint coordinates of all control laws.
     """
 
@@ -111,22 +113,25 @@ class ControllerModel:
             MechanismError: for readings without a matching pose.
             SingularityError: if the coordinates do not determine the motion at this pose.
         """
-        found: dict[Key, float] = {}
-        own_q, own_v = self.encoders.coordinates(readings, time)
-        # computed torque at the measured velocities, then gravity compensation at rest
-        wanted = accelerations, [0.0] * len(self.roles.holding)
-        for model, own_wanted, moves in zip(self._models, wanted, (1.0, 0.0), strict=True):
+        forces_by_key: dict[Key, float] = {}
+        encoder_q, v = self.encoders.coordinates(readings, time)
+        # computed torque at the measured velocities, then gravity compensation at rest (zero velocities and
+        # accelerations)
+        desired = accelerations, [0.0] * len(self.roles.holding)
+        for model, model_accelerations, speed_factor in zip(self._models, desired, (1.0, 0.0), strict=True):
             if model is None:
                 continue
-            q = model.system.coordinates_from(self.encoders.system, own_q)
-            knots = pieces(model.scene, time).values()
-            flags = model.flags(q[None])[0]
-            values = model.forces(np.concatenate([q, moves * own_v, flags, own_wanted, [time], *knots]))
+            # inputs of the native function, see `InverseDynamics.forces`
+            q = model.system.coordinates_from(self.encoders.system, encoder_q)
+            flags = model.flags(q[None])[0]  # of redundant constraint rows
+            functions = pieces(model.scene, time).values()
+            x = np.concatenate([q, speed_factor * v, flags, model_accelerations, [time], *functions])
+            *model_forces, pivot_ratio, _ = model.forces(x).tolist()
             keys = model.servos.actuators
-            if not (values[-2] > 0.0 and np.isfinite(values[:-2]).all()):
+            if not (pivot_ratio > 0.0 and np.isfinite(model_forces).all()):
                 raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there")
-            found = dict(zip(keys, values[:-2].tolist(), strict=True)) | found
-        return found
+            forces_by_key = dict(zip(keys, model_forces, strict=True)) | forces_by_key
+        return forces_by_key
 
 
 @lru_cache(maxsize=CACHED_SCENES)
@@ -143,14 +148,15 @@ def _compiled(
         Joint coordinates of the laws; inverse dynamics of computed torque and of gravity compensation, None
         if no law needs it; forward kinematics, None if the coordinates do not determine the pose.
     """
-    found = roles(scene, digital=True)
-    known = known_scene(scene, found.model)
-    still = tuple(motion.held_at_start() for motion in scene.motions)
+    law_roles = roles(scene, digital=True)
+    model_scene = known_scene(scene, law_roles.model)  # the scene as the controller knows it
+    # gravity compensation computes the forces at rest, with prescribed motions that stand still
+    scene_at_rest = replace(model_scene, motions=tuple(motion.held_at_start() for motion in scene.motions))
     torque, holding = (
-        InverseDynamics(each, keys, keys) if keys else None
-        for each, keys in ((known, found.torque), (replace(known, motions=still), found.holding))
+        InverseDynamics(each, coordinates=keys, actuators=keys) if keys else None
+        for each, keys in ((model_scene, law_roles.torque), (scene_at_rest, law_roles.holding))
     )
-    return found, (torque, holding), _forward_kinematics(known)
+    return law_roles, (torque, holding), _forward_kinematics(model_scene)
 
 
 def _forward_kinematics(scene: Scene) -> tuple[CompiledEquations, DrivenMechanism] | None:
@@ -162,14 +168,13 @@ def _forward_kinematics(scene: Scene) -> tuple[CompiledEquations, DrivenMechanis
     keys = [law.key for law in scene.control]
     if len(keys) != mobility(scene).degrees_of_freedom:
         return None
+    # driving constraints hold the coordinates at their initial values until readings replace these
     start = initial_state(scene)
-    at = {key: measured_coordinate(scene, start, key)[0] for key in keys}
-    found = driven(scene, {key: Spline((0.0, scene.duration), (x, x)) for key, x in at.items()})
-    return (
-        (CompiledEquations(found.scene, "relative"), found)
-        if mobility(found.scene).degrees_of_freedom == 0
-        else None
-    )
+    values = {key: measured_coordinate(scene, start, key)[0] for key in keys}
+    mechanism = driven(scene, {key: Spline((0.0, scene.duration), (x, x)) for key, x in values.items()})
+    if mobility(mechanism.scene).degrees_of_freedom > 0:
+        return None
+    return CompiledEquations(mechanism.scene, "relative"), mechanism
 
 
 class Encoders:
@@ -190,6 +195,8 @@ class Encoders:
         self.system: Formulation = code.system
         self._code, self._project = code, Projection(code)
         self._x = code.packed(*code.system.coordinates(initial_state(scene)))
+        # parameters of the code: the current polynomial piece of each spline, at index `_places` of x, and of
+        # prescribed motions
         names = {key: name + PIECE for key, name in mechanism.functions.items()}
         self._places = {key: code.place(name) for key, name in names.items()}
         self._others = [name for name in code.parameters if name not in names.values()]

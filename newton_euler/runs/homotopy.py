@@ -23,20 +23,20 @@ class HomotopyRecord(Record):
 
     Attributes:
         count: number n of runs.
-        passing: 1 if loops may be open at intermediate steps, because given joint coordinates are redundant
+        may_open: 1 if loops may be open at intermediate steps, because given joint coordinates are redundant
             and agree only at the end; else 0.
         steps: (n,) numbers of steps.
-        own: (n, inputs) closed states with the parameters at the beginning.
-        states: (n, inputs) parameters at the end; the closed states at the end are written there.
+        begins: (n, inputs) closed states with the parameters at the beginning.
+        ends: (n, inputs) parameters at the end; the closed states at the end are written there.
         x: (inputs,) scratch.
         statuses: (n,) written: status of the last projection of each run.
     """
 
     count: int
-    passing: int
+    may_open: int
     steps: Vector
-    own: Vector
-    states: Vector
+    begins: Vector
+    ends: Vector
     x: Vector
     statuses: Vector
 
@@ -53,28 +53,28 @@ def assemble_all(system: Equations, paths: HomotopyRecord) -> None:
     inputs = system.inputs
     x = paths.x
     for run in range(paths.count):
-        own = paths.own[inputs * run :]
-        target = paths.states[inputs * run :]
+        begin = paths.begins[inputs * run :]
+        end = paths.ends[inputs * run :]
         steps = int(paths.steps[run])
         status = Status.DONE
-        # begin at the closed state of the scene
+        # state and time at the beginning
         for i in range(n + 1):
-            x[i] = own[i]
+            x[i] = begin[i]
         for step in range(steps):
             # parameters between the beginning and the end; exactly those of the end in the last step
             last = 1 if step + 1 == steps else 0
             for i in range(n + 1, inputs):
-                x[i] = target[i]
+                x[i] = end[i]
                 if last == 0:
-                    x[i] = own[i] + (target[i] - own[i]) * (float(step + 1) / float(steps))
-            # close the loops; velocities only in the last step
+                    x[i] = begin[i] + (end[i] - begin[i]) * (float(step + 1) / float(steps))
+            # close the loops; the second argument is 1 to project velocities, too: only in the last step
             if system.projecting == 1:
                 status = project(system, last, x)
-            if status != Status.DONE and (status != Status.OPEN or paths.passing == 0):
+            if status != Status.DONE and (status != Status.OPEN or paths.may_open == 0):
                 break
         # project again: velocities that are much smaller than at the first projection become accurate
         if status == Status.DONE and system.projecting == 1:
             status = project(system, 1, x)
         for i in range(n):
-            target[i] = x[i]
+            end[i] = x[i]
         paths.statuses[run] = float(status)

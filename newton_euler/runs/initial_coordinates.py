@@ -38,29 +38,29 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
         MechanismError: naming the joint: it has no such coordinate, follows a prescribed motion, or has two
             names for one number.
     """
-    found: dict[str, Initial] = {}
+    numbers: dict[str, Initial] = {}
     for name in names:
         if not isinstance(name, str) or not name.startswith(START_PREFIX):
             continue
-        # JOINT, or JOINT.NUMBER
+        # the text between prefix and suffix is JOINT or JOINT.NUMBER
         joint_text = name.removeprefix(START_PREFIX).removesuffix(RATE_SUFFIX)
         joint, _, index = joint_text.rpartition(".")
         mechanism, key = scene.mechanism, (joint_text, 0)
         if joint_text not in mechanism.joint_names and joint and index.isdecimal():
             key = joint, int(index)
         if key[0] not in mechanism.joint_names and _is_element(scene, name):
-            continue
-        key = mechanism.coordinate(key)
+            continue  # a parameter of an element called `start`
+        key = mechanism.coordinate(key)  # checks that the joint has the coordinate
         # the coordinate must be free, and named once
         if key in {motion.key for motion in scene.motions}:
             where = f"joint {key[0]!r}"
             raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
         number = Initial(key, int(name.endswith(RATE_SUFFIX)))
-        if twin := next((other for other, known in found.items() if known == number), None):
+        if twin := next((other for other, known in numbers.items() if known == number), None):
             problem = f"{twin!r} and {name!r} are one number of the start"
             raise MechanismError(f"joint {key[0]!r}", problem, "one of the two")
-        found[name] = number
-    return found
+        numbers[name] = number
+    return numbers
 
 
 def initial_names(scene: Scene) -> list[str]:

@@ -1,7 +1,8 @@
 """Divide a run into intervals between sampling instants and knots, and integrate them one after another.
 
-A sampled controller changes its force at sampling instants. A function of time has knots where its polynomial
-changes. The integrator restarts at both, so that the motion is smooth within each interval. A scene with
+A sampled (digital) controller changes its force at sampling instants, and holds the force until the next one.
+A function of time such as a spline consists of polynomial pieces, which meet at knots. The integrator
+restarts at sampling instants and knots, so that the motion is smooth within each interval. A scene with
 neither has a single interval: the whole run.
 """
 
@@ -37,13 +38,13 @@ class Interval(NamedTuple):
     Attributes:
         due: control laws whose controllers are called at the beginning.
         times: (n,) s, n >= 2: the beginning, the output times inside, the end.
-        wanted: (n,) True for those `times` that are outputs of this interval. An output at the end belongs
-            to the next interval, because the new force already acts at a sampling instant.
+        is_output: (n,) True for those `times` that are outputs of this interval. An output at the end
+            belongs to the next interval, because the new force already acts at a sampling instant.
     """
 
     due: tuple[HeldLaw, ...]
     times: Array
-    wanted: Array
+    is_output: Array
 
     @property
     def middle(self) -> float:
@@ -64,22 +65,25 @@ def intervals(scene: Scene, knots: Sequence[float], times: Array | None = None) 
     outputs, laws = scene.times if times is None else times, scene.sampled
     end = float(outputs[-1])
     slack = SAME_TIME * float(np.min(np.diff(knots), initial=scene.output_period))
-    ahead = [_snapped(knot, slack, outputs) for knot in reversed(knots) if slack < knot < end - slack]
+    # remaining knots in descending order, so that the next one is the last element
+    knots_ahead = [_snapped(knot, slack, outputs) for knot in reversed(knots) if slack < knot < end - slack]
+    # indices of the laws that are called at `begin`, and the number of calls of each law so far
     begin, due, calls = 0.0, list(range(len(laws))), [0] * len(laws)
     while begin < end:
         # the interval ends at the next call of a controller, the next knot, or the end of the run
         for k in due:
             calls[k] += 1
-        upcoming = [_call_time(law, number, outputs) for law, number in zip(laws, calls, strict=True)]
-        while ahead and ahead[-1] <= begin + slack:
-            ahead.pop()
-        stop = min([*upcoming, *ahead[-1:], end])
+        next_calls = [_call_time(law, number, outputs) for law, number in zip(laws, calls, strict=True)]
+        while knots_ahead and knots_ahead[-1] <= begin + slack:
+            knots_ahead.pop()
+        stop = min([*next_calls, *knots_ahead[-1:], end])
         # an output at `stop` belongs to this interval only at the end of the run
         first, last = np.searchsorted(outputs, [begin, stop])
         inside = outputs[first:] if stop == end else outputs[first:last]
-        times = np.union1d(inside, [begin, stop])
-        yield Interval(tuple(laws[k] for k in due), times, np.isin(times, inside))
-        begin, due = stop, [k for k, law in enumerate(laws) if upcoming[k] - stop < SAME_TIME * law.period]
+        interval_times = np.union1d(inside, [begin, stop])
+        yield Interval(tuple(laws[k] for k in due), interval_times, np.isin(interval_times, inside))
+        begin = stop
+        due = [k for k, law in enumerate(laws) if next_calls[k] - stop < SAME_TIME * law.period]
 
 
 def _call_time(law: HeldLaw, number: int, outputs: Array) -> float:
@@ -103,9 +107,9 @@ S = TypeVar("S", bound=SceneEquations)
 
 
 def with_held_values(system: S, values: Mapping[str, Any]) -> S:
-    """Return a copy of equations with other values of held forces and polynomial pieces in its scene.
+    """Return a copy of equations whose scene has other held forces and polynomial pieces.
 
-    The copy shares the engine's model with the original.
+    The copy shares the model of a dynamics engine, if there is one, with the original.
 
     Args:
         system: equations of a scene.
@@ -128,8 +132,8 @@ class NativeRun(NamedTuple):
             `newton_euler.compiled.outputs.named`.
         counts: (COUNTS,) numbers of steps and evaluations, see
             `newton_euler.integrators.stepper.reported_counts`.
-        stopped: the error that ended the run before the last output; None if none did.
-        wall_time: s, of the run itself, without the construction of its integrator.
+        stopped: the error that ended the run before the last output; None for a complete run.
+        wall_time: s. For a run of a single interval, the construction of its integrator is not included.
     """
 
     results: Array
@@ -151,12 +155,14 @@ def integrate_intervals(
 
     Args:
         code: compiled equations of the scene.
-        x: (inputs,) state, time, flags and parameters at the start; overwritten during the run.
+        x: (inputs,) state, time, flags of redundant constraints and parameters at the start; overwritten
+            during the run.
         options: integrator and step control.
         stopped: a list that other threads may append to; the run stops if the list is not empty.
-        room: number of integrator steps to keep, see `newton_euler.compiled.run.Integrator`.
         times: output times, s; those of the scene if not given.
         after_interval: called after each interval that reached its end.
+        room: number of integrator steps to keep in each interval, see
+            `newton_euler.compiled.run.Integrator.steps`.
     """
     start = time.perf_counter()
     is_divided = code.piecewise or code.scene.sampled
@@ -185,20 +191,21 @@ def integrate_intervals(
             integrators[len(interval.times)] = Integrator(code, interval.times, options, stopped, room)
         integrator = integrators[len(interval.times)]
         integrator.times[:] = interval.times
-        if not values:  # the only interval: its integrator is not counted as run time
+        if not values:  # the only interval: start the clock after the construction of its integrator
             start = time.perf_counter()
         results, error = integrator.attempt(x)
-        # 3. collect outputs and counts
+        # 3. collect outputs and counts; the counts add up, but the excess of round-off is a maximum
         excess = max(total[Count.ROUND_OFF_EXCESS], integrator.counts[Count.ROUND_OFF_EXCESS])
         total += integrator.counts
         total[Count.ROUND_OFF_EXCESS] = excess
-        wanted = interval.wanted[: len(results)]
-        parts.append(results if wanted.all() else results[wanted])
+        is_output = interval.is_output[: len(results)]
+        parts.append(results if is_output.all() else results[is_output])
         if error:
             break
         if after_interval:
             after_interval(integrator, x, interval)
-        # 4. the next interval begins here, unless the configuration is singular: it could change the branch
+        # 4. the next interval begins here, unless the configuration is singular: a restart could continue on
+        # another branch of motion
         x[:] = integrator.x
         if code.projects and x[code.size] < end and code.pivot_ratio(x) < UNSAFE_PIVOT_RATIO:
             where = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank"

@@ -36,6 +36,8 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Floats
 
 X, Y, Z = np.eye(3)
+"""Unit vectors of the axes."""
+
 SLIDES = {"surge": X, "sway": Y, "heave": Z}
 """World axis of each translation of the base, by name of the motion."""
 
@@ -52,7 +54,7 @@ def on_moving_base(
     world: str = "world",
     joint: str = "base_motion",
 ) -> Scene:
-    """Return a scene whose ground is a body on a moving or a floating base.
+    """Return a scene whose ground has become a body, the base, that moves as prescribed or floats.
 
     Joints, forces, control and shapes stay on the body with the ground's name. The base starts with the pose
     and the velocity of its motion at time 0, and the mechanism with its initial state relative to the base.
@@ -87,29 +89,32 @@ def on_moving_base(
             raise MechanismError(where, f"{what} is {quoted(name)}, a name that is in use", "another name")
     # the base, and its joint with the world
     base = _base(where, mechanism, hull, center, floats=motions is None)
-    carrier: Free | Compound
-    given = {} if motions is None else _checked(where, motions)
+    base_joint: Free | Compound
+    ordered = {} if motions is None else _in_order(where, motions)
     if motions is None:
-        carrier = Free(joint, world, base.name, center)
+        base_joint = Free(joint, world, base.name, center)
     else:
         axes: dict[str, Any] = {
-            "slides": [axis for name, axis in SLIDES.items() if name in given],
-            "hinges": [axis for name, axis in HINGES.items() if name in given],
+            "slides": [axis for name, axis in SLIDES.items() if name in ordered],
+            "hinges": [axis for name, axis in HINGES.items() if name in ordered],
         }
-        carrier = Compound(joint, world, base.name, center, **axes)
+        base_joint = Compound(joint, world, base.name, center, **axes)
     # the scene with two more elements and the motions of the joint
-    prescribed = [PrescribedMotion(joint, function, k) for k, function in enumerate(given.values())]
+    prescribed = [PrescribedMotion(joint, function, k) for k, function in enumerate(ordered.values())]
     bodies = [Body.ground(world), base, *mechanism.bodies[1:]]
     return replace(
         scene,
-        mechanism=Mechanism(bodies, [*mechanism.joints, carrier], mechanism.couplings),
+        mechanism=Mechanism(bodies, [*mechanism.joints, base_joint], mechanism.couplings),
         motions=(*scene.motions, *prescribed),
-        initial_state=_carried(initial_state(scene), base, given, center),
+        initial_state=_in_world(initial_state(scene), base, ordered, center),
     )
 
 
-def _checked(where: str, motions: Mapping[str, TimeFunction]) -> dict[str, TimeFunction]:
-    """Check the names of motions, and return the motions in the order of the joint's coordinates."""
+def _in_order(where: str, motions: Mapping[str, TimeFunction]) -> dict[str, TimeFunction]:
+    """Check the names of motions, and return the motions in the order of the joint's coordinates.
+
+    `where` is the beginning of error messages.
+    """
     names = (*SLIDES, *HINGES)
     if not motions:
         needed = f"functions of time by {', '.join(names)}"
@@ -144,19 +149,19 @@ def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, f
     return replace(ground, mass=mass, center_of_mass=center, inertia=inertia)
 
 
-def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], center: Floats) -> State:
+def _in_world(state: State, base: Body, motions: Mapping[str, TimeFunction], center: Floats) -> State:
     """Convert a state relative to the base to a state in the world, with the motion of the base at time 0.
 
     Args:
         state: state of the scene, whose first body is the ground.
         base: body that replaces the ground.
-        motions: motions of the base by name.
+        motions: motions of the base by name, slides first, in the order of the joint's coordinates.
         center: (3,) reference point of the base, m.
 
     Returns:
         State of the world (at rest), the base and the other bodies.
     """
-    # pose and velocity of the base
+    # translation, velocity, angular velocity and rotation matrix of the base, in the world
     shift, velocity, omega, turn = np.zeros(3), np.zeros(3), np.zeros(3), np.eye(3)
     for name, function in motions.items():
         x, rate = float(function.value(0.0)), float(function.rate(0.0))
@@ -165,21 +170,19 @@ def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], cent
         else:
             omega = omega + rate * (turn @ HINGES[name])
             turn = turn @ rotation(from_rotation_vector(x * HINGES[name]))
-    # poses and velocities of all bodies on the base, in the world
-    still, quaternion = np.zeros(3), from_rotation(turn)
+    # the base and all bodies on it, in the world: arms are the vectors from the reference point to the
+    # centers of mass; relative velocities are those of the given state
+    zero, quaternion = np.zeros(3), from_rotation(turn)
     arms = (np.vstack([base.center_of_mass, state.position[1:]]) - center) @ turn.T
-    own_velocities = np.vstack([still, state.linear_velocity[1:]]) @ turn.T
-    own_spins = np.vstack([still, state.angular_velocity[1:]]) @ turn.T
+    relative_velocities = np.vstack([zero, state.linear_velocity[1:]]) @ turn.T
+    relative_spins = np.vstack([zero, state.angular_velocity[1:]]) @ turn.T
+    quaternions = [product(quaternion, p) for p in (base.quaternion, *state.quaternion[1:])]
+    # the world, at rest, comes first
     return State(
-        np.vstack([still, center + shift + arms]),
-        np.vstack(
-            [
-                [1.0, 0.0, 0.0, 0.0],
-                *(product(quaternion, p) for p in (base.quaternion, *state.quaternion[1:])),
-            ]
-        ),
-        np.vstack([still, velocity + np.cross(omega, arms) + own_velocities]),
-        np.vstack([still, omega + own_spins]),
+        position=np.vstack([zero, center + shift + arms]),
+        quaternion=np.vstack([[1.0, 0.0, 0.0, 0.0], *quaternions]),
+        linear_velocity=np.vstack([zero, velocity + np.cross(omega, arms) + relative_velocities]),
+        angular_velocity=np.vstack([zero, omega + relative_spins]),
         angles=state.angles,
     )
 
@@ -199,7 +202,7 @@ MIN_ROWS = 6
 """Smallest number of poses in a file: a polynomial of the spline of degree 5 has 6 coefficients."""
 
 MAX_GAP = 5.0
-"""Largest time between two rows, divided by the median; poses are missing in a longer gap."""
+"""Largest time between two rows, divided by the median time; a longer gap means that poses are missing."""
 
 MAX_NORM_ERROR = 1e-3
 """Largest deviation of a quaternion's norm from 1, because files round numbers to a few digits."""
@@ -234,7 +237,7 @@ def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
     """
     table = _read(path_text(path), path)
     time = table.columns["time"]
-    found = {
+    motions = {
         POSITION_COLUMNS[name]: table.columns[name] for name in POSITION_COLUMNS if name in table.columns
     }
     if QUATERNION_COLUMNS[0] in table.columns:
@@ -242,14 +245,23 @@ def base_motion_from_csv(path: str | os.PathLike[str]) -> dict[str, Spline]:
     else:
         angles = {name: table.columns[name] for name in ANGLE_COLUMNS if name in table.columns}
     if "pitch" in angles:
-        steep = np.abs(angles["pitch"]) > MAX_PITCH
-        table.refuse(steep, "pitch", angles["pitch"], f"at most {MAX_PITCH:.4g} rad, 80 degrees")
-    found |= {name: np.unwrap(column) for name, column in angles.items()}
-    return {name: Spline(time - time[0], column) for name, column in found.items()}
+        too_large = np.abs(angles["pitch"]) > MAX_PITCH
+        table.refuse(too_large, "pitch", angles["pitch"], f"at most {MAX_PITCH:.4g} rad, 80 degrees")
+    motions |= {name: np.unwrap(column) for name, column in angles.items()}
+    return {name: Spline(time - time[0], column) for name, column in motions.items()}
 
 
 def _read(where: str, path: str | os.PathLike[str]) -> TimeTable:
-    """Read a file of poses and check its times; raises `SourceError`."""
+    """Read a file of poses and check its times.
+
+    Args:
+        where: text of the path in error messages.
+        path: the file, of limited size ("csv_size" is the name of the limit).
+
+    Raises:
+        SourceError: naming the file and the line.
+    """
+    # rows are pairs (number of the line, cells)
     rows = csv_rows(where, read_text(path, "csv_size"))
     header = [cell.lower() for cell in rows[0][1]] if rows else []
     _check_header(where, header)

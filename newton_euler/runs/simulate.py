@@ -2,6 +2,9 @@
 
 Both use this package's own equations in native code. `run` integrates any other system of equations, such as
 Pinocchio's, in Python. All of them return a `Trajectory`.
+
+A run is divided into intervals at the samples of digital controllers and at the knots of splines
+(`newton_euler.runs.intervals`). Couplings are constraints between joint coordinates, such as gears.
 """
 
 from __future__ import annotations
@@ -73,14 +76,15 @@ def simulate(
 
     Args:
         scene: a mechanism with its surroundings, start and duration.
-        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21). If None, joint
-            coordinates unless closed loops share long paths, see
-            `newton_euler.compiled.formulations.cheaper_formulation`. The trajectory's settings name it.
+        formulation: "relative" (joint coordinates) or "cartesian" (poses of all bodies, equation 21 of the
+            paper cited in `newton_euler.equations.cartesian`). If None, joint coordinates unless many closed
+            loops share joint axes, see `newton_euler.compiled.formulations.cheaper_formulation`. The
+            trajectory's settings name the formulation.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection", "baumgarte" or "none".
-        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; the paper's 10 if None.
+        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; 10 as in that paper if None.
         control: step control: rtol and atol of adaptive integrators, step (s) of fixed-step integrators,
-            most_steps; see `newton_euler.integrators.options.Options`.
+            most_steps (largest number of steps); see `newton_euler.integrators.options.Options`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that stops early; an
@@ -95,9 +99,9 @@ def simulate(
     check_formulation(formulation)
     compiled = _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))
     compiled.warn()
-    found = compiled._run(options)
-    warn_of_round_off(scene, options, [found.settings])
-    return found
+    trajectory = compiled._run(options)
+    warn_of_round_off(scene, options, [trajectory.settings])
+    return trajectory
 
 
 @lru_cache(maxsize=CACHED_SCENES)
@@ -149,25 +153,25 @@ class CompiledScene(CompiledEquations):
 
     def with_scene(self, scene: Scene) -> CompiledScene:
         """Return the same code for a scene that differs only in parameters, controllers and duration."""
-        _ = self._decided  # make rank decisions before the copy, so that both objects share them
+        _ = self._decided  # select constraint rows before the copy, so that both objects share the selection
         other = copy.copy(self)
         other.scene = scene
         if scene.initial_state is self.scene.initial_state:
-            inherit_mobility(scene, self.scene)
+            inherit_mobility(scene, self.scene)  # which constraints are redundant
             inherit_initial_state(scene, self.scene)
             state = self.start[: self.size]
         else:
             (state,) = coordinates_of(self.system, [initial_state(scene)])
-        other.__dict__.update(start=other._at(state))
+        other.__dict__.update(start=other._at(state))  # overwrite the cached property
         return other
 
     def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:
         """Run the scene; see `newton_euler.simulate` for arguments and errors."""
         options = Options.of(integrator, control)
         self.warn()
-        found = self._run(options)
-        warn_of_round_off(self.scene, options, [found.settings])
-        return found
+        trajectory = self._run(options)
+        warn_of_round_off(self.scene, options, [trajectory.settings])
+        return trajectory
 
     def warn(self) -> None:
         """Warn if constraints are almost redundant."""
@@ -178,6 +182,7 @@ class CompiledScene(CompiledEquations):
         options.check_steps(self.scene.duration)
         load(self, options.integrator)
         x = self.start.copy()
+        # at a singular configuration several branches of motion meet
         if joint := mobility(self.scene).between_branches:
             raise UndeterminedStartError(
                 0.0,
@@ -198,8 +203,9 @@ class CompiledScene(CompiledEquations):
 
 def warn_of(scene: Scene, nearly: Iterable[NearlyRedundant]) -> None:
     """Warn of almost redundant constraints; the warning points to the line that called this package."""
-    for weak in nearly:
-        warnings.warn(f"scene {scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=caller_level())
+    for constraint in nearly:
+        text = f"scene {scene.name!r}: {constraint}"
+        warnings.warn(text, NearlyRedundantWarning, stacklevel=caller_level())
 
 
 def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, Any]]) -> None:
@@ -208,11 +214,12 @@ def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, A
     Args:
         scene: the scene.
         options: gives the tolerances.
-        runs: settings of the runs, see `Trajectory.settings`.
+        runs: settings of the runs, see `Trajectory.settings`. The entry "round_off" is the largest error
+            estimate caused by round-off, divided by the tolerance; it exists only for values above 1.
     """
-    found = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
-    if (excess := found.get("round_off", 0.0)) > MAX_ROUND_OFF:
-        warning = RoundOffWarning(scene.name, found["formulation"], options.rtol, options.atol, excess)
+    worst = max(runs, key=lambda settings: settings.get("round_off", 0.0), default={})
+    if (excess := worst.get("round_off", 0.0)) > MAX_ROUND_OFF:
+        warning = RoundOffWarning(scene.name, worst["formulation"], options.rtol, options.atol, excess)
         warnings.warn(warning, stacklevel=caller_level())
 
 
@@ -256,20 +263,22 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
     return violation.T.copy()
 
 
-def _residuals(mechanism: Mechanism, states: Sequence[State], coupled: Sequence[Array]) -> Array:
+def _residuals(mechanism: Mechanism, states: Sequence[State], coupling_residuals: Sequence[Array]) -> Array:
     """Compute the residuals of all joints at n states, and append the given residuals of couplings.
 
     Args:
         mechanism: the mechanism.
         states: n states.
-        coupled: (c,) residuals of couplings at each state, m or rad.
+        coupling_residuals: (c,) residuals of couplings at each state, m or rad.
 
     Returns:
         (n, k), m or rad.
     """
     frames = stacked(states).frames()
     phis = [e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations]
-    return np.hstack([unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupled)])
+    return np.hstack(
+        [unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupling_residuals)]
+    )
 
 
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
@@ -289,45 +298,47 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     options.check_steps(scene.duration)
     q, v = system.coordinates(initial_state(scene))
     start = time.perf_counter()
-    rows: list[tuple[System, float, Array, Array]] = []
+    rows: list[tuple[System, float, Array, Array]] = []  # equations, time, q and v at each output time
     counts = Counter(steps=0, evaluations=0)
     stopped: IntegrationError | None = None
+    # values that are constant in an interval, by parameter name: coefficients of the polynomial pieces of
+    # functions of time, and forces that sampled controllers hold
     held: dict[str, Any] = {}
-    given, controllers = system, Controllers(scene) if scene.sampled else None
-    # integrate interval by interval: pieces of functions and forces of controllers are constant in each
+    original, controllers = system, Controllers(scene) if scene.sampled else None
+    # integrate interval by interval
     for interval in intervals(scene, scene.knots):
         held |= pieces(scene, interval.middle)
-        if controllers and interval.due:
+        if controllers and interval.due:  # laws whose controllers are called at the beginning
             readings = np.array(system.measure(q, v), dtype=float)
             try:
                 held |= controllers.sample(interval.due, float(interval.times[0]), readings)
             except IntegrationError as error:
                 stopped = error
                 break
-        system = with_held_values(given, held) if held else given
-        table, found, stopped = integrate(system, q, v, interval.times, options)
-        counts.update(found)
-        for t, wanted, state in zip(interval.times, interval.wanted, table, strict=False):
+        system = with_held_values(original, held) if held else original
+        table, counts_of_interval, stopped = integrate(system, q, v, interval.times, options)
+        counts.update(counts_of_interval)
+        for t, is_output, state in zip(interval.times, interval.is_output, table, strict=False):
             q, v = state[: system.nq], state[system.nq :]
-            if wanted:
+            if is_output:
                 rows.append((system, t, q, v))
         if stopped:
             break
     wall_time = time.perf_counter() - start
     # evaluate the outputs
     evaluations: list[Observation] = []
-    coupled: list[Array] = []
-    for now, t, q, v in rows:
-        now = at_time(now, t)
+    coupling_residuals: list[Array] = []
+    for system_of_row, t, q, v in rows:
+        now = at_time(system_of_row, t)
         try:
             with np.errstate(all="ignore"):  # `trajectory_from` checks that numbers are finite
                 evaluations.append(now.evaluate(q, v) if scene.needs_accelerations else now.observe(q, v))
-                coupled.append(now.coupling_phi(q))
+                coupling_residuals.append(now.coupling_phi(q))
         except NewtonEulerError as error:
             stopped = stopped or IntegrationError(t, str(error))
             break
     settings = settings | options.as_settings() | dict(counts)
-    return trajectory_from(scene, engine, settings, wall_time, evaluations, coupled, stopped)
+    return trajectory_from(scene, engine, settings, wall_time, evaluations, coupling_residuals, stopped)
 
 
 def trajectory_from(
@@ -336,7 +347,7 @@ def trajectory_from(
     settings: dict[str, Any],
     wall_time: float,
     evaluations: Sequence[Observation],
-    coupled: list[Array],
+    coupling_residuals: list[Array],
     stopped: StoppedError | None = None,
 ) -> Trajectory:
     """Build the trajectory of a scene from an engine's evaluations at the output times.
@@ -347,7 +358,7 @@ def trajectory_from(
         settings: settings of the run.
         wall_time: s.
         evaluations: states, and accelerations if the scene needs them, at the output times reached.
-        coupled: residuals (c,) of the couplings at each output time, m or rad.
+        coupling_residuals: residuals (c,) of the couplings at each output time, m or rad.
         stopped: the error that ended the run early.
 
     Raises:
@@ -356,21 +367,22 @@ def trajectory_from(
     """
     # arrays of the outputs that the scene has
     states = [evaluation.state for evaluation in evaluations]
-    arrays = {
-        name: np.array([getattr(each, name) for each in rows])
-        for output, names, rows in (
-            ("velocities", ("linear_velocity", "angular_velocity"), states),
-            ("reactions", ("reaction_force", "reaction_torque"), evaluations),
-            ("actuation", ("actuator_force",), evaluations),
-            ("energy", ("kinetic_energy", "potential_energy"), evaluations),
-        )
-        if output in scene.outputs
-        for name in names
+    sources: dict[str, tuple[Sequence[Any], tuple[str, ...]]] = {  # objects and their attributes, by output
+        "velocities": (states, ("linear_velocity", "angular_velocity")),
+        "reactions": (evaluations, ("reaction_force", "reaction_torque")),
+        "actuation": (evaluations, ("actuator_force",)),
+        "energy": (evaluations, ("kinetic_energy", "potential_energy")),
     }
+    arrays: dict[str, Array] = {}
+    for output, (objects, names) in sources.items():
+        if output in scene.outputs:
+            arrays |= {name: np.array([getattr(each, name) for each in objects]) for name in names}
     if scene.tracks_work and all(e.work is not None for e in evaluations):
         arrays["work"] = np.array([e.work for e in evaluations])
     if "violation" in scene.outputs and states:
-        arrays["constraint_violation"] = _by_joint(scene, _residuals(scene.mechanism, states, coupled))
+        arrays["constraint_violation"] = _by_joint(
+            scene, _residuals(scene.mechanism, states, coupling_residuals)
+        )
     arrays["position"] = np.array([s.position for s in states])
     arrays["quaternion"] = np.array([s.quaternion for s in states])
     if states and states[0].angles:
@@ -391,8 +403,11 @@ def trajectory_from(
 def _trajectory(
     scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
-    """Build a trajectory from arrays by name; make the signs of quaternions continuous in time."""
-    labels, carried = scene.mechanism.coordinate_labels, "joint_angle" in arrays
+    """Build a trajectory from arrays by name; make the signs of quaternions continuous in time.
+
+    The array "joint_angle" holds the angles whose full revolutions forces or couplings depend on.
+    """
+    labels, has_angles = scene.mechanism.coordinate_labels, "joint_angle" in arrays
     arrays["quaternion"] = continuous(arrays["quaternion"], initial_state(scene).quaternion)
     return Trajectory(
         engine=engine,
@@ -401,7 +416,7 @@ def _trajectory(
         time=scene.times[: len(arrays["position"])],
         body_names=scene.mechanism.body_names,
         joint_names=scene.mechanism.joint_names,
-        angle_names=tuple(labels[key] for key in counted_angles(scene)) if carried else (),
+        angle_names=tuple(labels[key] for key in counted_angles(scene)) if has_angles else (),
         mechanism=scene.mechanism,
         **arrays,
     )

@@ -5,10 +5,10 @@ parameters. From there, a homotopy changes the parameters in small steps to thos
 loops closed (`newton_euler.runs.homotopy`). The velocities at the end are the nearest to the scene's
 velocities that the constraints allow. The result of a run does not depend on the other runs.
 
-Initial joint coordinates (`newton_euler.runs.initial_coordinates`) are driving constraints on this path
-(`newton_euler.equations.driven`). If only the coordinate or only the rate of a joint is given, the other one
-has the value of the scene's initial state. If loops do not allow all rates together, given rates have
-priority.
+Initial joint coordinates (`newton_euler.runs.initial_coordinates`) are driving constraints on this path: each
+such coordinate follows a linear function of time (`newton_euler.equations.driven`). If only the coordinate or
+only the rate of a joint is given, the other one has the value of the scene's initial state. If loops do not
+allow all rates together, given rates have priority. Joint coordinates have keys (joint, number).
 
 Angles are counted with full revolutions (`newton_euler.model.state.State.angles`). A given angle is reached
 with its revolutions. The path to an angle without couplings to other joints leaves out full revolutions.
@@ -92,58 +92,61 @@ class Assembly:
     def __init__(self, scene: Scene, names: Sequence[str]) -> None:
         """Select, from names of parameters, those that change the initial state."""
         self.scene, self.initial = scene, initial_numbers(scene, names)
-        self._start_functions: dict[str, NativeFunction] = {}
+        self._start_functions: dict[str, NativeFunction] = {}  # by formulation, see `_native`
         others = [name for name in names if name not in self.initial]
         self.kinematic = [name for name, place in places(scene, others).items() if place.field.moves_loops]
         self._unique_names = {name: unambiguous(scene, name) for name in self.kinematic}
+        # joint coordinates with a given value or rate; those with a given rate first
         self._rate_keys = {number.key for number in self.initial.values() if number.order == 1}
         keys = dict.fromkeys(number.key for number in self.initial.values())
-        ordered = sorted(keys, key=lambda key: key not in self._rate_keys)
-        self._keys = tuple(ordered)
+        self._keys = tuple(sorted(keys, key=lambda key: key not in self._rate_keys))
 
     @cached_property
     def _driven(self) -> DrivenMechanism:
         """The mechanism with driving constraints for the initial coordinates.
 
-        Springs without stiffness make sure that full revolutions of the scene's angles are counted.
+        Springs without stiffness make sure that full revolutions of the scene's angles are counted, because
+        revolutions are counted only for angles that a force or a coupling depends on.
         """
         start = initial_state(self.scene)
         functions = {key: self._linear_function(start, key) for key in self._keys}
         coupled = {key for coupling in couplings(self.scene) for key in coupling.factors}
         others = [key for key in counted_angles(self.scene) if key not in coupled.union(self._keys)]
-        carrying = [JointSpring(joint, coordinate=k) for joint, k in others]
-        return driven(self.scene, functions, forces=carrying, initial_state=self._with_all_angles(start))
+        springs = [JointSpring(joint, coordinate=k) for joint, k in others]
+        return driven(self.scene, functions, forces=springs, initial_state=self._with_all_angles(start))
 
     @cached_property
     def code(self) -> CompiledEquations:
         """Compiled constraints of the driven mechanism, with the parameters as inputs."""
-        held = self._driven.scene
+        scene = self._driven.scene
         parameters = (*self._unique_names.values(), *self._driven.functions.values())
-        code = CompiledEquations(held, "relative", parameters=parameters)
+        code = CompiledEquations(scene, "relative", parameters=parameters)
         if not self._is_overdetermined(code):
             return code
-        # choose rows by priority: all other constraints, then given rates, then the rest of the driving rows
-        at = max(mobility(held).configurations, key=lambda at: at.rank)
+        # select independent constraint rows by priority: all other constraints, then driving constraints with
+        # given rates, then the rest of the driving constraints
+        configuration = max(mobility(scene).configurations, key=lambda each: each.rank)
 
-        def selected(numbers: Collection[int]) -> list[int]:
+        def independent_among(numbers: Collection[int]) -> list[int]:
             """Return independent rows among those with the given numbers."""
-            rows = [row if k in numbers else {} for k, row in enumerate(at.rows)]
-            return independent(rows, held.redundancy_tolerance).rows
+            rows = [row if k in numbers else {} for k, row in enumerate(configuration.rows)]
+            return independent(rows, scene.redundancy_tolerance).rows
 
-        moved = self._driven.rows(code.system)
-        used = selected(set(range(len(at.rows))) - set(moved))
-        for row in moved:  # given rates come first
-            used = max(used, selected({*used, row}), key=len)
-        return CompiledEquations(held, "relative", parameters=parameters, independent=used)
+        driving_rows = self._driven.rows(code.system)
+        selected = independent_among(set(range(len(configuration.rows))) - set(driving_rows))
+        for row in driving_rows:  # those with given rates come first
+            selected = max(selected, independent_among({*selected, row}), key=len)
+        return CompiledEquations(scene, "relative", parameters=parameters, independent=selected)
 
-    def _free_rows(self, code: CompiledEquations) -> range:
+    def _rows_without_rate(self, code: CompiledEquations) -> range:
         """Return the rows of driving constraints without a given rate, which have the lowest priority."""
         return self._driven.rows(code.system)[len(self._rate_keys) :]
 
     def _is_overdetermined(self, code: CompiledEquations) -> bool:
         """Return True if some initial coordinates follow from others, so that rates may be contradictory."""
-        left = code.system.nv - code.rank
-        return bool(self._keys) and left > mobility(self.scene).degrees_of_freedom - len(self._keys)
+        remaining_freedoms = code.system.nv - code.rank
+        expected = mobility(self.scene).degrees_of_freedom - len(self._keys)
+        return bool(self._keys) and remaining_freedoms > expected
 
     @property
     def is_needed(self) -> bool:
@@ -170,31 +173,32 @@ class Assembly:
         """
         # follow the homotopy from the scene's parameters; retry runs that stay open in smaller steps
         count = len(next(iter(values.values())))
-        own = np.tile(self._scene_start, (count, 1)) if states is None else self._start_vectors(states)
-        targets = self._targets(own, values)
-        steps = self._steps(own, targets)
-        found, statuses = self._follow_paths(own, targets, steps)
-        lost = np.flatnonzero(statuses != Status.DONE)
-        if lost.size:
-            again = self._follow_paths(
-                own[lost], targets[lost], np.minimum(RETRY_FACTOR * steps[lost], MAX_STEPS)
-            )
-            found[lost], statuses[lost] = again
+        begins = np.tile(self._scene_start, (count, 1)) if states is None else self._start_vectors(states)
+        targets = self._targets(begins, values)
+        steps = self._steps(begins, targets)
+        ends, statuses = self._follow_paths(begins, targets, steps)
+        is_open = statuses != Status.DONE
+        if is_open.any():
+            more_steps = np.minimum(RETRY_FACTOR * steps[is_open], MAX_STEPS)
+            retried = self._follow_paths(begins[is_open], targets[is_open], more_steps)
+            ends[is_open], statuses[is_open] = retried
         # errors of runs that stay open or have contradictory rates
-        lost = np.flatnonzero(statuses != Status.DONE)
-        begun = "the scene's own start" if states is None else "the state given"
-        errors = {run: self._error(run, found[run], values, begun) for run in lost.tolist()}
-        given = {name: values[name] for name, number in self.initial.items() if number.order == 1}
-        for run in self._contradictory_runs(found):
-            problem = f"loops do not allow {self._format_values(run, given)}"
+        open_runs = np.flatnonzero(statuses != Status.DONE).tolist()
+        begin_text = "the scene's own start" if states is None else "the state given"
+        errors = {run: self._error(run, ends[run], values, begin_text) for run in open_runs}
+        given_rates = {name: values[name] for name, number in self.initial.items() if number.order == 1}
+        for run in self._contradictory_runs(ends):
+            problem = f"loops do not allow {self._format_values(run, given_rates)}"
             error = MechanismError(f"run {run}", problem, "rates that loops and couplings allow")
             errors.setdefault(run, error)
         # revolutions of given angles; velocities that are round-off become zero
-        self._set_revolutions(found, values)
+        self._set_revolutions(ends, values)
         on_v, units = slice(self.code.system.nq, self.code.size), self.code.system.velocity_units
-        begun, speeds = (np.abs(x[:, on_v] / units).max(axis=1, initial=0.0) for x in (own, found))
-        found[speeds < np.finfo(float).eps * begun, on_v] = 0.0
-        return found, errors
+        first_speeds, last_speeds = (
+            np.abs(x[:, on_v] / units).max(axis=1, initial=0.0) for x in (begins, ends)
+        )
+        ends[last_speeds < np.finfo(float).eps * first_speeds, on_v] = 0.0
+        return ends, errors
 
     @cached_property
     def _scene_start(self) -> Array:
@@ -204,39 +208,40 @@ class Assembly:
     def _start_vectors(self, states: Sequence[State]) -> Array:
         """Return vectors x (n, inputs) of `code` at n states, with the scene's parameters."""
         code = self.code
-        own = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (len(states), 1))
+        x = np.tile(code.packed(np.zeros(code.size), np.zeros(0)), (len(states), 1))
         states = [self._with_all_angles(state) for state in states]
-        own[:, : code.size] = coordinates_of(code.system, states)
-        for row, state in zip(own, states, strict=True):
+        x[:, : code.size] = coordinates_of(code.system, states)
+        for row, state in zip(x, states, strict=True):
             for key, name in self._driven.functions.items():
                 row[code.place(name) :][:2] = self._linear_function(state, key).coefficients
-        return own
+        return x
 
     def _with_all_angles(self, state: State) -> State:
         """Return a state with all angles whose revolutions matter, those of initial coordinates included."""
         state = with_angles(self.scene, state)
-        angles = [key for key in self._keys if not self.scene.mechanism.is_slide(*key)]
-        moved = {key: measured_coordinate(self.scene, state, key)[0] for key in angles}
-        return replace(state, angles={**state.angles, **moved})
+        keys = [key for key in self._keys if not self.scene.mechanism.is_slide(*key)]
+        angles = {key: measured_coordinate(self.scene, state, key)[0] for key in keys}
+        return replace(state, angles={**state.angles, **angles})
 
-    def _targets(self, own: Array, values: Mapping[str, Array]) -> Array:
+    def _targets(self, begins: Array, values: Mapping[str, Array]) -> Array:
         """Return vectors x (n, inputs) with the parameters of the runs at the end of their paths.
 
         Args:
-            own: (n, inputs) vectors at the beginning of the paths.
+            begins: (n, inputs) vectors at the beginning of the paths.
             values: (n, ...) values by parameter name.
         """
-        # geometry and prescribed motions, then initial coordinates (order 0) and rates (order 1)
-        targets = own.copy()
-        for name, place in self._unique_names.items():
-            flat = values[name].reshape(len(own), -1)
-            targets[:, self.code.place(place) :][:, : flat.shape[1]] = flat
+        # geometry and prescribed motions
+        targets = begins.copy()
+        for name, unique_name in self._unique_names.items():
+            flat = values[name].reshape(len(begins), -1)
+            targets[:, self.code.place(unique_name) :][:, : flat.shape[1]] = flat
         self._set_pieces(targets)
+        # initial coordinates (order 0) and rates (order 1): coefficients of the driving linear functions
         for name, (key, order) in self.initial.items():
             column = self.code.place(self._driven.functions[key]) + order
             targets[:, column] = values[name]
-            if order == 0 and key in self._free_angles:
-                targets[:, column] -= whole_revolutions(values[name] - own[:, column])  # the shorter way
+            if order == 0 and key in self._free_angles:  # without full revolutions, which have no effect
+                targets[:, column] -= whole_revolutions(values[name] - begins[:, column])
         return targets
 
     @cached_property
@@ -250,29 +255,34 @@ class Assembly:
         """Add the full revolutions of the given values to the angles in x (n, inputs), in place."""
         for name, (key, order) in self.initial.items():
             if order == 0 and key in self._free_angles:
-                place, column = self.code.system.angles[key], self.code.place(self._driven.functions[key])
-                turned = whole_revolutions(values[name] - x[:, place])
-                x[:, place] += turned
-                x[:, column] += turned
+                # the angle itself, and the function that drives the angle
+                angle, function = self.code.system.angles[key], self.code.place(self._driven.functions[key])
+                turned = whole_revolutions(values[name] - x[:, angle])
+                x[:, angle] += turned
+                x[:, function] += turned
 
     def _set_pieces(self, targets: Array) -> None:
-        """Set polynomial pieces at time 0 in x (n, inputs) from samples of motions that are parameters."""
+        """Set the polynomial pieces of splines at time 0 in x (n, inputs), in place.
+
+        The samples of these splines are parameters that vary. The equations use only the current polynomial
+        piece, whose coefficients are parameters of their own.
+        """
         code = self.code
-        sampled = [
+        splines = [
             name
             for name, place in places(code.scene, self._unique_names.values()).items()
             if numbered(*place.owner) + PIECE in code.parameters
         ]
-        for row in targets if sampled else ():
-            moved = with_values(code.scene, code.values(row, sampled))
-            for name, numbers in pieces(moved, 0.0).items():
-                row[code.place(name) :][: len(numbers)] = numbers
+        for row in targets if splines else ():
+            scene_of_run = with_values(code.scene, code.values(row, splines))
+            for name, coefficients in pieces(scene_of_run, 0.0).items():
+                row[code.place(name) :][: len(coefficients)] = coefficients
 
-    def _steps(self, own: Array, targets: Array) -> Array:
+    def _steps(self, begins: Array, targets: Array) -> Array:
         """Compute the number of homotopy steps of each run, (n,), from the distance of the parameters.
 
         Args:
-            own, targets: (n, inputs) vectors at the beginning and at the end of the paths.
+            begins, targets: (n, inputs) vectors at the beginning and at the end of the paths.
         """
         code, size = self.code, self.scene.mechanism.size
         units = np.ones(code.inputs)
@@ -282,49 +292,56 @@ class Assembly:
         for key, name in self._driven.functions.items():
             units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
             units[code.place(name) + 1] = np.inf  # a change of a rate does not move the configuration
-        longest = np.max(np.abs(targets - own) / units, axis=1)
+        longest = np.max(np.abs(targets - begins) / units, axis=1)
         return np.clip(np.ceil(longest / MAX_STEP), 1, MAX_STEPS)
 
-    def _follow_paths(self, own: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
+    def _follow_paths(self, begins: Array, targets: Array, steps: Array) -> tuple[Array, Array]:
         """Follow the paths of n runs.
 
         Args:
-            own, targets: (n, inputs) vectors at the beginning and at the end of the paths.
+            begins, targets: (n, inputs) vectors at the beginning and at the end of the paths.
             steps: (n,) numbers of steps.
 
         Returns:
             Vectors x (n, inputs) at the end; statuses (n,), `Status.DONE` for closed loops.
         """
         code, python = self.code, Fallback(self.code, np.zeros(COUNTS))
-        # the assembly never evaluates derivatives: their Python form saves the time of compilation
-        system = equations(code, python, python.derivative, np.zeros(code.size))
-        found, statuses, x = targets.copy(), np.zeros(len(own)), np.zeros(code.inputs)
-        passing = int(self._is_overdetermined(code))
-        given = np.ascontiguousarray(steps), np.ascontiguousarray(own), found
-        paths = HomotopyRecord(len(own), passing, *given, x, statuses)
+        # the homotopy never evaluates derivatives, so that the Python callback stands for them uncompiled
+        system = equations(code, python, python.derivative, marked=np.zeros(code.size))
+        ends, statuses = targets.copy(), np.zeros(len(begins))
+        paths = HomotopyRecord(
+            count=len(begins),
+            may_open=int(self._is_overdetermined(code)),
+            steps=np.ascontiguousarray(steps),
+            begins=np.ascontiguousarray(begins),
+            ends=ends,
+            x=np.zeros(code.inputs),
+            statuses=statuses,
+        )
         native_method(assemble_all).bind(assemble_all, system, paths)()
         raise_fatal(python)
-        return found, statuses
+        return ends, statuses
 
-    def _error(self, run: int, x: Array, values: Mapping[str, Array], begun: str) -> MechanismError:
+    def _error(self, run: int, x: Array, values: Mapping[str, Array], begin_text: str) -> MechanismError:
         """Return the error of a run whose loops stay open, naming the joint and the values of the run.
 
         Args:
             run: number of the run.
             x: (inputs,) where the path of the run ended.
             values: (n, ...) values by parameter name.
-            begun: name of the beginning of the path in the message.
+            begin_text: text for the beginning of the path.
         """
         system = self.code.float_system(x)
         q, v = x[: system.nq], x[system.nq : self.code.size]
         with np.errstate(all="ignore"):
             joint, residual = worst_joint(system, system.state(q, v))
-        path = f"on the way from {begun} to {self._format_values(run, values)}"
+        path = f"on the way from {begin_text} to {self._format_values(run, values)}"
         problem = f"joint {joint!r} stays open by {residual:.3g} (m or rad) {path}"
+        # a joint with a given rate and no given coordinate keeps the coordinate of the scene
         given = {number.key for number in self.initial.values() if number.order == 0}
         labels = self.scene.mechanism.coordinate_labels
-        held = listed(START_PREFIX + labels[key] for key in self._keys if key not in given)
-        problem += f", with {held} of the scene itself" if held else ""
+        kept = listed(START_PREFIX + labels[key] for key in self._keys if key not in given)
+        problem += f", with {kept} of the scene itself" if kept else ""
         return MechanismError(f"run {run}", problem, "values that joints can reach with closed loops")
 
     def _format_values(self, run: int, values: Mapping[str, Array]) -> str:
@@ -335,17 +352,17 @@ class Assembly:
 
     def _contradictory_runs(self, x: Array) -> list[int]:
         """Return the numbers of the runs whose given rates violate constraints at their x (n, inputs)."""
-        code, free = self.code, self._free_rows(self.code)
+        code, ignored = self.code, self._rows_without_rate(self.code)
         if not self._rate_keys or not self._is_overdetermined(code):
             return []
 
-        def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
+        def compute(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
             """Compute dimensionless rates of the residuals, velocities and prescribed rates."""
-            rates = np.delete(system.phi_rate(q, v) / code.system.phi_units, free)
+            rates = np.delete(system.phi_rate(q, v) / code.system.phi_units, ignored)
             return [*rates, *(v / code.system.velocity_units), *(system.phi_t() / code.system.phi_units)]
 
-        found = np.abs(at_rows(self._function("rates", computed, len(free)), x))
-        rates, speeds = np.split(found, [len(code.system.phi_units) - len(free)], axis=1)
+        magnitudes = np.abs(at_rows(self._function("rates", compute, len(ignored)), x))
+        rates, speeds = np.split(magnitudes, [len(code.system.phi_units) - len(ignored)], axis=1)
         allowed = loose_tolerance(code.noise) * speeds.max(axis=1, initial=0.0)
         return np.flatnonzero(rates.max(axis=1, initial=0.0) > allowed).tolist()
 
@@ -356,57 +373,61 @@ class Assembly:
         return system.state(x[: system.nq], x[system.nq : self.code.size])
 
     def starts(self, compiled: CompiledEquations, x: Array) -> Array:
-        """Convert vectors x (n, inputs) of `code` to states (n, size) of other equations of the scene."""
+        """Convert vectors x (n, inputs) of `code` to states (n, size) of the equations of runs."""
         if compiled.formulation not in self._start_functions:
             self._start_functions[compiled.formulation] = self._native(compiled)
-        found, system = at_rows(self._start_functions[compiled.formulation], x), compiled.system
-        if isinstance(system, TreeKinematics):
-            free = system.uncounted_angles
-            found[:, free] -= whole_revolutions(found[:, free])
-        return found
+        states, system = at_rows(self._start_functions[compiled.formulation], x), compiled.system
+        if isinstance(system, TreeKinematics):  # joint coordinates
+            uncounted = system.uncounted_angles
+            states[:, uncounted] -= whole_revolutions(states[:, uncounted])
+        return states
 
     def _native(self, compiled: CompiledEquations) -> NativeFunction:
-        """Return the native function from x (inputs,) of `code` to (q, v) of other compiled equations."""
+        """Return the native function from x (inputs,) of `code` to (q, v) of the equations of runs.
 
-        def computed(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
-            """Compute own coordinates, counted angles, zero work and velocities of the other equations."""
-            inputs = {name: values[place] for name, place in self._unique_names.items()}
-            other = formulate(with_values(self.scene, inputs), compiled.formulation)
-            if isinstance(other, TreeKinematics):
-                own, rates = q[: other.tree.nq], v
+        q holds the formulation's own coordinates (joint coordinates or poses), then angles with counted
+        revolutions, then the work of forces if the scene integrates it.
+        """
+
+        def compute(system: Formulation, values: Mapping[str, Any], q: Array, v: Array) -> list[Scalar]:
+            """Compute q and v of the equations of runs."""
+            scene_values = {name: values[unique_name] for name, unique_name in self._unique_names.items()}
+            of_run = formulate(with_values(self.scene, scene_values), compiled.formulation)
+            if isinstance(of_run, TreeKinematics):  # joint coordinates, as in `code`
+                own, rates = q[: of_run.tree.nq], v
             else:
-                own, rates = other.own_coordinates(system.state(q, v))
-            seen = system.measured(q, v)
-            angles = [seen[key].x for key, each in other.between.items() if each.carried is not None]
-            work = [0.0] * (other.nq - len(own) - len(angles))
+                own, rates = of_run.own_coordinates(system.state(q, v))
+            measured = system.measured(q, v)
+            angles = [measured[key].x for key, each in of_run.between.items() if each.carried is not None]
+            work = [0.0] * (of_run.nq - len(own) - len(angles))
             return [*own, *angles, *work, *rates]
 
-        # the name depends on the size of the state: with work as an output the state is longer
+        # the size belongs to the key in the cache: with work as an output the state is longer
         return self._function(
-            "starts", computed, compiled.formulation, compiled.size, tuple(self._unique_names)
+            "starts", compute, compiled.formulation, compiled.size, tuple(self._unique_names)
         )
 
     def _function(
         self,
         name: str,
         compute: Callable[[Formulation, Mapping[str, Any], Array, Array], list[Scalar]],
-        *chosen: object,
+        *depends_on: object,
     ) -> NativeFunction:
         """Compile a function of x (inputs,) of `code`.
 
         Args:
             name: distinguishes the functions of a scene in the cache.
             compute: computes the results from the equations, the values of their parameters by name, q and v.
-            chosen: everything that `compute` depends on in addition to the scene and its parameters.
+            depends_on: everything that `compute` depends on in addition to the scene and its parameters.
         """
         code = self.code
-        moving = code.scene.motions, parameter_layout(code.scene, code.parameters)
-        neutral = NOT_COMPILED_FIELDS | {"outputs"}
+        inputs = code.scene.motions, parameter_layout(code.scene, code.parameters)
+        neutral = NOT_COMPILED_FIELDS | {"outputs"}  # fields that compiled code does not depend on
 
         def trace(x: Array) -> tuple[list[Scalar], None]:
-            """Evaluate the results over symbolic scalars x (inputs,); they need no layout."""
+            """Evaluate the results over symbolic scalars x (inputs,); they need no description."""
             values = code.values(x)
             system = formulate(with_values(code.scene, values), code.formulation)
             return compute(system, values, x[: system.nq], x[system.nq : code.size]), None
 
-        return native_program(name, code.inputs, trace, self.scene, *chosen, *moving, neutral=neutral)
+        return native_program(name, code.inputs, trace, self.scene, *depends_on, *inputs, neutral=neutral)

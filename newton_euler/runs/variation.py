@@ -1,9 +1,13 @@
 """Change parameters of a scene: the scene with other values, and checks of the values of many runs.
 
+Parameters are numbers of a scene with names such as `crank.mass` (`newton_euler.equations.parameters`).
 The constructor of an element, such as a body, decides which values the element may have. For a single number,
 a constructor accepts an interval of values. Bisection with a few constructions therefore checks the values of
 all runs. Inertias and directions of all runs are first tested by array operations, and only suspicious values
 are passed to the constructor.
+
+The decorator `checked` makes a public function check its arguments against their type hints, except those
+marked `UNCHECKED`.
 """
 
 from __future__ import annotations
@@ -40,13 +44,14 @@ from newton_euler.runs.starts import Assembly, assembly_of
 from newton_euler.scalars import Array, Floats
 
 MIN_DIRECTION_LENGTH = 1e-100
-"""Length of a direction vector below which the constructor checks it."""
+"""Length of a direction vector below which the constructor has to check the vector."""
 
 MAX_DIRECTION_LENGTH = 1e100
-"""Length of a direction vector above which the constructor checks it."""
+"""Length of a direction vector above which the constructor has to check the vector."""
 
 INERTIA_MARGIN = 1e-9
-"""Ratio of the smallest principal inertia to the largest element below which the constructor checks it."""
+"""Ratio of the smallest principal inertia to the largest element of an inertia matrix, below which the
+constructor has to check the matrix."""
 
 Start: TypeAlias = Sequence[float] | Sequence[Sequence[float] | None] | Floats
 """Coordinate and rate of a joint with one coordinate; a list of such pairs for a joint with several."""
@@ -71,7 +76,8 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     `simulate_batch` with these values gives the same motion. If `point_on_first`, `point_on_second` or
     `length` of a joint changes, the result has another initial pose, at which the joints are closed. Joint
     coordinates are zero at this new pose, whereas a batch measures them from the pose of the given scene.
-    Only `simulate` changes to other constraint rows if the rows in use become dependent during the run.
+    If constraints are redundant, `simulate` of the result selects the independent ones at the new values; a
+    batch keeps the selection of the given scene.
 
     Args:
         scene: the scene to change.
@@ -94,9 +100,11 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
         for error in errors.values():
             raise of_single_run(scene, error)
     numbers = {name: value for name, value in given.items() if name not in assembly.initial}
+    # joints stay closed at the initial pose: change the values, and start at the assembled state
     if not any(place.field.opens_joints for place in places(scene, numbers).values()):
         changed = rebuilt(scene, numbers) if numbers else scene
         return replace(changed, initial_state=assembly.state(x)) if assembly.is_needed else changed
+    # joints open at the initial pose: describe the scene at another one, where its joint coordinates are zero
     varied, state = with_values(scene, numbers), assembly.state(x)
     pose = _assembled_pose(scene, numbers) or state
     zeros = coordinates_at(varied.mechanism, pose)
@@ -111,10 +119,10 @@ def checked_values(scene: Scene, values: Mapping[str, Any]) -> dict[str, Array]:
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a value that the scene cannot have.
     """
-    found = run_values(scene, {name: [value] for name, value in values.items()})
-    for error in found.errors.values():
+    checked_runs = run_values(scene, {name: [value] for name, value in values.items()})
+    for error in checked_runs.errors.values():
         raise of_single_run(scene, error)
-    return {name: array[0] for name, array in found.arrays.items()}
+    return {name: array[0] for name, array in checked_runs.arrays.items()}
 
 
 def of_single_run(scene: Scene, error: MechanismError) -> MechanismError:
@@ -131,9 +139,9 @@ def start(scene: Scene, /, **joints: Annotated[Start, UNCHECKED]) -> Scene:
 
     Args:
         scene: the scene to start.
-        joints: by name (coordinate, rate), in rad and rad/s or m and m/s from the initial pose. Joints of
-            several coordinates have a list of such pairs, None for a coordinate that is not given. Angles
-            are given with their revolutions: a spring is wound by them.
+        joints: for each joint by name, (coordinate, rate) from the initial pose, in rad and rad/s or m and
+            m/s. A joint of several coordinates needs a list of such pairs, with None for a coordinate that is
+            not given. Angles include full revolutions, because these wind up a spring.
 
     Raises:
         UnknownNameError: for an unknown joint.
@@ -179,6 +187,7 @@ def _assembled_pose(scene: Scene, numbers: Mapping[str, Array]) -> State | None:
     """
     still = replace(scene, motions=(), initial_state=None)
     named = places(scene, numbers)
+    # the owner of a parameter begins with the field of the scene, here the list of prescribed motions
     values = {name: value[None] for name, value in numbers.items() if named[name].owner[0] != "motions"}
     assembly = Assembly(still, tuple(values))
     (x,), errors = assembly(values)
@@ -217,9 +226,14 @@ def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
 
 
 def _unit(scene: Scene, place: Place) -> str:
-    """Return the SI unit of a parameter; of an element at a joint it depends on the joint coordinate."""
+    """Return the SI unit of a parameter.
+
+    For elements that act on a joint coordinate, such as springs, the unit depends on whether the coordinate
+    is a length or an angle.
+    """
     element, field = element_of(scene, place.owner), place.field
-    if functions_of(getattr(element, place.owner[2], None)):
+    _, _, attribute = place.owner
+    if functions_of(getattr(element, attribute, None)):  # numbers of a function of time: mixed units
         return ""
     is_rotation = isinstance(element, OnBall) or (
         isinstance(element, OnCoordinate) and not scene.mechanism.is_slide(*element.key)
@@ -239,22 +253,24 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
         MechanismError: for a name that stands for two, and for values of a wrong shape in all runs.
     """
     # finite numbers of the right shape
-    initial, own, found = initial_numbers(scene, given), own_values(scene, given), RunValues({}, {})
+    initial, own, runs = initial_numbers(scene, given), own_values(scene, given), RunValues({}, {})
     for name, values in given.items():
         array, unusable = _as_array(name, values, own[name])
-        found.arrays[name] = array
+        runs.arrays[name] = array
         for k, value in unusable.items():
-            _store_error(found, k, name, f"is {quoted(value)}", f"finite numbers of shape {own[name].shape}")
+            _store_error(runs, k, name, f"is {quoted(value)}", f"finite numbers of shape {own[name].shape}")
     # values that the element can have; parameters of one element are checked together
     by_element: dict[tuple[str, int], dict[str, Place]] = {}
     for name, place in places(scene, [name for name in given if name not in initial]).items():
-        by_element.setdefault(place.owner[:2], {})[name] = place
-    for places_of in by_element.values():
-        _check_element(scene, places_of, found)
-    for k in found.errors:
+        element = place.owner[:2]  # field of the scene, and number of the element there
+        by_element.setdefault(element, {})[name] = place
+    for element_places in by_element.values():
+        _check_element(scene, element_places, runs)
+    # runs with errors have the scene's own values
+    for k in runs.errors:
         for name, value in own.items():
-            found.arrays[name][k] = value
-    return found
+            runs.arrays[name][k] = value
+    return runs
 
 
 def _as_array(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, dict[int, Any]]:
@@ -272,9 +288,9 @@ def _as_array(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Arr
     try:
         array = real_array(rows)
     except (TypeError, ValueError, OverflowError):
-        found = [_as_row(value, own) for value in rows]
-        usable = np.array([row is not None for row in found])
-        array = np.array([own if row is None else row for row in found])
+        converted = [_as_row(value, own) for value in rows]
+        usable = np.array([row is not None for row in converted])
+        array = np.array([own if row is None else row for row in converted])
     else:
         if array.shape[1:] != own.shape:
             needed = f"finite numbers of shape {own.shape}"
@@ -293,25 +309,26 @@ def _as_row(value: Any, own: Array) -> Array | None:
     return row if row.shape == own.shape and np.isfinite(row).all() else None
 
 
-def _store_error(found: RunValues, run: int, name: str, problem: str, needed: str) -> None:
+def _store_error(runs: RunValues, run: int, name: str, problem: str, needed: str) -> None:
     """Store an error for a value of a run, unless the run already has an error."""
-    found.errors.setdefault(run, MechanismError(f"run {run}: parameter {name!r}", problem, needed))
+    runs.errors.setdefault(run, MechanismError(f"run {run}: parameter {name!r}", problem, needed))
 
 
-def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValues) -> None:
+def _check_element(scene: Scene, element_places: Mapping[str, Place], runs: RunValues) -> None:
     """Check the values of the parameters of one element in all runs.
 
     Args:
         scene: the scene with the element.
-        places_of: parameters of the element, by name.
-        found: values of all runs; receives the errors.
+        element_places: location of the parameters of the element, by name. The `owner` of a parameter is an
+            attribute of the element, `component` the index in the attribute's value, None for the whole.
+        runs: values of all runs; receives the errors.
     """
     # values of whole attributes in all runs, (n, ...)
     stacks: dict[Owner, Array] = {}
     fields: dict[Owner, NumberField] = {}
-    for name, (owner, component, field) in places_of.items():
+    for name, (owner, component, field) in element_places.items():
         fields[owner] = field
-        array = found.arrays[name]
+        array = runs.arrays[name]
         if component is None:
             stacks[owner] = array
             continue
@@ -321,7 +338,7 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
         columns[component] = array
         if stacks[owner].shape[1:] == (3, 3):  # symmetric matrices
             columns[component[::-1]] = array
-    # runs whose values the constructor may refuse; attribute an error to a single parameter if possible
+    # runs whose values the constructor may refuse
     suspicious = np.zeros(0, dtype=int)
     for owner, stack in stacks.items():
         suspicious = np.union1d(suspicious, _suspicious(scene, owner, fields[owner], stack))
@@ -329,13 +346,16 @@ def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValue
         error = refusal(scene, {owner: stack[k] for owner, stack in stacks.items()})
         if error is None:
             continue
-        alone = [name for name, (owner, *_) in places_of.items() if refusal(scene, {owner: stacks[owner][k]})]
-        name = next(iter([*alone, *places_of]))
-        value = found.arrays[name][k]
+        # attribute the error to a parameter that the constructor refuses without the others, if there is one
+        refused_alone = [
+            name for name, (owner, *_) in element_places.items() if refusal(scene, {owner: stacks[owner][k]})
+        ]
+        name = next(iter([*refused_alone, *element_places]))
+        value = runs.arrays[name][k]
         problem = f"is {value.tolist()!r:.100}"
-        if places_of[name].component is not None or value.ndim:
+        if element_places[name].component is not None or value.ndim:
             problem += f": {error.problem}"
-        _store_error(found, k, name, problem, error.needed)
+        _store_error(runs, k, name, problem, error.needed)
 
 
 def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) -> Array:
@@ -354,12 +374,13 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
     match field.allowed:
         case "inertia":
             return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
-        case "constructor":
+        case "constructor":  # the allowed values depend on other numbers: check every changed value
             return np.flatnonzero(np.any(stack != own, axis=1))
         case "direction" | "axis":
             lengths = np.max(np.abs(stack), axis=1)
             outside |= (lengths < MIN_DIRECTION_LENGTH) | (lengths > MAX_DIRECTION_LENGTH)
-            # vectors perpendicular to an axis are chosen by its smallest component, which must not change
+            # a joint chooses vectors perpendicular to its axis by the smallest component of the axis; the
+            # smallest component of another axis must have the same index
             if field.allowed == "axis":
                 units = np.abs(stack) / np.maximum(
                     np.linalg.norm(stack, axis=1, keepdims=True), MIN_DIRECTION_LENGTH
@@ -401,25 +422,26 @@ def _interval(
         changed[component] = value
         return refusal(scene, {owner: changed}) is not None
 
-    def farthest(ahead: Array) -> float:
-        """Return the last accepted value among values that lead away from the element's own value."""
-        if len(ahead) and not refused(ahead[-1]):
-            return float(ahead[-1])
-        count = bisect_left(ahead, True, key=refused)
-        return float(ahead[count - 1] if count else own[component])
+    def farthest(candidates: Array) -> float:
+        """Return the last accepted value among values in the order of distance from the own value."""
+        if len(candidates) and not refused(candidates[-1]):
+            return float(candidates[-1])
+        count = bisect_left(candidates, True, key=refused)
+        return float(candidates[count - 1] if count else own[component])
 
     above = int(np.searchsorted(values, own[component]))
     return farthest(values[:above][::-1]), farthest(values[above:])
 
 
-def _realisable(inertia: Array, unrealisable: bool) -> Array:
-    """Return (n,) True for inertias (n, 3, 3), kg m^2, that a rigid body certainly can have.
+def _realisable(inertia: Array, allow_unrealisable: bool) -> Array:
+    """Return (n,) True for inertias (n, 3, 3), kg m^2, that the constructor of a body certainly accepts.
 
-    `unrealisable` is True if the triangle inequality of the principal inertias may be violated.
+    A rigid body's principal inertias a <= b <= c satisfy the triangle inequality a + b >= c. If
+    `allow_unrealisable` is True, they may violate it.
     """
     scale = np.max(np.abs(inertia), axis=(1, 2))
     asymmetry = np.max(np.abs(inertia - np.swapaxes(inertia, 1, 2)), axis=(1, 2))
     usable = (scale > MIN_INERTIA) & (scale < 1.0 / MIN_INERTIA)
-    a, b, c = np.linalg.eigvalsh(np.where(usable[:, None, None], inertia, np.eye(3))).T
-    fine = usable & (asymmetry == 0.0) & (a > INERTIA_MARGIN * scale) & (a > 2.0 * MIN_INERTIA)
-    return np.asarray(fine & (unrealisable | (a + b >= c * (1.0 + REALISABLE_TOLERANCE))))
+    a, b, c = np.linalg.eigvalsh(np.where(usable[:, None, None], inertia, np.eye(3))).T  # ascending
+    positive = usable & (asymmetry == 0.0) & (a > INERTIA_MARGIN * scale) & (a > 2.0 * MIN_INERTIA)
+    return np.asarray(positive & (allow_unrealisable | (a + b >= c * (1.0 + REALISABLE_TOLERANCE))))

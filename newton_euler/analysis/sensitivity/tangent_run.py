@@ -211,7 +211,7 @@ class FollowedRun:
         def differentiate(integrator: Integrator, begun: Array, interval: Interval) -> None:
             """Integrate the directions through an interval between jumps, after its run."""
             for name, part in self._along(integrator, begun, interval, directions).items():
-                parts[name].append(part if interval.wanted.all() else part[interval.wanted])
+                parts[name].append(part if interval.is_output.all() else part[interval.is_output])
 
         run = integrate_intervals(
             self._code, x, self._options, room=RECORDED_STEPS, after_interval=differentiate, times=times
