@@ -1,4 +1,8 @@
-"""Assembly branches: all poses of a mechanism for given coordinates, found from random configurations."""
+"""Assembly branches: all poses of a mechanism for given coordinates, found from random configurations.
+
+Given joint coordinates and directions of an axis are called goals. `Configurations` are n vectors of joint
+coordinates; a `Chain` is the mechanism with its chosen joint coordinates.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +33,10 @@ MIN_HITS = 5
 others is then missed with a probability of exp(-5)."""
 
 SAME_POSE = 1e-4
-"""Distance below which two poses are the same; positions in sizes of the mechanism, and quaternions. Poses at
-singular configurations (double roots) have half of all digits."""
+"""Distance of vectors of `_features` below which two poses are the same.
+
+The value is large because poses at singular configurations (double roots) are accurate to half of all digits
+only."""
 
 MIN_DETERMINANT = 1e-5
 """Dimensionless determinant below which a branch is at a singular configuration."""
@@ -45,11 +51,13 @@ class Branches:
         labels: number of the branch, and a sign for each of `blocks`, the sign of the determinant of its
             equations: `+` as at the start, `-` beyond a singular configuration, `0` at one. For planar loops
             the signs distinguish elbow up and elbow down.
-        blocks: names of the joints that are solved together, for each block of equations.
+        blocks: for each block of equations that are solved together, the names of the joints that they
+            determine; without blocks whose determinants are equal in all branches.
         found: (n,) number of random configurations that converged to each branch.
-        complete: True if each branch was found often, so that further branches are unlikely.
-        scattered: number of random configurations that converged to rarely found singular configurations:
-            points of continuous families, where goals do not determine the pose.
+        complete: True if each branch was found at least `MIN_HITS` times, so that further branches are
+            unlikely.
+        scattered: number of random configurations that converged to singular configurations found fewer than
+            `MIN_HITS` times: points of continuous families of poses, where goals do not determine the pose.
 
     Examples:
         >>> found: Branches = assembly_branches(load("four_bar"), {"pivot_0": 0.3})
@@ -82,22 +90,23 @@ def assembly_branches(
 ) -> Branches:
     """Find all assembly branches of a mechanism for given joint coordinates, or for the direction of an axis.
 
-    From random configurations, by Newton's method, until each branch was found often. There is none where the
-    goals cannot be met; `solve_poses` finds the nearest pose then.
+    Newton's method starts from random configurations until each branch was found `MIN_HITS` times. If the
+    goals cannot be met, the result has no branch; `solve_poses` finds the nearest pose then.
 
     Args:
         scene: gives the mechanism, and the start that branches are compared with.
-        coordinates: one value for each joint coordinate, as of `solve_poses`.
-        axis: of a body.
-        towards: (3,) where the axis is to point. Coordinates, and two for the axis, are to be as many as the
-            mechanism has degrees of freedom.
-        measure: other joint coordinates that are asked for.
-        start: pose of the branch that comes first; the scene's own if None.
+        coordinates: one value for each joint coordinate, m or rad from the initial pose, by name of the
+            joint, or by (name, number) for joints of several coordinates.
+        axis: axis of a body.
+        towards: (3,) direction that the axis points in, world frame. The number of coordinates, plus 2 for
+            the axis, must be the number of degrees of freedom.
+        measure: other joint coordinates to return.
+        start: pose of the branch that comes first; the scene's initial state if None.
 
     Raises:
-        OptionError: for goals that leave freedom or are too many, or for several values.
+        OptionError: for too few or too many goals, or for several values.
         UnknownNameError: for an unknown joint or body.
-        MechanismError: for values that are no finite numbers, and for a joint without such a coordinate.
+        MechanismError: for values that are not finite, and for a joint without such a coordinate.
 
     Examples:
         >>> found = assembly_branches(load("slider_crank"), {"pivot": 0.3}, measure=("guide",))
@@ -105,52 +114,54 @@ def assembly_branches(
         ('0 +', '1 -', '2 -', '3 +') [ 0.014  0.014 -0.414 -0.414]
     """
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
-    rows = chain.goal_count + 2 * chain.has_axis_goal
-    if rows != chain.freedoms:
+    goal_rows = chain.goal_count + 2 * chain.has_axis_goal
+    if goal_rows != chain.freedoms:
         needed = f"as many as degrees of freedom, {chain.freedoms}; an axis counts as two"
-        raise OptionError("number of goals", rows, needed)
+        raise OptionError("number of goals", goal_rows, needed)
     if len(goal.coordinates) > 1:
         raise OptionError(
             "number of values", len(goal.coordinates), "one of each coordinate, and one direction"
         )
-    # poses from random configurations
-    at, found = _search(chain, goal)
-    begin, goals = chain.at(chain.start[None]), goal[np.zeros(len(found), dtype=int)]
+    # poses from random configurations; the same goal for each
+    at, hits = _search(chain, goal)
+    begin, goals = chain.at(chain.start[None]), goal[np.zeros(len(hits), dtype=int)]
     # blocks of equations whose determinant differs between branches, and its sign relative to the start
     blocks = _blocks(chain, at, goals) if len(at) else []
     determinants = _determinants(at, goals, blocks)
-    varied = (
-        np.ptp(determinants, axis=0) > MIN_DETERMINANT if len(at) > 1 else np.zeros(len(blocks), dtype=bool)
-    )
-    blocks = [block for block, kept in zip(blocks, varied, strict=True) if kept]
-    reference = np.sign(_determinants(begin, chain.goal_at(begin), blocks))
-    signs = np.sign(determinants[:, varied]) * np.where(reference == 0.0, 1.0, reference)
-    signs[np.abs(determinants[:, varied]) < MIN_DETERMINANT] = 0.0
+    varies = np.zeros(len(blocks), dtype=bool)
+    if len(at) > 1:
+        varies = np.ptp(determinants, axis=0) > MIN_DETERMINANT
+    blocks = [block for block, block_varies in zip(blocks, varies, strict=True) if block_varies]
+    start_signs = np.sign(_determinants(begin, chain.goal_at(begin), blocks))
+    signs = np.sign(determinants[:, varies]) * np.where(start_signs == 0.0, 1.0, start_signs)
+    signs[np.abs(determinants[:, varies]) < MIN_DETERMINANT] = 0.0
     # leave out points of continuous families; sort by the distance to the start
-    alone = (found < MIN_HITS) & np.any(signs == 0.0, axis=1)
+    is_scattered = (hits < MIN_HITS) & np.any(signs == 0.0, axis=1)
     order = _order(at, begin)
-    order = order[~alone[order]]
-    labels = [f"{k} " + "".join("-0+"[int(sign) + 1] for sign in signs[row]) for k, row in enumerate(order)]
+    order = order[~is_scattered[order]]
+    sign_texts = ["".join("-0+"[int(sign) + 1] for sign in signs[row]) for row in order]
+    labels = tuple(f"{k} {text}" for k, text in enumerate(sign_texts))
     at = at[order]
     every = np.ones(len(at), dtype=bool)
     return Branches(
-        poses_of(at, goals[order], names, every, ~every),
-        tuple(labels),
-        tuple(_joints(chain, columns) for _, columns in blocks),
-        found[order],
-        bool(np.all(found[~alone] >= MIN_HITS)),
-        int(np.sum(found[alone])),
+        poses=poses_of(at, goals[order], names, reached=every, beyond=~every),
+        labels=labels,
+        blocks=tuple(_joints(chain, columns) for _, columns in blocks),
+        found=hits[order],
+        complete=bool(np.all(hits[~is_scattered] >= MIN_HITS)),
+        scattered=int(np.sum(hits[is_scattered])),
     )
 
 
 def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
-    """Find the configurations that meet a goal, and how many random configurations converged to each."""
+    """Find the different configurations that meet a goal.
+
+    Returns:
+        The n configurations; how many random configurations converged to each, (n,).
+    """
     rng = np.random.default_rng(0)
-    branches, features, found = (
-        np.zeros((0, chain.function.outputs)),
-        np.zeros((0, 0)),
-        np.zeros(0, dtype=int),
-    )
+    branches, features = np.zeros((0, chain.function.outputs)), np.zeros((0, 0))
+    hits = np.zeros(0, dtype=int)
     for tried in range(SAMPLES, MAX_SAMPLES + 1, SAMPLES):
         q = random_coordinates(chain, SAMPLES, rng)
         at, met = newton(chain.at(q), goal[np.zeros(SAMPLES, dtype=int)], RANDOM_STEPS)
@@ -158,30 +169,33 @@ def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
             distance = np.linalg.norm(features - feature, axis=1) if len(features) else np.full(1, np.inf)
             nearest = int(np.argmin(distance))
             if distance[nearest] < SAME_POSE:
-                found[nearest] += 1
+                hits[nearest] += 1
             else:
                 branches = np.vstack([branches, values])
                 features = np.vstack([features.reshape(-1, len(feature)), feature])
-                found = np.append(found, 1)
-        if tried > SAMPLES and np.all(found >= MIN_HITS):
+                hits = np.append(hits, 1)
+        if tried > SAMPLES and np.all(hits >= MIN_HITS):
             break
-    return Configurations(chain, branches), found
+    return Configurations(chain, branches), hits
 
 
 def _features(at: Configurations) -> Array:
     """Compute vectors (n, 19 b) whose distances compare poses.
 
-    For each body: the position in sizes of the mechanism, and the products of the quaternion's components.
-    The products are the same for a quaternion and its negative.
+    For each of b bodies: the position (3) in sizes of the mechanism, and the products (16) of the
+    quaternion's components. The products are the same for a quaternion and its negative.
     """
     positions = at.position / at.chain.scene.mechanism.size
-    turns = at.quaternion[..., None] * at.quaternion[..., None, :]
+    products = at.quaternion[..., None] * at.quaternion[..., None, :]
     bodies = positions.shape[1]
-    return np.hstack([positions.reshape(-1, 3 * bodies), turns.reshape(-1, 16 * bodies)])
+    return np.hstack([positions.reshape(-1, 3 * bodies), products.reshape(-1, 16 * bodies)])
 
 
 def _order(at: Configurations, begin: Configurations) -> Array:
-    """Sort configurations by their distance to the start; mirror images at equal distance by their poses."""
+    """Return the indices (n,) that sort configurations by their distance to the start.
+
+    Mirror images at equal distance are sorted by their poses.
+    """
     features = _features(at)
     distance = np.linalg.norm(features - _features(begin), axis=1)
     return np.lexsort((*features.T[::-1].round(3), distance.round(3)))
@@ -195,32 +209,34 @@ def _matrix(at: Configurations, goal: Goal) -> Array:
 def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, Array]]:
     """Find rows and columns of the irreducible diagonal blocks of the Jacobian, without blocks of goals.
 
-    Block triangular form of A. Pothen, C.-J. Fan, ACM Transactions on Mathematical Software 16(4), 1990.
+    Source: block triangular form of A. Pothen, C.-J. Fan, ACM Transactions on Mathematical Software 16(4),
+    1990. The matrix has independent loop equations first, then goals. A goal that forms a block of its own
+    only sets a coordinate.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
-    pattern = np.any(_matrix(at, goal) != 0.0, axis=0)
+    pattern = np.any(_matrix(at, goal) != 0.0, axis=0)  # nonzero in some of the configurations
     columns = maximum_bipartite_matching(csr_array(pattern), perm_type="column")
-    _, owner = connected_components(csr_array(pattern[:, columns]), connection="strong")
+    _, block_of_row = connected_components(csr_array(pattern[:, columns]), connection="strong")
     first_goal = len(chain.independent)
-    found = [np.flatnonzero(owner == block) for block in np.unique(owner)]
-    chosen = [rows for rows in found if len(rows) > 1 or rows[0] < first_goal]
-    return sorted(((rows, columns[rows]) for rows in chosen), key=lambda block: int(np.min(block[1])))
+    row_sets = [np.flatnonzero(block_of_row == block) for block in np.unique(block_of_row)]
+    kept = [rows for rows in row_sets if len(rows) > 1 or rows[0] < first_goal]
+    return sorted(((rows, columns[rows]) for rows in kept), key=lambda block: int(np.min(block[1])))
 
 
 def _determinants(at: Configurations, goal: Goal, blocks: list[tuple[Array, Array]]) -> Array:
     """Compute the determinants (n, blocks) of the blocks of the Jacobian."""
     matrix = _matrix(at, goal)
-    found = [np.linalg.det(matrix[:, rows[:, None], columns]) for rows, columns in blocks]
-    return np.stack(found, axis=1) if found else np.zeros((len(at), 0))
+    determinants = [np.linalg.det(matrix[:, rows[:, None], columns]) for rows, columns in blocks]
+    return np.stack(determinants, axis=1) if determinants else np.zeros((len(at), 0))
 
 
 def _joints(chain: Chain, columns: Array) -> tuple[str, ...]:
-    """Return the names of the joints that velocities, given by columns, belong to."""
+    """Return the names of the joints that velocities of the tree, given by their indices, belong to."""
     tree = chain.system.tree
     return tuple(
-        tree.joint(kept.joint).name
-        for kept in tree.joints
-        if np.any((kept.v.start <= columns) & (columns < kept.v.stop))
+        tree.joint(each.joint).name
+        for each in tree.joints
+        if np.any((each.v.start <= columns) & (columns < each.v.stop))
     )

@@ -1,9 +1,10 @@
 """Compiled evaluation of many configurations: loop closure, joint coordinates, direction of a body's axis.
 
 A configuration is a vector q of coordinates of the spanning tree: the mechanism without the joints that close
-loops. Chosen joint coordinates are driving constraints (`newton_euler.equations.driven`). Jacobians are
-derivatives with respect to the nv velocities of the spanning tree. All arrays begin with an axis for the n
-configurations.
+loops. Chosen joint coordinates are driving constraints (`newton_euler.equations.driven`): each has the
+residual coordinate - offset. Joint coordinates have keys (joint, number). Jacobians are derivatives with
+respect to the nv velocities of the spanning tree. All arrays begin with an axis for the n configurations. f
+is the number of degrees of freedom.
 """
 
 from __future__ import annotations
@@ -100,8 +101,8 @@ def unit_vectors(element: str, name: str, given: object) -> Array:
 
 def perpendicular_to(vectors: Array) -> Array:
     """Compute unit vectors perpendicular to unit vectors (n, 3)."""
-    found = np.cross(vectors, np.eye(3)[np.argmin(np.abs(vectors), axis=1)])
-    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+    perpendicular = np.cross(vectors, np.eye(3)[np.argmin(np.abs(vectors), axis=1)])
+    return np.asarray(perpendicular / np.linalg.norm(perpendicular, axis=1, keepdims=True))
 
 
 def smallest_turns(start: Array, end: Array) -> Array:
@@ -127,10 +128,11 @@ class Goal:
     towards: Array
 
     def __getitem__(self, rows: Any) -> Goal:
+        """Return the goals of some of the configurations, given by indices, a mask or a slice."""
         return Goal(self.coordinates[rows], self.towards[rows])
 
     def with_others(self, other: Goal) -> Goal:
-        """Append other goals."""
+        """Return these goals, followed by others."""
         pairs = (self.coordinates, other.coordinates), (self.towards, other.towards)
         return Goal(*(np.concatenate(pair) for pair in pairs))
 
@@ -147,12 +149,13 @@ class Chain:
         has_axis_goal: True if the axis has a goal.
         units: (m,) units of the coordinates: the size of the mechanism, m, for slides, 1 for angles.
         is_periodic: (m,) True for angles that are the same after a full revolution.
-        freedoms: number of degrees of freedom.
+        freedoms: number of degrees of freedom f.
         driven: the scene whose motions drive the chosen coordinates.
         system: equations in joint coordinates, with driving constraints for the chosen coordinates.
         closing: numbers of the constraint rows (of the residuals phi) that close loops.
         driving: (m,) numbers of the driving constraints. Their residual is coordinate - offset.
-        offsets: (m,) offsets of the driving constraints, m or rad.
+        offsets: (m,) offsets of the driving constraints, m or rad: not 0 for a prescribed motion that is
+            measured only.
         independent: numbers of constraint rows that imply all rows of `closing`.
         start: q (nq,) of the initial state.
     """
@@ -166,6 +169,7 @@ class Chain:
         has_axis_goal: bool,
         state: State,
     ) -> None:
+        """Analyze the mechanism; `state` is the initial state, see the attributes for the other arguments."""
         self.scene, self.keys, self.axis = scene, tuple(keys), axis
         self.goal_count, self.has_axis_goal = goal_count, has_axis_goal
         # the mechanism: motions that are held, and driving constraints for the other chosen coordinates
@@ -173,40 +177,50 @@ class Chain:
             motion.held_at_start() for motion in scene.motions if motion.key not in self.keys[:goal_count]
         )
         values = {motion.key: motion.function.value(0.0) for motion in held}
-        chosen = {key: Polynomial((0.0,)) for key in self.keys if key not in values}
-        loops = replace(scene.without_forces(), motions=held, initial_state=state)
+        functions = {key: Polynomial((0.0,)) for key in self.keys if key not in values}
+        without_driving = replace(scene.without_forces(), motions=held, initial_state=state)
         if not scene.motions:
-            mobility(scene)  # decided once for all chains
-            inherit_mobility(loops, scene)
-        found = mobility(loops)
-        mechanism = driven(scene, chosen, held, initial_state=None)
+            mobility(scene)  # analyzed once for all chains of the scene
+            inherit_mobility(without_driving, scene)
+        analysis = mobility(without_driving)
+        mechanism = driven(scene, functions, held, initial_state=None)
         self.driven = mechanism.scene
         self.system = TreeKinematics(self.driven)
-        self.freedoms = found.degrees_of_freedom
-        # rows of the driving constraints, of all others, and of an independent set
-        closures = self.system.rows - len(self.system.couplings)
-        places = {motion.key: closures + k for k, motion in enumerate(self.driven.motions)}
-        self.driving = np.array([places[key] for key in self.keys], dtype=int)
+        self.freedoms = analysis.degrees_of_freedom
+        # rows of the driving constraints, of all others, and of an independent set; in phi, rows of joints
+        # come first, then those of prescribed motions
+        joint_rows = self.system.rows - len(self.system.couplings)
+        motion_rows = {motion.key: joint_rows + k for k, motion in enumerate(self.driven.motions)}
+        self.driving = np.array([motion_rows[key] for key in self.keys], dtype=int)
         self.offsets = np.array([values.get(key, 0.0) for key in self.keys])
-        own = np.delete(np.arange(len(self.system.phi_units)), mechanism.rows(self.system))
-        self.closing = np.delete(own, rows_left_out(TreeKinematics(loops)))
-        self.independent = own[found.independent]
+        other_rows = np.delete(np.arange(len(self.system.phi_units)), mechanism.rows(self.system))
+        self.closing = np.delete(other_rows, rows_left_out(TreeKinematics(without_driving)))
+        self.independent = other_rows[analysis.independent]
         self.units = self.system.phi_units[self.driving]
-        linked = {key for coupling in couplings(loops) for key in coupling.factors}
-        turns = [not scene.mechanism.is_slide(*key) and key not in linked for key in self.keys]
-        self.is_periodic = np.array(turns, dtype=bool)
+        # couplings such as gears distinguish revolutions of an angle
+        coupled = {key for coupling in couplings(without_driving) for key in coupling.factors}
+        periodic = [not scene.mechanism.is_slide(*key) and key not in coupled for key in self.keys]
+        self.is_periodic = np.array(periodic, dtype=bool)
         self.start = self.system.coordinates(state)[0]
 
     @cached_property
     def function(self) -> NativeFunction:
-        """Function of (q, step, 0): q moved by the step, phi, the axis, poses and nonzeros of Jacobians."""
+        """Native function of (q, step, 0), whose results `Configurations` splits.
+
+        The results are q moved by the step, residuals phi, direction of the axis, poses, and nonzeros of
+        Jacobians.
+        """
         axis = self.axis and (self.axis.body, self.axis.axis)
-        inputs, chosen = self.system.nq + self.system.nv + 1, (self.driven, self.keys, axis)
-        neutral = NOT_COMPILED_FIELDS
-        return native_program("configurations", inputs, self._trace, *chosen, neutral=neutral, many=True)
+        inputs, depends_on = self.system.nq + self.system.nv + 1, (self.driven, self.keys, axis)
+        neutral = NOT_COMPILED_FIELDS  # fields of the scene that do not change the code
+        return native_program("configurations", inputs, self._trace, *depends_on, neutral=neutral, many=True)
 
     def _trace(self, x: Array) -> tuple[list[Scalar], list[tuple[int, int]]]:
-        """Trace the results, and the places of nonzeros in the Jacobians as their layout."""
+        """Trace the results of `function` over symbolic scalars x, and return the layout of the nonzeros.
+
+        The layout lists (row, column) of each nonzero in the Jacobian. Its rows are those of the constraints,
+        then three of the angular velocity of the body with the axis.
+        """
         system = self.system
         q, rest = system.retract(x[: system.nq], x[system.nq : -1]), np.zeros(system.nv)
         phi, rows = system.phi_and_jacobian(q)
@@ -234,14 +248,14 @@ class Chain:
         return Configurations(self, results)
 
     def goal_at(self, at: Configurations) -> Goal:
-        """Return the goals that configurations meet."""
+        """Return the goals that given configurations meet exactly."""
         return Goal(at.coordinates[:, : self.goal_count], at.direction[:, : 3 * self.has_axis_goal])
 
     def difference(self, goal: Goal, other: Goal) -> tuple[Array, Array]:
         """Compute goal - other: coordinates (n, m), and the rotation vectors (n, 3) from other to goal."""
         x = goal.coordinates - other.coordinates
-        turns = self.is_periodic[: self.goal_count]
-        x[:, turns] = within_revolution(x[:, turns])
+        is_periodic = self.is_periodic[: self.goal_count]
+        x[:, is_periodic] = within_revolution(x[:, is_periodic])
         if not self.has_axis_goal:
             return x, np.zeros((len(x), 0))
         return x, smallest_turns(other.towards, goal.towards)
@@ -252,10 +266,12 @@ class Chain:
         coordinates = other.coordinates + share[:, None] * x
         if not self.has_axis_goal:
             return Goal(coordinates, goal.towards)
+        # rotate the direction in the plane of both directions; `perpendicular` lies in this plane
         angle = np.linalg.norm(turn, axis=1, keepdims=True)
-        ahead = np.cross(np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0), other.towards)
+        rotation_axis = np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0)
+        perpendicular = np.cross(rotation_axis, other.towards)
         angle *= share[:, None]
-        return Goal(coordinates, np.cos(angle) * other.towards + np.sin(angle) * ahead)
+        return Goal(coordinates, np.cos(angle) * other.towards + np.sin(angle) * perpendicular)
 
     def embed(self, goal: Goal) -> Array:
         """Map goals to points (n, e) in a Euclidean space.
@@ -286,7 +302,7 @@ class Configurations:
     """
 
     def __init__(self, chain: Chain, values: Array) -> None:
-        """`values` (n, outputs) are results of `Chain.function`."""
+        """Split the results `values` (n, outputs) of `Chain.function`."""
         system, bodies = chain.system, len(chain.scene.mechanism.bodies)
         self.chain, self.values = chain, values
         sizes = [system.nq, len(system.phi_units), 3 * (chain.axis is not None), 3 * bodies, 4 * bodies]
@@ -298,11 +314,12 @@ class Configurations:
         self.position, self.quaternion = position.reshape(-1, bodies, 3), quaternion.reshape(-1, bodies, 4)
 
     def __getitem__(self, rows: Any) -> Configurations:
-        found = Configurations(self.chain, self.values[rows])
-        if "spaces" in self.__dict__:  # computed before
-            found.__dict__["jacobian"] = self.jacobian[rows]
-            found.__dict__["spaces"] = tuple(each[rows] for each in self.spaces)
-        return found
+        """Return some of the configurations, given by indices, a mask or a slice."""
+        selected = Configurations(self.chain, self.values[rows])
+        if "spaces" in self.__dict__:  # reuse cached properties that are computed already
+            selected.__dict__["jacobian"] = self.jacobian[rows]
+            selected.__dict__["spaces"] = tuple(each[rows] for each in self.spaces)
+        return selected
 
     def __len__(self) -> int:
         return len(self.values)
@@ -312,10 +329,10 @@ class Configurations:
         """The Jacobian (n, rows, nv) of all residuals, then three rows of the axis' angular velocity."""
         system = self.chain.system
         units = np.concatenate([system.phi_units, np.ones(3 * (self.chain.axis is not None))])
-        found = np.zeros((len(self), len(units), system.nv))
+        jacobian = np.zeros((len(self), len(units), system.nv))
         rows, columns = np.array(self.chain.function.layout, dtype=int).reshape(-1, 2).T
-        found[:, rows, columns] = self._nonzeros * (system.velocity_units[columns] / units[rows])
-        return found
+        jacobian[:, rows, columns] = self._nonzeros * (system.velocity_units[columns] / units[rows])
+        return jacobian
 
     @property
     def loops(self) -> Array:
@@ -343,8 +360,8 @@ class Configurations:
         u, s, vt = np.linalg.svd(self.loops)
         s = s[:, :rank, None]
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > RANK_TOLERANCE)
-        back = np.swapaxes(vt[:, :rank], 1, 2) @ (inverse * np.swapaxes(u[:, :, :rank], 1, 2))
-        return back, vt[:, rank:]
+        pseudo_inverse = np.swapaxes(vt[:, :rank], 1, 2) @ (inverse * np.swapaxes(u[:, :, :rank], 1, 2))
+        return pseudo_inverse, vt[:, rank:]
 
     @property
     def loop_inverse(self) -> Array:
@@ -357,10 +374,11 @@ class Configurations:
         return self.spaces[1]
 
     def goal_errors(self, goal: Goal) -> tuple[Array, Array]:
-        """Compute the dimensionless errors (n, t) of goals, and their Jacobian (n, t, nv).
+        """Compute the dimensionless errors (n, e) of goals, configuration minus goal, and their Jacobian.
 
         The direction of the axis has two errors, rotations about two perpendicular vectors: minus the angle
-        to the goal about the vector that rotates the axis to the goal, and 0 about the other vector.
+        to the goal about the vector that rotates the axis to the goal, and 0 about the other vector. e is the
+        number of coordinates with goals, plus 2 for a direction. The Jacobian is (n, e, nv).
         """
         chain = self.chain
         x, turn = chain.difference(goal, chain.goal_at(self))
@@ -370,8 +388,8 @@ class Configurations:
         angle = np.linalg.norm(turn, axis=1, keepdims=True)
         first = np.divide(turn, angle, out=perpendicular_to(self.direction), where=angle > 0.0)
         second = np.cross(self.direction, first)
-        two = np.stack([first, second], axis=1) @ self.axis_jacobian
-        return np.hstack([errors, -angle, np.zeros_like(angle)]), np.concatenate([rows, two], axis=1)
+        axis_rows = np.stack([first, second], axis=1) @ self.axis_jacobian
+        return np.hstack([errors, -angle, np.zeros_like(angle)]), np.concatenate([rows, axis_rows], axis=1)
 
     def step_by(self, step: Array) -> Configurations:
         """Evaluate the configurations after dimensionless steps (n, nv).

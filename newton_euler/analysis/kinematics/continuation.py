@@ -5,6 +5,11 @@ continuation: Newton's method with steps of least length begins at the nearest c
 already. For goals that `follow` does not reach, `approach` minimizes the distance to the goal over all
 configurations with closed loops. It uses Newton's method in the tangent space (J. Nocedal, S. J. Wright,
 Numerical Optimization, 2nd ed., 2006, sections 3.4 and 15.4), from the nearest of many configurations.
+
+`Configurations` are n vectors of joint coordinates of a `Chain`, a mechanism with chosen joint coordinates.
+The tangent space at a configuration has the f dimensionless velocities that leave its loops closed, where f
+is the number of degrees of freedom. An assembly branch is a set of configurations that the mechanism can
+reach from each other without passing a singular configuration.
 """
 
 from __future__ import annotations
@@ -22,7 +27,8 @@ from newton_euler.equations.dense import RANK_TOLERANCE
 from newton_euler.scalars import Array
 
 MAX_STRIDE = 0.25
-"""Largest distance between a goal and the solved pose from which Newton's method starts, rad or sizes."""
+"""Largest distance between a goal and the solved configuration from which Newton's method starts: rad, or
+lengths divided by the size of the mechanism."""
 
 MAX_STRIDES = 1000
 """Largest number of strides (solved intermediate goals) from the start to a goal. Farther goals get longer
@@ -38,8 +44,8 @@ RESIDUAL_ROUND_OFF = 16.0 * np.finfo(float).eps
 """Dimensionless residual below which residuals are round-off."""
 
 MAX_RESIDUAL = 1e-11
-"""Largest dimensionless residual of a pose that meets its goal. Newton's method continues below this residual
-only while each step at least halves the residual."""
+"""Largest dimensionless residual of a configuration that meets its goal. Newton's method continues below this
+residual only while each step at least halves the residual."""
 
 MAX_APPROACH_STEPS = 60
 """Number of steps to the pose nearest to a goal out of reach."""
@@ -48,7 +54,7 @@ DIFFERENCE_STEP = 1e-5
 """Dimensionless step h of central differences: the errors h^2 and (round-off / h) are about equal."""
 
 MIN_CURVATURE = 1e-9
-"""Smallest curvature by which a gradient is divided in a Newton step."""
+"""Smallest curvature (eigenvalue of the Hessian) by which a gradient is divided in a Newton step."""
 
 MAX_HALVINGS = 8
 """Number of times that a step is halved until it reduces the distance to the goal."""
@@ -81,23 +87,24 @@ def newton(at: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Con
         The configurations, and True (n,) for those that meet their goals with closed loops.
     """
     values, error = at.values.copy(), np.full(len(at), np.inf)
-    active, here = np.arange(len(at)), at
+    active, here = np.arange(len(at)), at  # numbers of the configurations that still move, and these
     for _ in range(steps):
         # store the configurations; select those that need another step
         goal_errors, rows = here.goal_errors(goal[active])
         new_error = largest(here.phi, goal_errors)
         improves = (new_error >= MAX_RESIDUAL) | (new_error < 0.5 * error[active])
-        goes_on = (new_error >= RESIDUAL_ROUND_OFF) & improves
+        needs_step = (new_error >= RESIDUAL_ROUND_OFF) & improves
         values[active], error[active] = here.values, new_error
-        if not goes_on.any():
+        if not needs_step.any():
             break
-        active, here = active[goes_on], here[goes_on]
-        goal_errors, rows = goal_errors[goes_on], rows[goes_on]
-        # one step of these
-        closing = products(here.loop_inverse, -here.phi)
+        active, here = active[needs_step], here[needs_step]
+        goal_errors, rows = goal_errors[needs_step], rows[needs_step]
+        # one step of these: close the loops, then meet the goals along the tangent space
+        closing_step = products(here.loop_inverse, -here.phi)
         reduced = rows @ np.swapaxes(here.tangent, 1, 2)
-        along = products(np.linalg.pinv(reduced, RANK_TOLERANCE), -goal_errors - products(rows, closing))
-        here = here.step_by(closing + products(np.swapaxes(here.tangent, 1, 2), along))
+        remaining = -goal_errors - products(rows, closing_step)
+        along = products(np.linalg.pinv(reduced, RANK_TOLERANCE), remaining)
+        here = here.step_by(closing_step + products(np.swapaxes(here.tangent, 1, 2), along))
     return Configurations(at.chain, values), error < MAX_RESIDUAL
 
 
@@ -117,19 +124,21 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
         before, after: n configurations each.
     """
     chain = before.chain
-    turned = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
-    found = np.ones((len(before), 2))
-    first, last = (at.goal_errors(chain.goal_at(at))[1] for at in (before, after))
-    pairs = [(first, last)]
+    signs = np.ones((len(before), 2))
+    # bases of the tangent spaces before and after may have different orientations
+    orientation = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
+    # Jacobians before and after: of the goals, and of all chosen coordinates if these are not the same
+    goal_before, goal_after = (at.goal_errors(chain.goal_at(at))[1] for at in (before, after))
+    pairs = [(goal_before, goal_after)]
     if chain.has_axis_goal or chain.goal_count < len(chain.keys):
         pairs.append((before.driving, after.driving))
-    for column, (one, other) in enumerate(pairs):
-        if one.shape[1] == chain.freedoms:
-            start = np.linalg.det(one @ np.swapaxes(before.tangent, 1, 2))
-            end = np.linalg.det(other @ np.swapaxes(after.tangent, 1, 2))
-            passed = (start * turned * end < 0.0) & (np.abs(start) > RANK_TOLERANCE)
-            found[passed, column] = -1.0
-    return found
+    for column, (jacobian_before, jacobian_after) in enumerate(pairs):
+        if jacobian_before.shape[1] == chain.freedoms:
+            start = np.linalg.det(jacobian_before @ np.swapaxes(before.tangent, 1, 2))
+            end = np.linalg.det(jacobian_after @ np.swapaxes(after.tangent, 1, 2))
+            crossed = (start * orientation * end < 0.0) & (np.abs(start) > RANK_TOLERANCE)
+            signs[crossed, column] = -1.0
+    return signs
 
 
 def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
@@ -145,15 +154,17 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
 
     chain, count = start.chain, len(goal.coordinates)
     # solved configurations and the goals that they meet, at first the start alone
-    solved, at = start.values, chain.goal_at(start)
-    found = np.repeat(start.values, count, axis=0)
-    # tried: number of the solved goal from which a goal was last tried
+    solved, solved_goals = start.values, chain.goal_at(start)
+    # for each goal: the configuration so far, and the number of the solved goal from which it was last tried
+    values = np.repeat(start.values, count, axis=0)
     points, tried, reached = chain.embed(goal), np.full(count, -1), np.zeros(count, dtype=bool)
-    stride = np.maximum(MAX_STRIDE, np.linalg.norm(points - chain.embed(at), axis=1) / MAX_STRIDES)
+    # length of a stride for each goal
+    start_distance = np.linalg.norm(points - chain.embed(solved_goals), axis=1)
+    stride = np.maximum(MAX_STRIDE, start_distance / MAX_STRIDES)
     while not reached.all():
         # goals whose nearest solved goal is new; those within one stride first
         waiting = np.flatnonzero(~reached)
-        distance, nearest = cKDTree(chain.embed(at)).query(points[waiting])
+        distance, nearest = cKDTree(chain.embed(solved_goals)).query(points[waiting])
         has_new_source = nearest != tried[waiting]
         is_near = has_new_source & (distance <= stride[waiting])
         selected = is_near if is_near.any() else has_new_source
@@ -162,21 +173,24 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
         # a stride from the nearest solved goal towards each of these goals
         numbers, source, distance = waiting[selected], nearest[selected], distance[selected]
         fraction = np.minimum(1.0, stride[numbers] / np.maximum(distance, stride[numbers]))
-        towards = chain.between(goal[numbers], at[source], fraction)
+        intermediate = chain.between(goal[numbers], solved_goals[source], fraction)
         before = Configurations(chain, solved[source])
-        after, met = newton(before, towards)
+        after, met = newton(before, intermediate)
         met &= np.all(crossing_signs(before, after) > 0.0, axis=1)
         # the ends of strides are solved goals from now on
         tried[numbers] = source
-        found[numbers] = np.where(met[:, None], after.values, before.values)
+        values[numbers] = np.where(met[:, None], after.values, before.values)
         reached[numbers] = met & (fraction == 1.0)
         solved = np.concatenate([solved, after.values[met]])
-        at = at.with_others(towards[met])
-    return Configurations(chain, found), reached
+        solved_goals = solved_goals.with_others(intermediate[met])
+    return Configurations(chain, values), reached
 
 
 def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Array:
-    """Draw coordinates (n, nq) with open loops: any angles and orientations, slides within two sizes."""
+    """Draw random coordinates (count, nq) of the spanning tree, whose loops are open.
+
+    Angles and orientations are arbitrary, slides are at most two sizes of the mechanism from the start.
+    """
     q = np.repeat(chain.start[None], count, axis=0)
     for motion, place, _ in chain.system.tree.motions:
         shape = count, place.stop - place.start
@@ -197,9 +211,9 @@ def sample_branch(start: Configurations) -> Configurations:
     for _ in range(PATH_STEPS):
         along = rng.standard_normal((PATHS, chain.freedoms))
         after = moved_closed(here, MAX_JOINT_STEP * products(np.swapaxes(here.tangent, 1, 2), along))
-        good = (largest(after.phi) < MAX_RESIDUAL) & np.all(crossing_signs(here, after) > 0.0, axis=1)
-        here = Configurations(chain, np.where(good[:, None], after.values, here.values))
-        visited.append(after.values[good])
+        on_branch = (largest(after.phi) < MAX_RESIDUAL) & np.all(crossing_signs(here, after) > 0.0, axis=1)
+        here = Configurations(chain, np.where(on_branch[:, None], after.values, here.values))
+        visited.append(after.values[on_branch])
     return Configurations(chain, np.concatenate(visited))
 
 
@@ -222,8 +236,8 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
     _, nearest = cKDTree(chain.embed(chain.goal_at(others))).query(chain.embed(goal))
     other = others[nearest]
     nearer = half_square(other, goal) < half_square(at, goal)
-    values, passed = np.where(nearer[:, None], other.values, at.values), np.ones((len(at), 2))
-    active = np.arange(len(at))
+    values, signs = np.where(nearer[:, None], other.values, at.values), np.ones((len(at), 2))
+    active = np.arange(len(at))  # numbers of the configurations that still come nearer
     for _ in range(MAX_APPROACH_STEPS):
         # a Newton step of the distance in the tangent space
         if not active.size or not chain.freedoms:
@@ -231,20 +245,21 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
         here, active_goal = Configurations(chain, values[active]), goal[active]
         along = _newton_step(here, active_goal)
         # halve the step until the closed configuration is nearer to the goal
-        better = np.zeros(len(here), dtype=bool)
+        has_moved = np.zeros(len(here), dtype=bool)
         for k in range(MAX_HALVINGS):
-            rest = np.flatnonzero(~better)
-            if not rest.size:
+            trying = np.flatnonzero(~has_moved)
+            if not trying.size:
                 break
-            before = here[rest]
-            after = moved_closed(before, 0.5**k * products(np.swapaxes(before.tangent, 1, 2), along[rest]))
-            good = _is_better(after, before, active_goal[rest])
-            improved = active[rest[good]]
-            passed[improved] *= crossing_signs(before[good], after[good])
-            values[improved] = after.values[good]
-            better[rest[good]] = True
-        active = active[better]
-    return Configurations(chain, values), passed
+            before = here[trying]
+            step = 0.5**k * products(np.swapaxes(before.tangent, 1, 2), along[trying])
+            after = moved_closed(before, step)
+            better = _is_better(after, before, active_goal[trying])
+            improved = active[trying[better]]
+            signs[improved] *= crossing_signs(before[better], after[better])
+            values[improved] = after.values[better]
+            has_moved[trying[better]] = True
+        active = active[has_moved]
+    return Configurations(chain, values), signs
 
 
 def half_square(at: Configurations, goal: Goal) -> Array:
@@ -253,7 +268,7 @@ def half_square(at: Configurations, goal: Goal) -> Array:
 
 
 def gradient(at: Configurations, goal: Goal) -> Array:
-    """Compute the gradients (n, nv) of half the squared distances to goals."""
+    """Compute the gradients (n, nv) of half the squared distances to goals, dimensionless."""
     goal_errors, rows = at.goal_errors(goal)
     return products(np.swapaxes(rows, 1, 2), goal_errors)
 
@@ -261,23 +276,25 @@ def gradient(at: Configurations, goal: Goal) -> Array:
 def _newton_step(at: Configurations, goal: Goal) -> Array:
     """Compute the Newton step (n, f) that minimizes half the squared distance in the tangent space.
 
-    The Hessian of the Lagrange function is a central difference of gradients. The step divides by the
-    absolute values of its eigenvalues, so that the step goes downhill in every direction.
+    The Hessian of the Lagrange function (half the squared distance plus multipliers times loop residuals) is
+    a central difference of gradients. The step divides by the absolute values of its eigenvalues, so that the
+    step goes downhill in every direction.
     """
-    uphill = gradient(at, goal)
-    multipliers = -products(np.swapaxes(at.loop_inverse, 1, 2), uphill)
+    distance_gradient = gradient(at, goal)
+    multipliers = -products(np.swapaxes(at.loop_inverse, 1, 2), distance_gradient)
     tangent = at.tangent
     columns = []
     for k in range(tangent.shape[1]):
-        ends = []
+        gradients = []  # of the Lagrange function, on both sides
         for sign in (1.0, -1.0):
             other = at.step_by(sign * DIFFERENCE_STEP * tangent[:, k])
-            ends.append(gradient(other, goal) + products(np.swapaxes(other.loops, 1, 2), multipliers))
-        columns.append(products(tangent, ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
+            constraint_part = products(np.swapaxes(other.loops, 1, 2), multipliers)
+            gradients.append(gradient(other, goal) + constraint_part)
+        columns.append(products(tangent, gradients[0] - gradients[1]) / (2.0 * DIFFERENCE_STEP))
     hessian = np.stack(columns, axis=2)
-    curvature, modes = np.linalg.eigh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
-    steepest = products(np.swapaxes(modes, 1, 2), products(tangent, uphill))
-    return -products(modes, steepest / np.maximum(np.abs(curvature), MIN_CURVATURE))
+    curvature, directions = np.linalg.eigh(0.5 * (hessian + np.swapaxes(hessian, 1, 2)))
+    slopes = products(np.swapaxes(directions, 1, 2), products(tangent, distance_gradient))
+    return -products(directions, slopes / np.maximum(np.abs(curvature), MIN_CURVATURE))
 
 
 def moved_closed(at: Configurations, step: Array) -> Configurations:
@@ -291,9 +308,13 @@ def moved_closed(at: Configurations, step: Array) -> Configurations:
 
 
 def _is_better(after: Configurations, before: Configurations, goal: Goal) -> Array:
-    """True (n,) where the distance to the goal is smaller, or equal with a smaller slope, and loops close."""
+    """Return True (n,) for closed configurations that are nearer to their goals than before.
+
+    If both distances are equal up to round-off, the configuration with a less than half as large slope of the
+    distance is better.
+    """
     new, old = half_square(after, goal), half_square(before, goal)
-    slope, steeper = (largest(products(at.tangent, gradient(at, goal))) for at in (after, before))
+    new_slope, old_slope = (largest(products(at.tangent, gradient(at, goal))) for at in (after, before))
     same = np.abs(new - old) <= DISTANCE_ROUND_OFF * old
     closed = largest(after.phi) < np.maximum(MAX_RESIDUAL, 0.5 * largest(before.phi))
-    return closed & np.where(same, slope < 0.5 * steeper, new < old)
+    return closed & np.where(same, new_slope < 0.5 * old_slope, new < old)

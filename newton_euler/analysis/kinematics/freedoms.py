@@ -1,4 +1,9 @@
-"""Independent coordinates of a mechanism: joint coordinates, and rotations of balls."""
+"""Independent coordinates of a mechanism: joint coordinates, and rotations of ball joints.
+
+The spanning tree is the mechanism without the joints that close loops; v (nv,) are its velocities. A body
+that only rods (constant distances) connect with others is joined to the ground of the tree by a free joint,
+whose velocities may be independent coordinates, too. A key (joint, number) names a joint coordinate.
+"""
 
 from __future__ import annotations
 
@@ -19,45 +24,66 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 AXIS_NAMES = ("x", "y", "z")
+"""Names of the three axes of a frame."""
 
 
 class Freedom(NamedTuple):
-    """An independent coordinate."""
+    """An independent coordinate.
+
+    Attributes:
+        name: name of the joint or key of the joint coordinate; `JOINT.ball.x` for a rotation of a ball joint;
+            `NAME.number` for a coordinate of a body that only rods connect with others.
+        key: key of the joint coordinate; None for the other coordinates.
+        place: index in v of the rate of a coordinate without a key; -1 for a joint coordinate.
+        ball: index in v of the first component of a ball joint's angular velocity; -1 for other coordinates.
+        unit: the size of the mechanism, m, for slides, else 1.
+    """
 
     name: str | Key
     key: Key | None
-    """The joint coordinate: name of the joint, number of the coordinate; None for a rotation of a ball."""
     place: int
-    """Index in v of a velocity of the tree without a joint coordinate; -1 for a joint coordinate."""
     ball: int
-    """Index in v of the first component of the ball's angular velocity; -1 for other freedoms."""
     unit: float
-    """The size of the mechanism for slides, m, else 1."""
 
 
 def _other_freedoms(system: Relative) -> list[Freedom]:
-    """List velocities of the spanning tree without a joint coordinate: of balls, and of bodies on rods only.
+    """List the velocities of the spanning tree that are not rates of joint coordinates.
 
-    The spanning tree is the mechanism without the joints that close loops.
+    These are angular velocities of ball joints, and velocities of bodies that only rods connect with others.
     """
-    found = []
-    for kept in system.tree.joints:
-        name = system.tree.joint(kept.joint).name
-        for number, (motion, _, on_v) in enumerate(kept.places):
+    freedoms: list[Freedom] = []
+
+    def add(name: str, place: int, ball: int) -> None:
+        """Add the velocity at index `place` in v."""
+        unit = system.velocity_units[place]
+        freedoms.append(Freedom(name, key=None, place=place, ball=ball, unit=unit))
+
+    for tree_joint in system.tree.joints:
+        name = system.tree.joint(tree_joint.joint).name
+        is_added = tree_joint.joint >= len(system.mechanism.joints)  # a free joint of the tree alone
+        for number, (motion, _, on_v) in enumerate(tree_joint.places):
             if motion.kind == "ball":
-                each = [
-                    (f"{name}.ball.{axis}", on_v.start + k, on_v.start) for k, axis in enumerate(AXIS_NAMES)
-                ]
-            elif kept.joint >= len(system.mechanism.joints):
-                each = [(f"{name}.{number}", on_v.start, -1)]
-            else:
-                continue
-            found += [Freedom(n, None, place, ball, system.velocity_units[place]) for n, place, ball in each]
-    return found
+                for k, axis in enumerate(AXIS_NAMES):
+                    add(f"{name}.ball.{axis}", place=on_v.start + k, ball=on_v.start)
+            elif is_added:
+                add(f"{name}.{number}", place=on_v.start, ball=-1)
+    return freedoms
 
 
 def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
-    """Return the coordinates with these names, or choose independent ones at a state if None."""
+    """Return independent coordinates, as many as degrees of freedom.
+
+    Args:
+        scene: gives the mechanism and the control laws.
+        state: state at which the coordinates must be independent.
+        names: names of the coordinates. If None, coordinates with control laws are chosen first, then other
+            joint coordinates, then the rest, in each group those that move most.
+
+    Raises:
+        UnknownNameError: for an unknown joint.
+        MechanismError: for too many or too few coordinates, a mechanism that cannot move, or a singular
+            state.
+    """
     mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
     if count == 0:
         raise MechanismError(f"scene {scene.name!r}", "has no degree of freedom", "a mechanism that can move")
@@ -67,20 +93,25 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
     else:
         keys = [mechanism.coordinate(name) for name in names if name not in others]
     system = Relative(measuring(scene, keys))
-    of_joints = {key: Freedom(mechanism.coordinate_name(key), key, -1, -1, system.unit(key)) for key in keys}
+    of_joints = {
+        key: Freedom(mechanism.coordinate_name(key), key, place=-1, ball=-1, unit=system.unit(key))
+        for key in keys
+    }
+    # the coordinates that the user names
     if names is not None:
-        found = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
-        if not len(found) == len(set(found)) == count:
+        named = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
+        if not len(named) == len(set(named)) == count:
             problem = f"coordinates are {listed(map(repr, names)) or 'none'}"
             needed = f"{count} different ones for {count} degrees of freedom"
             raise MechanismError(f"scene {scene.name!r}", problem, needed)
-        return tuple(found)
+        return tuple(named)
+    # select independent rows of the candidates' Jacobian in the tangent space of the closed loops
     q, _ = system.coordinates(state)
     candidates = [*of_joints.values(), *others.values()]
     rows = rates_of(system, q, candidates) @ tangents(system, q)
-    driven = [k for k, each in enumerate(candidates) if each.key in {law.key for law in scene.control}]
+    controlled = [k for k, each in enumerate(candidates) if each.key in {law.key for law in scene.control}]
     chosen: list[int] = []
-    for group in (driven, range(len(of_joints)), range(len(candidates))):
+    for group in (controlled, range(len(of_joints)), range(len(candidates))):
         rest = [k for k in group if k not in chosen]
         chosen = independent_rows(rows, chosen, rest, count)
     if len(chosen) < count:

@@ -1,6 +1,10 @@
 """Forward and inverse kinematics: poses for chosen joint coordinates and directions of a body's axis.
 
 Compiled equations solve thousands of poses at once (`newton_euler.analysis.kinematics.continuation`).
+
+An assembly branch is a set of poses that the mechanism can reach from each other without passing a singular
+configuration, such as the elbow-up poses of a four-bar linkage. Joint coordinates have names, and keys
+(joint, number).
 """
 
 from __future__ import annotations
@@ -56,8 +60,8 @@ class Poses:
             name of the joint, or by (name, number) if given in this form.
         direction: (n, 3) direction of the axis; None without an axis.
         reached: (n,) True if the goals are met on the assembly branch of the start.
-        beyond: (n,) True for poses beyond a singular configuration, in which the goals, or all chosen and
-            measured coordinates, do not determine the motion.
+        beyond: (n,) True for poses that the start reaches only through a singular configuration. In such a
+            configuration the goals, or all chosen and measured coordinates, do not determine the motion.
         missing: (n,) value minus goal of each chosen joint coordinate, m or rad.
         angle: (n,) angle between the axis and its goal, rad; zeros without a goal.
         slope: (n,) decrease of the dimensionless distance to the goals per dimensionless motion. 0 at a local
@@ -99,13 +103,12 @@ class Poses:
         keys = {name: mechanism.coordinate(name) for name in self.missing}
         units = {name: "m" if mechanism.is_slide(*key) else "rad" for name, key in keys.items()}
         for k in np.flatnonzero(~self.reached):
-            off = [f"{name!r} by {values[k]:.6g} {units[name]}" for name, values in self.missing.items()]
-            off += [f"axis by {self.angle[k]:.6g} rad"] if self.angle.any() else []
-            found = (
-                "nearest pose" if self.slope[k] < STATIONARY_SLOPE else "nearest pose not found, the last one"
-            )
+            errors = [f"{name!r} by {values[k]:.6g} {units[name]}" for name, values in self.missing.items()]
+            errors += [f"axis by {self.angle[k]:.6g} rad"] if self.angle.any() else []
+            is_nearest = self.slope[k] < STATIONARY_SLOPE
+            pose_text = "nearest pose" if is_nearest else "nearest pose not found, the last one"
             where = ", beyond a singular configuration" if self.beyond[k] else ""
-            lines.append(f"pose {k}: out of reach, {found}{where}, misses {', '.join(off)}")
+            lines.append(f"pose {k}: out of reach, {pose_text}{where}, misses {', '.join(errors)}")
         return lines
 
     @checked
@@ -128,9 +131,9 @@ class Poses:
         Chosen angles have the revolutions of their goals. Couplings and prescribed motions determine the
         revolutions of others.
         """
-        system, chosen = self._at.chain.system, dict(zip(self._at.chain.keys, self._names, strict=True))
+        system, names = self._at.chain.system, dict(zip(self._at.chain.keys, self._names, strict=True))
         return {
-            key: np.asarray(self.coordinates[chosen[key]]) if key in chosen else self._at.q[:, place]
+            key: np.asarray(self.coordinates[names[key]]) if key in names else self._at.q[:, place]
             for key, place in system.angles.items()
         }
 
@@ -149,9 +152,10 @@ class Poses:
         Raises:
             OptionError: for a quantity that was neither chosen nor measured.
         """
-        rows, units = self._reduced(of)
-        columns, over = self._reduced(by)
-        return np.asarray(rows @ np.linalg.pinv(columns, RANK_TOLERANCE) * units[:, None] / over)
+        rows, row_units = self._reduced(of)
+        columns, column_units = self._reduced(by)
+        inverse = np.linalg.pinv(columns, RANK_TOLERANCE)
+        return np.asarray(rows @ inverse * row_units[:, None] / column_units)
 
     @checked
     def independence(self, of: Sequence[str | Key | Axis]) -> Array:
@@ -162,9 +166,8 @@ class Poses:
         while the quantities stand still.
         """
         rows, _ = self._reduced(of)
-        independent = rows.shape[1] - sum(
-            isinstance(each, Axis) for each in of
-        )  # an axis has two independent rows
+        axis_count = sum(isinstance(each, Axis) for each in of)
+        independent = rows.shape[1] - axis_count  # two of the three rows of an axis are independent
         values = np.linalg.svd(rows, compute_uv=False)
         return np.asarray(values[:, min(independent, rows.shape[2]) - 1])
 
@@ -174,7 +177,7 @@ class Poses:
             raise OptionError("quantities", quantities, "one or more")
         chain, rows, units = self._at.chain, [], []
         for each in quantities:
-            if isinstance(each, Axis) and chain.axis is each:
+            if isinstance(each, Axis) and chain.axis is each:  # d axis/dt = omega x axis
                 rows.append(np.cross(self._at.axis_jacobian, self._at.direction[:, :, None], axis=1))
                 units += [1.0, 1.0, 1.0]
             elif not isinstance(each, Axis) and each in self._names:
@@ -198,10 +201,11 @@ def solve_poses(
 ) -> Poses:
     """Solve forward or inverse kinematics for many goals at once, by compiled equations.
 
-    Goals are joint coordinates, the direction of an axis of a body, or both. If goals leave freedom, the
-    mechanism moves the least from the nearest solved pose. If goals cannot be met, the nearest pose is found:
-    its distance is the root of the sum of squares of angles, rad, and lengths, sizes of the mechanism. Poses
-    are on the assembly branch of the start. Prescribed motions of other joints hold their values at time 0.
+    Goals are joint coordinates, the direction of an axis of a body, or both. If goals do not determine the
+    pose, the mechanism moves the least from the nearest solved pose. If goals cannot be met, the nearest pose
+    is found: its distance is the root of the sum of squares of angles, rad, and lengths, sizes of the
+    mechanism. Poses are on the assembly branch of the start. Prescribed motions of other joints hold their
+    values at time 0.
 
     Args:
         scene: gives the mechanism and the start.
@@ -230,17 +234,20 @@ def solve_poses(
     # continuation from the start
     begin = chain.at(chain.start[None])
     at, reached = follow(begin, goal)
-    # goals that are not reached: the nearest pose, from there or from random poses of the branch
-    left = np.flatnonzero(~reached)
+    # goals that are not reached: the nearest pose, searched from the last one or from random poses of the
+    # branch
+    missed = np.flatnonzero(~reached)
     beyond = np.zeros(len(reached), dtype=bool)
-    if left.size:
-        near, passed = approach(at[left], sample_branch(begin), goal[left])
-        met = largest(near.phi, near.goal_errors(goal[left])[0]) < MAX_RESIDUAL
+    if missed.size:
+        # signs (n, 2) are -1 if a singular configuration was passed: of the Jacobian of the goals, and of all
+        # chosen coordinates
+        near, signs = approach(at[missed], sample_branch(begin), goal[missed])
+        met = largest(near.phi, near.goal_errors(goal[missed])[0]) < MAX_RESIDUAL
         # a goal at the limit of reach is met without a change of sign
-        reached[left], beyond[left] = met & np.all(passed > 0.0, axis=1), passed[:, 1] < 0.0
-        beyond[left] |= met & (passed[:, 0] < 0.0)
+        reached[missed] = met & np.all(signs > 0.0, axis=1)
+        beyond[missed] = (signs[:, 1] < 0.0) | (met & (signs[:, 0] < 0.0))
         values = at.values.copy()
-        values[left] = near.values
+        values[missed] = near.values
         at = Configurations(chain, values)
     return poses_of(at, goal, names, reached, beyond)
 
@@ -248,29 +255,36 @@ def solve_poses(
 def poses_of(
     at: Configurations, goal: Goal, names: tuple[str | Key, ...], reached: Array, beyond: Array
 ) -> Poses:
-    """Return solved configurations as poses."""
+    """Return solved configurations as poses.
+
+    Args:
+        at: the configurations.
+        goal: one goal for each configuration.
+        names: names of the chosen and measured joint coordinates.
+        reached, beyond: see the attributes of `Poses`.
+    """
     chain = at.chain
-    x, turn = chain.difference(chain.goal_at(at), goal)
-    measured = at.coordinates.copy()
-    measured[:, chain.is_periodic] = within_revolution(measured[:, chain.is_periodic])
-    measured[:, : chain.goal_count] = goal.coordinates + x
+    missing, turn = chain.difference(chain.goal_at(at), goal)
+    coordinates = at.coordinates.copy()
+    coordinates[:, chain.is_periodic] = within_revolution(coordinates[:, chain.is_periodic])
+    coordinates[:, : chain.goal_count] = goal.coordinates + missing
     distance = np.sqrt(2.0 * half_square(at, goal))
     slope = np.linalg.norm(products(at.tangent, gradient(at, goal)), axis=1) / np.maximum(
         distance, MAX_RESIDUAL
     )
     return Poses(
-        at.position,
-        at.quaternion,
-        dict(zip(names, measured.T, strict=True)),
-        None if chain.axis is None else at.direction,
-        reached,
-        beyond,
-        dict(zip(names, x.T, strict=False)),
-        np.linalg.norm(turn, axis=1),
-        np.where(distance < MAX_RESIDUAL, 0.0, slope),
-        largest(at.phi) < MAX_RESIDUAL,
-        names,
-        at,
+        position=at.position,
+        quaternion=at.quaternion,
+        coordinates=dict(zip(names, coordinates.T, strict=True)),
+        direction=None if chain.axis is None else at.direction,
+        reached=reached,
+        beyond=beyond,
+        missing=dict(zip(names, missing.T, strict=False)),
+        angle=np.linalg.norm(turn, axis=1),
+        slope=np.where(distance < MAX_RESIDUAL, 0.0, slope),
+        closed=largest(at.phi) < MAX_RESIDUAL,
+        _names=names,
+        _at=at,
     )
 
 
@@ -282,7 +296,12 @@ def goals_of(
     measure: Sequence[str | Key],
     start: State | None,
 ) -> tuple[Chain, tuple[str | Key, ...], Goal]:
-    """Check the goals of `solve_poses`; return the chain, the names of its coordinates, and the goals."""
+    """Check the goals of `solve_poses`, whose arguments these are.
+
+    Returns:
+        The mechanism with chosen joint coordinates (`Chain`); the names of its coordinates, those with goals
+        first; the goals.
+    """
     wanted = {name: coordinate_values(scene, name, given) for name, given in (coordinates or {}).items()}
     names = (*wanted, *(name for name in measure if name not in wanted))
     goal = _goal(wanted, axis, towards)
@@ -304,7 +323,7 @@ def chain_of(
     has_axis_goal: bool,
     start: State | None,
 ) -> Chain:
-    """Make the chain of a scene with chosen joint coordinates.
+    """Make the `Chain` of a scene: its mechanism with chosen joint coordinates and an axis.
 
     Args:
         scene: gives the mechanism and the start.
@@ -330,7 +349,16 @@ def coordinate_values(scene: Scene, name: str | Key, given: object) -> Array:
 
 
 def _goal(wanted: Mapping[str | Key, Array], axis: Axis | None, towards: object) -> Goal:
-    """Return goals broadcast to one number of configurations; raises `OptionError`."""
+    """Return goals for n configurations.
+
+    Args:
+        wanted: values (n,), (1,) or () of joint coordinates, m or rad, by name.
+        axis: axis of a body that has a goal, or None.
+        towards: directions (n, 3) or (3,) of the axis; None for no goal.
+
+    Raises:
+        OptionError: for different numbers of values, and without any goal.
+    """
     if towards is not None and axis is None:
         raise OptionError("towards", towards, "an axis of a body that is to point there")
     if not wanted and towards is None:
@@ -348,7 +376,7 @@ def _goal(wanted: Mapping[str | Key, Array], axis: Axis | None, towards: object)
 
 
 def _start(scene: Scene, start: State | None) -> State:
-    """Return the state to begin at."""
+    """Return the checked state to begin at: the scene's initial state if `start` is None."""
     if start is None:
         return initial_state(scene)
     return initial_state(replace(scene, initial_state=start))

@@ -1,4 +1,10 @@
-"""Workspace of a mechanism over chosen joint coordinates, and the singular configurations that bound it."""
+"""Workspace of a mechanism over chosen joint coordinates, and the singular configurations that bound it.
+
+`Configurations` are n vectors of joint coordinates; a `Chain` is the mechanism with its chosen coordinates.
+The tangent space at a configuration has the f velocities that leave its loops closed, where f is the number
+of degrees of freedom. An assembly branch is a set of configurations that the mechanism can reach from each
+other without passing a singular configuration.
+"""
 
 from __future__ import annotations
 
@@ -43,12 +49,13 @@ class Workspace:
     Attributes:
         grid: values (n_1,), (n_2,), ... of each coordinate, m or rad.
         reachable: (n_1, n_2, ...) True where there is a pose of the branch.
-        poses: those of the reachable points of the grid, in the order of `numpy.flatnonzero(reachable)`.
-        driving: (n_1, n_2, ...) distance to singular configurations in which the coordinates do not
-            determine the motion: `Poses.independence` of these, 0 at one; not a number out of reach.
-        pointing: the same of the axis, in which some motions do not turn it; None without an axis.
-        elevation, azimuth: (n_1, n_2, ...) of the axis above the plane of the world's x and y, and in this
-            plane from x to y, rad; not a number out of reach; None without an axis.
+        poses: poses at the reachable points of the grid, in the order of `numpy.flatnonzero(reachable)`.
+        driving: (n_1, n_2, ...) `Poses.independence` of the coordinates: a dimensionless measure of the
+            distance to singular configurations, in which the coordinates do not determine the motion. 0 at
+            such a configuration; NaN at points that are not reachable.
+        pointing: the same for the axis, 0 where some motions do not turn the axis; None without an axis.
+        elevation, azimuth: (n_1, n_2, ...) rad, angle of the axis above the plane of the world's x and y, and
+            angle in this plane from x to y; NaN at points that are not reachable; None without an axis.
 
     Examples:
         >>> found: Workspace = workspace(load("slider_crank"), {"pivot": np.linspace(-3.0, 3.0, 7)})
@@ -75,20 +82,22 @@ def workspace(
 ) -> Workspace:
     """Map the poses of a mechanism over a grid of joint coordinates.
 
-    Singular configurations are classified by C. Gosselin, J. Angeles, IEEE Transactions on Robotics and
-    Automation 6(3), 1990: singular configurations of the second kind bound the reachable part of the grid.
+    Singular configurations in which the coordinates do not determine the motion bound the reachable part of
+    the grid (second kind of C. Gosselin, J. Angeles, IEEE Transactions on Robotics and Automation 6(3),
+    1990).
 
     Args:
         scene: gives the mechanism and the start.
-        grid: values of each coordinate, as of `solve_poses`; as many coordinates as degrees of freedom, and
-            at most `MAX_POSES` points.
-        axis: of a body, whose directions are mapped.
-        start: pose on the assembly branch that is mapped; the scene's own if None.
+        grid: values of each coordinate, m or rad from the initial pose, by name of the joint, or by (name,
+            number) for joints of several coordinates. There must be as many coordinates as degrees of
+            freedom, and at most `MAX_POSES` points.
+        axis: axis of a body, whose directions are mapped.
+        start: pose on the assembly branch that is mapped; the scene's initial state if None.
 
     Raises:
         OptionError: for more or fewer coordinates.
         UnknownNameError: for an unknown joint or body.
-        MechanismError: for values that are no finite numbers.
+        MechanismError: for values that are not finite.
 
     Examples:
         >>> heights, normal = np.linspace(-0.02, 0.05, 8), Axis("panel_7", [0, 0, 1])
@@ -96,19 +105,21 @@ def workspace(
         >>> print(found.reachable.sum(), found.driving[4, 4].round(3))
         49 0.561
     """
-    single = {name: np.atleast_1d(coordinate_values(scene, name, given)) for name, given in grid.items()}
-    if (points := math.prod(map(len, single.values()))) > MAX_POSES:
+    # all points of the grid, as goals
+    axis_values = {name: np.atleast_1d(coordinate_values(scene, name, given)) for name, given in grid.items()}
+    if (points := math.prod(map(len, axis_values.values()))) > MAX_POSES:
         raise OptionError("grid", f"{points} points", f"at most {MAX_POSES}")
-    mesh = np.meshgrid(*single.values(), indexing="ij") if single else []
-    flat = dict(zip(single, (each.ravel() for each in mesh), strict=True))
-    chain, names, goal = goals_of(scene, flat, axis, None, (), start)
+    mesh = np.meshgrid(*axis_values.values(), indexing="ij") if axis_values else []
+    coordinates = dict(zip(axis_values, (each.ravel() for each in mesh), strict=True))
+    chain, names, goal = goals_of(scene, coordinates, axis, towards=None, measure=(), start=start)
     _check_count(chain)
+    # poses of the reachable points
     at, reached = follow(chain.at(chain.start[None]), goal)
-    count = int(np.sum(reached))
-    poses = poses_of(at[reached], goal[reached], names, np.ones(count, bool), np.zeros(count, bool))
+    every = np.ones(int(np.sum(reached)), dtype=bool)
+    poses = poses_of(at[reached], goal[reached], names, reached=every, beyond=~every)
 
-    def spread(values: Array) -> Array:
-        """Put values of the reachable points on the grid; not a number elsewhere."""
+    def on_grid(values: Array) -> Array:
+        """Put values of the reachable points on the grid; NaN elsewhere."""
         filled = np.full(len(reached), np.nan)
         filled[reached] = values
         return filled.reshape(mesh[0].shape)
@@ -116,10 +127,17 @@ def workspace(
     pointing = elevation = azimuth = None
     if poses.direction is not None and axis is not None:
         x, y, z = poses.direction.T
-        pointing = spread(poses.independence([axis]))
-        elevation, azimuth = spread(np.arcsin(np.clip(z, -1.0, 1.0))), spread(np.arctan2(y, x))
-    driving = spread(poses.independence(names))
-    return Workspace(single, reached.reshape(mesh[0].shape), poses, driving, pointing, elevation, azimuth)
+        pointing = on_grid(poses.independence([axis]))
+        elevation, azimuth = on_grid(np.arcsin(np.clip(z, -1.0, 1.0))), on_grid(np.arctan2(y, x))
+    return Workspace(
+        grid=axis_values,
+        reachable=reached.reshape(mesh[0].shape),
+        poses=poses,
+        driving=on_grid(poses.independence(names)),
+        pointing=pointing,
+        elevation=elevation,
+        azimuth=azimuth,
+    )
 
 
 @checked
@@ -136,9 +154,10 @@ def singular_poses(
 
     Args:
         scene: gives the mechanism.
-        coordinates: joint coordinates, as many as degrees of freedom.
+        coordinates: joint coordinates, as many as degrees of freedom, by name of the joint, or by (name,
+            number) for joints of several coordinates.
         count: number of random configurations, 1 to `MAX_POSES`.
-        axis: of a body, whose directions are asked for.
+        axis: axis of a body, whose directions are returned, too.
 
     Returns:
         The singular poses found, fewer than `count`. Their `coordinates` are points of singular curves.
@@ -152,23 +171,24 @@ def singular_poses(
         >>> print(np.unique(ends.round(6)))
         [-0.49016  -0.384952 -0.015048  0.09016 ]
     """
-    chain = chain_of(scene, coordinates, 0, axis, False, None)
+    chain = chain_of(scene, coordinates, goal_count=0, axis=axis, has_axis_goal=False, start=None)
     _check_count(chain)
     # random closed configurations
     q = random_coordinates(chain, count, np.random.default_rng(0))
     at, closed = newton(chain.at(q), _no_goals(count), RANDOM_STEPS)
-    at, met = at[closed], [np.zeros((0, chain.function.outputs))]
+    at, singular_results = at[closed], [np.zeros((0, chain.function.outputs))]
     # Newton's steps to a determinant of zero
     for _ in range(SINGULAR_STEPS):
-        value, slope = _determinant(at)
-        is_singular = (np.abs(value) < MAX_RESIDUAL) & (largest(at.phi) < MAX_RESIDUAL)
-        met.append(at.values[is_singular])
-        at, value, slope = at[~is_singular], value[~is_singular], slope[~is_singular]
-        along = -value[:, None] * slope / np.maximum(np.sum(slope**2, axis=1, keepdims=True), MIN_CURVATURE)
+        determinant, slope = _determinant(at)
+        is_singular = (np.abs(determinant) < MAX_RESIDUAL) & (largest(at.phi) < MAX_RESIDUAL)
+        singular_results.append(at.values[is_singular])
+        at, determinant, slope = at[~is_singular], determinant[~is_singular], slope[~is_singular]
+        squared_slope = np.maximum(np.sum(slope**2, axis=1, keepdims=True), MIN_CURVATURE)
+        along = -determinant[:, None] * slope / squared_slope
         at = moved_closed(at, products(np.swapaxes(at.tangent, 1, 2), along))
-    found = Configurations(chain, np.concatenate(met))
-    every = np.ones(len(found), dtype=bool)
-    return poses_of(found, _no_goals(len(found)), tuple(coordinates), every, ~every)
+    singular = Configurations(chain, np.concatenate(singular_results))
+    every = np.ones(len(singular), dtype=bool)
+    return poses_of(singular, _no_goals(len(singular)), tuple(coordinates), reached=every, beyond=~every)
 
 
 def _check_count(chain: Chain) -> None:
@@ -186,14 +206,15 @@ def _no_goals(count: int) -> Goal:
 def _determinant(at: Configurations) -> tuple[Array, Array]:
     """Compute the determinant (n,) of the chosen coordinates' Jacobian in the tangent space, and its slope.
 
-    The slope (n, f) along the tangents is a central difference.
+    The slope (n, f) along the basis vectors of the tangent space is a central difference. The basis of
+    another configuration may have the other orientation, which changes the sign of the determinant.
     """
-    value, columns = np.linalg.det(at.driving @ np.swapaxes(at.tangent, 1, 2)), []
+    determinant, columns = np.linalg.det(at.driving @ np.swapaxes(at.tangent, 1, 2)), []
     for k in range(at.chain.freedoms):
-        ends = []
+        ends = []  # determinants on both sides
         for sign in (1.0, -1.0):
             other = at.step_by(sign * DIFFERENCE_STEP * at.tangent[:, k])
-            turned = np.sign(np.linalg.det(other.tangent @ np.swapaxes(at.tangent, 1, 2)))
-            ends.append(turned * np.linalg.det(other.driving @ np.swapaxes(other.tangent, 1, 2)))
+            orientation = np.sign(np.linalg.det(other.tangent @ np.swapaxes(at.tangent, 1, 2)))
+            ends.append(orientation * np.linalg.det(other.driving @ np.swapaxes(other.tangent, 1, 2)))
         columns.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
-    return value, np.stack(columns, axis=1)
+    return determinant, np.stack(columns, axis=1)

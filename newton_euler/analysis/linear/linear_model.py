@@ -17,15 +17,18 @@ from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array, Floats
 
 RIGID_MODE = 1e-7
-"""Magnitude of an eigenvalue, divided by the largest, below which the eigenvalue is zero: about the square
-root of round-off, because zero eigenvalues are double."""
+"""Magnitude of an eigenvalue, divided by the largest, below which the eigenvalue is zero.
+
+The value is larger than the square root of round-off, the error of double eigenvalues: a motion without a
+restoring force has the eigenvalue 0 twice."""
 
 STILL_RATE = 1e-9
-"""Rate of a coordinate, in units per time constant of the fastest mode, below which the rate is round-off."""
+"""Rate of a coordinate below which the rate is round-off: divided by the unit of the coordinate and by the
+eigenvalue magnitude, 1/s, of the fastest mode."""
 
 
 def label(name: str | Key) -> str:
-    """Return the name of a coordinate, an input or an output as one word."""
+    """Return the name of a coordinate, an input or an output as one word, such as `joint[1]`."""
     return name if isinstance(name, str) else f"{name[0]}[{name[1]}]"
 
 
@@ -136,9 +139,9 @@ class LinearModel:
         order = np.flatnonzero(is_mode)[np.argsort(np.abs(values[is_mode]), kind="stable")]
         # motions without a restoring force: null space of the stiffness block of the matrix
         _, stiffness, directions = np.linalg.svd(matrix[d:, :d]) if d else (0, np.zeros(0), np.zeros((0, 0)))
-        rigid = directions[stiffness <= RIGID_MODE**2 * fastest**2]
-        eigenvalues = np.concatenate([np.zeros(len(rigid)), values[order]]).astype(complex)
-        shapes = np.concatenate([rigid, vectors[:d, order].T]).astype(complex) * self.units
+        rigid_shapes = directions[stiffness <= RIGID_MODE**2 * fastest**2]
+        eigenvalues = np.concatenate([np.zeros(len(rigid_shapes)), values[order]]).astype(complex)
+        shapes = np.concatenate([rigid_shapes, vectors[:d, order].T]).astype(complex) * self.units
         # scale each mode: the largest displacement of a body is 1 rad or 1 size, and real
         twists = np.einsum("bid,md->mbi", self.twists, shapes)
         scales = np.repeat([self.size, 1.0], 3)
@@ -156,13 +159,26 @@ class LinearModel:
         return StateSpace(self.A, self.B, self.C, self.D)
 
     def to_control(self) -> Any:
-        """Return a `control.StateSpace` of the package control, whose names have `_` for other than letters.
+        """Return a `control.StateSpace` of the package control.
+
+        Its signal names have `_` in place of characters that are neither letters nor digits.
 
         Raises:
             MissingPackageError: if the package control is not installed.
         """
         control = optional_package("control", "control")
-        named = self.coordinates, self.inputs, self.outputs
-        x, u, y = ([re.sub(r"\W+", "_", label(name)).strip("_") for name in each] for each in named)
-        states = [*x, *(f"{name}_rate" for name in x)]
-        return control.StateSpace(self.A, self.B, self.C, self.D, states=states, inputs=u, outputs=y)
+
+        def signal_names(names: tuple[str | Key, ...]) -> list[str]:
+            """Replace the characters that the package does not allow."""
+            return [re.sub(r"\W+", "_", label(name)).strip("_") for name in names]
+
+        coordinates = signal_names(self.coordinates)
+        return control.StateSpace(
+            self.A,
+            self.B,
+            self.C,
+            self.D,
+            states=[*coordinates, *(f"{name}_rate" for name in coordinates)],
+            inputs=signal_names(self.inputs),
+            outputs=signal_names(self.outputs),
+        )

@@ -7,8 +7,10 @@ changes the velocities by dv_i,
     dv_i = -[J; J_z]^-1 (d[J; J_z]/dz_i) v
     d zddot / dz_i = (d zddot / dq) qdot(T_i) + (d zddot / dv) dv_i,    d zddot / dzdot_i = (d zddot / dv) T_i
 
-Here q and v are the coordinates and velocities of the spanning tree, and J the Jacobian of the constraints.
-J_z has the rates of z as rows, and the columns of T are motions that leave loops closed.
+Here q and v are the coordinates and velocities of the spanning tree, the mechanism without the joints that
+close loops. J is the Jacobian of the constraints of these joints, [J; J_z] are its rows and those of J_z.
+J_z has the rates of z as rows, and the columns of T are motions that leave loops closed. Joint coordinates
+have keys (joint, number).
 
 The partial derivatives are exact: the equations are traced and differentiated in compiled code, with one
 evaluation for each direction. The model holds at every state with closed loops, also in motion. The rotation
@@ -124,62 +126,71 @@ def linearize(
         raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")
     # names of coordinates, inputs and outputs
     freedoms = chosen_freedoms(scene, state, coordinates)
-    mechanism, laws = scene.mechanism, tuple(law.key for law in scene.control)
-    names = list(map(mechanism.coordinate_name, laws)) if inputs is None else list(inputs)
-    known = _inputs(with_laws(scene, scene.control if closed_loop else ()), names)
-    rows = [freedom.name for freedom in freedoms] if outputs is None else list(outputs)
-    keys = [mechanism.coordinate(name) for name in rows if _is_coordinate(scene, name)]
-    forces = [name for name in known if isinstance(name, tuple)]
-    parameters = tuple(name for name in known if isinstance(name, str))
-    measured = tuple(dict.fromkeys([*(f.key for f in freedoms if f.key), *forces, *keys, *laws]))
-    compiled = _compiled(scene, freedoms, measured, parameters, closed_loop, _chosen(scene, state))
-    return compiled.linearized(state, known, names, rows, time)
+    mechanism, law_keys = scene.mechanism, tuple(law.key for law in scene.control)
+    input_names = list(map(mechanism.coordinate_name, law_keys)) if inputs is None else list(inputs)
+    resolved = _resolved_inputs(with_laws(scene, scene.control if closed_loop else ()), input_names)
+    output_names = [freedom.name for freedom in freedoms] if outputs is None else list(outputs)
+    # joint coordinates that the equations have to measure, and parameters among the inputs
+    output_keys = [mechanism.coordinate(name) for name in output_names if _is_coordinate(scene, name)]
+    force_keys = [key for key in resolved if isinstance(key, tuple)]
+    freedom_keys = [freedom.key for freedom in freedoms if freedom.key]
+    measured = tuple(dict.fromkeys([*freedom_keys, *force_keys, *output_keys, *law_keys]))
+    parameters = tuple(name for name in resolved if isinstance(name, str))
+    rows = _well_conditioned_rows(scene, state)
+    compiled = _compiled(scene, freedoms, measured, parameters, closed_loop, rows)
+    return compiled.linearized(state, resolved, input_names, output_names, time)
 
 
 def _is_coordinate(scene: Scene, name: str | Key) -> bool:
-    """True if a name stands for a joint coordinate."""
+    """Return True if a name stands for a joint coordinate."""
     return isinstance(name, tuple) or name in scene.mechanism.joint_names
 
 
-def _chosen(scene: Scene, state: State) -> tuple[int, ...] | None:
-    """Choose constraint rows that are well conditioned at a state.
+def _well_conditioned_rows(scene: Scene, state: State) -> tuple[int, ...] | None:
+    """Select constraint rows that are well conditioned at a state.
 
-    Of redundant constraint rows, some are exchangeable: each may be omitted in place of another. The result
-    has the numbers of the rows in use; None if no rows are exchangeable.
+    A constraint row is one scalar constraint equation. If constraints are redundant, some rows are
+    exchangeable: which of them is best left out depends on the configuration. The result has the numbers of
+    the rows in use, the others are left out; None if no rows are exchangeable.
     """
     system = Relative(scene)
     exchangeable = exchangeable_rows(system)
     if not exchangeable.numbers:
         return None
-    used, others = candidate_rows(system, exchangeable=exchangeable)
-    rows = RowsInUse(system.rows_of([*used, *others]))
+    used, left_out = candidate_rows(system, exchangeable=exchangeable)
+    rows = RowsInUse(system.rows_of([*used, *left_out]))
+    # a flag is 1 for a row that is left out
     flags = flags_at(system, system.coordinates(state)[0], rows.numbers, exchangeable)
     return tuple(rows._replace(flags=dict(zip(exchangeable.numbers, flags, strict=True))).in_use)
 
 
-def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
-    """Find the joint coordinates (for forces) and the parameters that names of inputs stand for."""
-    found: list[Key | str] = []
+def _resolved_inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
+    """Return, for each name, the key of a joint coordinate (input is a force) or the name of a parameter."""
+    resolved: list[Key | str] = []
     for name in names:
         if _is_coordinate(scene, name):
-            found.append(scene.mechanism.coordinate(name))
+            resolved.append(scene.mechanism.coordinate(name))
             continue
         try:
             check_dynamic(scene, [str(name)], "input of a linear model")
-            found.append(unambiguous(scene, str(name)))
+            resolved.append(unambiguous(scene, str(name)))
         except UnknownNameError as error:
             near = nearest(name, (*scene.mechanism.joint_names, *error.valid))
             raise UnknownNameError("input", name, near, proposed=True) from error
-    return found
+    return resolved
 
 
 class Linearization:
     """Derivatives of the accelerations of independent coordinates, in native code; see `linearize`.
 
     Attributes:
-        scene: the scene with the control laws of the closed loop, then laws without force on the measured
-            coordinates, whose feedforwards are inputs.
-        values: values of the inputs: these feedforwards, parameters, then pieces of functions.
+        original: the scene that is linearized.
+        scene: the same scene with the control laws of the closed loop, followed by laws of zero force on the
+            measured coordinates. The constant force (feedforward) of each of these laws is an input.
+        values: values of the inputs by parameter name: these constant forces, parameters, then coefficients
+            of the polynomial pieces of functions of time.
+        system: equations of `scene` in joint coordinates.
+        rows: constraint rows in use.
     """
 
     def __init__(
@@ -199,16 +210,17 @@ class Linearization:
             measured: joint coordinates of freedoms, inputs, outputs and control laws.
             parameters: names of the parameters that are inputs.
             closed_loop: True if control laws act.
-            used: constraint rows that are well conditioned at the state, see `_chosen`.
+            used: constraint rows that are well conditioned at the state, see `_well_conditioned_rows`.
         """
         self.original, self.freedoms, self.measured = scene, freedoms, measured
-        self.closed_loop, kept = closed_loop, scene.control if closed_loop else ()
-        self.scene = with_laws(scene, [*kept, *measuring(scene, measured).control])
-        self._probes = {
-            key: numbered("control", len(kept) + k, "feedforward") for k, key in enumerate(measured)
+        self.closed_loop, laws = closed_loop, scene.control if closed_loop else ()
+        self.scene = with_laws(scene, [*laws, *measuring(scene, measured).control])
+        # parameter name of the constant force on each measured coordinate
+        self._force_names = {
+            key: numbered("control", len(laws) + k, "feedforward") for k, key in enumerate(measured)
         }
         self._pieces = tuple(pieces(self.scene, 0.0))
-        names = [*self._probes.values(), *parameters, *self._pieces]
+        names = [*self._force_names.values(), *parameters, *self._pieces]
         self.values = parameter_values(self.scene, names)
         self.system = Relative(self.scene)
         self.used, self.rows = used, rows_in_use(self.system, used)
@@ -216,13 +228,14 @@ class Linearization:
     @cached_property
     def function(self) -> NativeFunction:
         """Compiled function of (q, v, inputs, a direction of these three, time), see `_trace`."""
-        begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
+        # all that the code depends on; constraint rows depend on prescribed motions at the initial pose
+        initial_motions = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         inputs = parameter_layout(self.scene, self.values)
         names = tuple(label(freedom.name) for freedom in self.freedoms)
-        chosen = self.scene, names, self.measured, inputs, self.used, begun
+        depends_on = self.scene, names, self.measured, inputs, self.used, initial_motions
         count = 2 * self._count + 1
         return native_program(
-            "linearization", count, self._trace, *chosen, neutral=NOT_COMPILED_FIELDS, many=True
+            "linearization", count, self._trace, *depends_on, neutral=NOT_COMPILED_FIELDS, many=True
         )
 
     @property
@@ -231,7 +244,10 @@ class Linearization:
         return self.system.nq + self.system.nv + sum(value.size for value in self.values.values())
 
     def _trace(self, variables: Array) -> tuple[list[Scalar], None]:
-        """Trace zddot, its derivative, that of [J; J_z] v at constant v, and the pivot ratio."""
+        """Trace zddot (d,), its derivative along a direction, that of [J; J_z] v at constant v, pivot ratio.
+
+        The pivot ratio is about 1 far from singular configurations, and at most 0 at one.
+        """
         nq, nv, graph = self.system.nq, self.system.nv, variables[-1].graph
         x, directions, (time,) = np.split(variables, [self._count, 2 * self._count])
         # accelerations of the independent coordinates
@@ -241,9 +257,11 @@ class Linearization:
         solution = system.sparse_solution(q, v, self.rows)
         keys = [freedom.key for freedom in self.freedoms if freedom.key]
         rows, gamma = system.sparse_coordinates(q, v, keys)
-        of_joints = iter([dot(row, solution.acceleration) - g for row, g in zip(rows, gamma, strict=True)])
+        joint_accelerations = iter(
+            [dot(row, solution.acceleration) - g for row, g in zip(rows, gamma, strict=True)]
+        )
         accelerations = [
-            next(of_joints) if freedom.key else solution.acceleration.get(freedom.place, 0.0)
+            next(joint_accelerations) if freedom.key else solution.acceleration.get(freedom.place, 0.0)
             for freedom in self.freedoms
         ]
         # [J; J_z] v, whose change along z at constant v gives dv
@@ -261,41 +279,43 @@ class Linearization:
 
     @cached_property
     def _places(self) -> dict[str, slice]:
-        """Slices of the inputs among all their numbers."""
+        """Slice of each input, by name, in the vector (m,) of the numbers of all inputs."""
         ends = list(accumulate((value.size for value in self.values.values()), initial=0))
         return dict(zip(self.values, map(slice, ends, ends[1:]), strict=True))
 
     def _values(self, given: Array) -> dict[str, Any]:
         """Return the inputs by name from their numbers (m,)."""
-        return {
-            name: given[self._places[name]].reshape(own.shape) if own.shape else given[self._places[name]][0]
-            for name, own in self.values.items()
-        }
+        values = {}
+        for name, value in self.values.items():
+            numbers = given[self._places[name]]
+            values[name] = numbers.reshape(value.shape) if value.shape else numbers[0]
+        return values
 
-    def _whole(self, given: Array) -> Scene:
-        """Return the scene with inputs (m,), with functions of time instead of their pieces."""
-        whole = {name: value for name, value in self._values(given).items() if name not in self._pieces}
-        return with_values(self.scene, whole)
+    def _scene_without_pieces(self, given: Array) -> Scene:
+        """Return the scene with inputs (m,), except the polynomial pieces of its functions of time."""
+        values = {name: value for name, value in self._values(given).items() if name not in self._pieces}
+        return with_values(self.scene, values)
 
     def tangent(self, q: Array) -> tuple[Array, Array]:
-        """Compute [J; J_z]^-1 (nv, k + d), and T (nv, d), its last columns.
+        """Compute [J; J_z]^-1 (nv, k + d), and T (nv, d), its last columns, at q (nq,).
 
         Raises:
             SingularityError: naming a coordinate that does not determine the motion.
         """
         system = self.system
-        closed = dimensionless_jacobian(system, q)[self.rows.numbers]
-        rows = np.concatenate([closed, rates_of(system, q, self.freedoms)])
+        loop_rows = dimensionless_jacobian(system, q)[self.rows.numbers]
+        rows = np.concatenate([loop_rows, rates_of(system, q, self.freedoms)])
         left, values, _ = singular_values(rows, full=True)
         if values[-1:] < MIN_SINGULAR_VALUE:
-            share = np.abs(left[len(closed) :, -1])
+            # the coordinate with the largest share in the dependent combination of rows
+            share = np.abs(left[len(loop_rows) :, -1])
             name = self.freedoms[int(np.argmax(share))].name
             raise SingularityError(
                 label(name), "the coordinate depends on loops and the other coordinates there"
             )
         units = np.concatenate([system.phi_units[self.rows.numbers], [each.unit for each in self.freedoms]])
         inverse = system.velocity_units[:, None] * np.linalg.inv(rows) / units
-        return inverse, inverse[:, len(closed) :]
+        return inverse, inverse[:, len(loop_rows) :]
 
     def linearized(
         self,
@@ -305,66 +325,77 @@ class Linearization:
         outputs: Sequence[str | Key],
         time: float,
     ) -> LinearModel:
-        """Evaluate the matrices at a state and a time, s, for inputs and outputs of these names."""
+        """Evaluate the matrices at a state.
+
+        Args:
+            state: state with closed loops.
+            inputs: keys of joint coordinates and names of parameters, from `_resolved_inputs`.
+            names: names of these inputs as the user gave them.
+            outputs: names of joint coordinates, freedoms or bodies.
+            time: s.
+        """
         # the state in joint coordinates, and the numbers of the inputs
         system, freedoms, d = at_time(self.system, time), self.freedoms, len(self.freedoms)
         q, v = system.coordinates(state)
         values = self.values | pieces(self.scene, time)
         if not self.closed_loop:
             held = held_forces(self.original, state, time)
-            values |= {self._probes[key]: np.array(force) for key, force in held.items()}
+            values |= {self._force_names[key]: np.array(force) for key, force in held.items()}
         given = np.concatenate([np.zeros(0), *(np.ravel(value) for value in values.values())])
         self._check_closed(system, q, v)
         # T, and its columns as rates of q
         inverse, tangent = self.tangent(q)
         on_q = np.array([system.rate(q, column) for column in tangent.T]).reshape(d, system.nq)
 
-        def along(by_q: Array, by_v: Array, by_input: Array) -> Array:
-            """Evaluate the function (n, outputs) along directions (n, nq), (n, nv) and (n, m)."""
+        def derivatives_along(by_q: Array, by_v: Array, by_input: Array) -> Array:
+            """Evaluate `function` (n, results) along directions (n, nq), (n, nv) and (n, m)."""
             directions = np.column_stack([by_q, by_v, by_input])
-            same = np.tile(np.concatenate([q, v, given]), (len(directions), 1))
-            return at_rows(self.function, np.column_stack([same, directions, np.full(len(directions), time)]))
+            state_rows = np.tile(np.concatenate([q, v, given]), (len(directions), 1))
+            times = np.full(len(directions), time)
+            return at_rows(self.function, np.column_stack([state_rows, directions, times]))
 
-        # derivatives along z at constant v give dv; then along z with dv, along zdot, and along the inputs
-        n, m = d, len(given)
+        # a change of a parameter of a function of time also changes the coefficients of its current piece
+        m = len(given)
         by_input = np.eye(m)
         if self._pieces:
-            for name, changes in pieces_along(self._whole, given, np.eye(m), time).items():
+            for name, changes in pieces_along(self._scene_without_pieces, given, np.eye(m), time).items():
                 by_input[:, self._places[name]] += changes.T
-        still = along(on_q, np.zeros((n, system.nv)), np.zeros((n, m)))
-        on_v = -still[:, 2 * d : -1] @ inverse.T
-        found = along(
-            np.concatenate([on_q, np.zeros((n + m, system.nq))]),
+        # derivatives along z at constant v give dv; then along z with dv, along zdot, and along the inputs;
+        # columns of the results: zddot, its derivative, derivative of [J; J_z] v, pivot ratio
+        at_constant_v = derivatives_along(on_q, np.zeros((d, system.nv)), np.zeros((d, m)))
+        on_v = -at_constant_v[:, 2 * d : -1] @ inverse.T
+        results = derivatives_along(
+            np.concatenate([on_q, np.zeros((d + m, system.nq))]),
             np.concatenate([on_v, tangent.T, np.zeros((m, system.nv))]),
-            np.concatenate([np.zeros((2 * n, m)), by_input]),
+            np.concatenate([np.zeros((2 * d, m)), by_input]),
         )
-        if not np.isfinite(found).all() or not np.all(found[:, -1] > 0.0):
+        if not np.isfinite(results).all() or not np.all(results[:, -1] > 0.0):
             joint = fastest_joint(system.mechanism, state)
             raise SingularityError(joint, "accelerations are not determined at the state")
         # matrices; rotations of balls are about axes that turn
         a, twists = np.zeros((2 * d, 2 * d)), system.velocity_transformation(q) @ tangent
         a[:d, d:] = np.eye(d)
-        a[d:] = found[: 2 * d, d : 2 * d].T
+        a[d:] = results[: 2 * d, d : 2 * d].T
         for row, freedom in zip(a, freedoms, strict=False):
             if freedom.ball >= 0:  # d/dt dtheta = domega - omega x dtheta
                 place = slice(freedom.ball, freedom.ball + 3)
                 row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.place - freedom.ball]
-        b, labels = self._columns(found[2 * d :, d : 2 * d], inputs, names)
-        c, rows = self._outputs(q, tangent, twists, outputs)
+        b, input_labels = self._columns(results[2 * d :, d : 2 * d], inputs, names)
+        c, output_labels = self._outputs(q, tangent, twists, outputs)
         rates = rates_of(self.system, q, freedoms)
         return LinearModel(
             scene=self.original.name,
             state=state,
             coordinates=tuple(freedom.name for freedom in freedoms),
-            inputs=labels,
-            outputs=rows,
+            inputs=input_labels,
+            outputs=output_labels,
             units=np.array([freedom.unit for freedom in freedoms]),
             size=system.mechanism.size,
             A=a,
             B=np.concatenate([np.zeros_like(b), b]),
             C=np.hstack([c, np.zeros_like(c)]),
             D=np.zeros((len(c), b.shape[1])),
-            f=np.concatenate([rates @ (v / system.velocity_units), found[0, :d]]),
+            f=np.concatenate([rates @ (v / system.velocity_units), results[0, :d]]),
             twists=twists.reshape(-1, 6, d),
         )
 
@@ -383,29 +414,46 @@ class Linearization:
     def _columns(
         self, table: Array, inputs: Sequence[Key | str], names: Sequence[str | Key]
     ) -> tuple[Array, tuple[str | Key, ...]]:
-        """Select the columns (d, m) of the inputs from rows for all numbers; return their names, too."""
+        """Select the columns of B that belong to the accelerations, for the inputs asked for.
+
+        Args:
+            table: (numbers of all inputs, d) derivatives of the accelerations.
+            inputs: keys of joint coordinates and names of parameters.
+            names: names of these inputs as the user gave them.
+
+        Returns:
+            Columns (d, m); their names. An input of several numbers has one column for each number.
+        """
         columns, labels = [np.zeros((0, table.shape[1]))], list[str | Key]()
         for each, name in zip(inputs, names, strict=True):
-            known = each if isinstance(each, str) else self._probes[each]
-            count = self.values[known].size
-            columns.append(table[self._places[known]])
+            parameter = each if isinstance(each, str) else self._force_names[each]
+            count = self.values[parameter].size
+            columns.append(table[self._places[parameter]])
             labels += [name] if count == 1 else [f"{name}[{k}]" for k in range(count)]
         return np.concatenate(columns).T, tuple(labels)
 
     def _outputs(
         self, q: Array, tangent: Array, twists: Array, names: Sequence[str | Key]
     ) -> tuple[Array, tuple[str | Key, ...]]:
-        """Compute rows (p, d) of the outputs for the coordinates; return their names, too."""
+        """Compute the Jacobian (p, d) of the outputs with respect to the coordinates, and output names.
+
+        Args:
+            q: (nq,) configuration.
+            tangent: (nv, d) T.
+            twists: (6 b, d) Jacobian of the velocities of all bodies.
+            names: names of joint coordinates, freedoms or bodies.
+        """
         mechanism = self.scene.mechanism
         measured = self.system.measured(q, np.zeros(self.system.nv))
         rows, labels = [np.zeros((0, tangent.shape[1]))], list[str | Key]()
+        freedom_names = [freedom.name for freedom in self.freedoms]
         for name in names:
             if _is_coordinate(self.scene, name):
                 jacobian = measured[mechanism.coordinate(name)].jacobian
                 rows.append(sum(x * tangent[k] for k, x in jacobian.items())[None])
                 labels.append(name)
-            elif name in (every := [freedom.name for freedom in self.freedoms]):
-                rows.append(np.eye(len(every))[[every.index(name)]])
+            elif name in freedom_names:
+                rows.append(np.eye(len(freedom_names))[[freedom_names.index(name)]])
                 labels.append(name)
             else:
                 check_choice("output", name, (*mechanism.joint_names, *mechanism.body_names))
@@ -416,6 +464,7 @@ class Linearization:
 
 
 _compiled = lru_cache(maxsize=CACHED_SCENES)(Linearization)
+"""Constructor of `Linearization` that keeps recent objects, whose compiled code is used again."""
 
 
 def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
@@ -425,4 +474,5 @@ def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
     if scene.sampled:
         readings = np.array(system.measure(q, v), dtype=float)
         system = with_held_values(system, Controllers(scene).sample(scene.sampled, time, readings))
+    # forces of control laws come first, then those of springs
     return {law.key: float(u) for law, u in zip(scene.control, system.joint_forces(q, v), strict=False)}

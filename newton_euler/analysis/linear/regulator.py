@@ -1,4 +1,7 @@
-"""Linear-quadratic regulators: feedback of all independent coordinates from the linear model of a scene."""
+"""Linear-quadratic regulators: feedback of all independent coordinates from the linear model of a scene.
+
+A key (joint, number) names a joint coordinate.
+"""
 
 from __future__ import annotations
 
@@ -61,19 +64,26 @@ def lqr(
     """
     from scipy.linalg import solve_continuous_are
 
-    # the linear model about the state, with the actuators' holding forces
-    mechanism, acting = scene.mechanism, _actuated(scene, actuators)
-    if not acting:
+    # the state at rest, and the forces u_0 of the actuators that hold it
+    mechanism, actuator_keys = scene.mechanism, _actuated(scene, actuators)
+    if not actuator_keys:
         raise OptionError("actuators", (), "one joint coordinate or more")
     start = initial_state(scene) if state is None else state
-    still = np.zeros_like(start.position)
-    state = replace(start, linear_velocity=still, angular_velocity=still)
-    held = statics(scene, state, [mechanism.coordinate_name(key) for key in acting]).actuator_force
-    laws = [PD(joint, 0.0, 0.0, 0.0, k, float(u)) for (joint, k), u in zip(acting, held, strict=True)]
-    model = linearize(replace(scene, control=tuple(laws)), state, coordinates, acting, [])
+    zero = np.zeros_like(start.position)
+    state = replace(start, linear_velocity=zero, angular_velocity=zero)
+    names = [mechanism.coordinate_name(key) for key in actuator_keys]
+    holding_forces = statics(scene, state, names).actuator_force
+    # the linear model about the state, under control laws of these constant forces
+    laws = [
+        PD(joint, stiffness=0.0, damping=0.0, target=0.0, coordinate=k, feedforward=float(force))
+        for (joint, k), force in zip(actuator_keys, holding_forces, strict=True)
+    ]
+    model = linearize(
+        replace(scene, control=tuple(laws)), state, coordinates, inputs=actuator_keys, outputs=[]
+    )
     keys = [_coordinate(scene, name) for name in model.coordinates]
     # gains from the Riccati equation
-    q, r = _weights("Q", Q, 2 * len(keys)), _weights("R", R, len(acting))
+    q, r = _weights("Q", Q, 2 * len(keys)), _weights("R", R, len(actuator_keys))
     try:
         with np.errstate(all="ignore"):  # numbers are checked
             p = solve_continuous_are(model.A, model.B, q, r)
@@ -84,18 +94,23 @@ def lqr(
         needed = "positive weights of forces, and weights of all that does not come to rest by itself"
         where = f"the pair Q and R for scene {scene.name!r}"
         raise OptionError(where, (q.tolist(), r.tolist()), needed) from error
-    # control laws: one for each actuator, with gains of all coordinates
+    # r of each coordinate: the target, or the value at the state
     given = {mechanism.coordinate(name): value for name, value in (targets or {}).items()}
-    wanted = {key: given.get(key, measured_coordinate(scene, state, key)[0]) for key in keys}
-    found = []
-    for (joint, k), u, (k_p, k_d) in zip(acting, held, np.stack(np.split(gains, 2, axis=1), 1), strict=True):
-        own: dict[str | Key, tuple[float, float]] = dict(
-            zip(keys, zip(k_p.tolist(), k_d.tolist(), strict=True), strict=True)
-        )
-        others: dict[str | Key, float | TimeFunction] = dict(wanted)
-        others.pop((joint, k), None)
-        found.append(StateFeedback(joint, own, wanted.get((joint, k), 0.0), k, float(u), others))
-    return tuple(found)
+    references = {key: given.get(key, measured_coordinate(scene, state, key)[0]) for key in keys}
+    # control laws: one for each actuator, with gains (proportional, derivative) of all coordinates
+    feedback = []
+    proportional, derivative = np.split(gains, 2, axis=1)
+    for (joint, k), force, k_p, k_d in zip(
+        actuator_keys, holding_forces, proportional, derivative, strict=True
+    ):
+        law_gains: dict[str | Key, tuple[float, float]] = {
+            key: (float(p_gain), float(d_gain)) for key, p_gain, d_gain in zip(keys, k_p, k_d, strict=True)
+        }
+        others: dict[str | Key, float | TimeFunction] = dict(references)
+        target = others.pop((joint, k), 0.0)  # the coordinate that the actuator moves may be none of x
+        law = StateFeedback(joint, law_gains, target, coordinate=k, feedforward=float(force), targets=others)
+        feedback.append(law)
+    return tuple(feedback)
 
 
 def _actuated(scene: Scene, actuators: Sequence[str | Key] | None) -> tuple[Key, ...]:
