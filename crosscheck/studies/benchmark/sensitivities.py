@@ -20,7 +20,7 @@ from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately, time_text
 from newton_euler import compile_scene
 from newton_euler.analysis.sensitivity.tangent_code import tangent_code
-from newton_euler.analysis.sensitivity.tangent_run import FollowedRun, tangent_options
+from newton_euler.analysis.sensitivity.tangent_run import TangentRun, tangent_options
 from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
 from newton_euler.equations.parameters import parameter_names
 from newton_euler.errors import SensitivityError
@@ -74,7 +74,7 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost
     for kind, names in wanted:
         progress(f"compiling derivatives, parameters: {len(names)}")
         code = tangent_code(scene, names, None)
-        run = FollowedRun(code, options, ["output"])
+        run = TangentRun(code, options, ["output"])
         try:
             start = Starts(code, names)(own_numbers(scene, names))
             _run_with_sensitivities(run, *start)
@@ -88,7 +88,7 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost
     return [SensitivityCost(*each, taken) for each, taken in zip(described, times, strict=True)]
 
 
-def _run_with_sensitivities(run: FollowedRun, start: Array, directions: Array) -> None:
+def _run_with_sensitivities(run: TangentRun, start: Array, directions: Array) -> None:
     """Integrate the motion and its derivatives, from copies of the start, which the run overwrites.
 
     Args:

@@ -24,7 +24,7 @@ from newton_euler.analysis.identification.measurements import (
     initial_name,
 )
 from newton_euler.analysis.sensitivity.tangent_code import ALONG, tangent_code
-from newton_euler.analysis.sensitivity.tangent_run import Followed, FollowedRun
+from newton_euler.analysis.sensitivity.tangent_run import TangentResults, TangentRun
 from newton_euler.analysis.sensitivity.tangent_starts import Starts
 from newton_euler.compiled.equations import CACHED_SCENES
 from newton_euler.equations.undetermined import is_undetermined, redundancy_text, undetermined_joints
@@ -130,7 +130,7 @@ class Residuals:
         self._models = []
         for run, columns in zip(self.runs, self._columns, strict=True):
             programs = sorted({column.program for column in columns})
-            self._models.append((Starts(code, names, run.start), FollowedRun(code, options, programs)))
+            self._models.append((Starts(code, names, run.start), TangentRun(code, options, programs)))
         # parameter values of the last evaluation, as bytes, and its result
         self._last: tuple[bytes, ResidualValues] | None = None
 
@@ -259,7 +259,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _selected(followed: Followed, columns: list[Column]) -> tuple[Array, Array]:
+def _selected(followed: TangentResults, columns: list[Column]) -> tuple[Array, Array]:
     """Return the m computed columns (n, m) of a simulated run and their derivatives (n, m, p)."""
     values, derivatives = [], []
     for column in columns:

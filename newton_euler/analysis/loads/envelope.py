@@ -44,12 +44,12 @@ class LoadRange:
 
     Attributes:
         element: name of the joint, or of the joint coordinate that an actuator acts on.
-        quantity: see `load_envelope`.
+        quantity: name such as "shear force", see `load_envelope`.
         unit: unit of the values.
-        least, most: smallest and largest value.
+        least, most: smallest and largest value, with signs.
         least_time, most_time: times, s, at which these values are first reached.
         least_case, most_case: names of the cases with these values.
-        rms: root of the mean square over time, in the case in which it is largest.
+        rms: root of the mean square over time, of the case with the largest one.
         rms_case: name of this case.
 
     Examples:
@@ -136,22 +136,22 @@ class LoadEnvelope:
 def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> LoadEnvelope:
     """Compute the ranges of the loads of joints and actuators over runs.
 
-    Loads of a joint are those on its second body at the joint point:
+    Loads of a joint are the reactions on its second body, with torques about the joint point:
 
     - `force x`, `force y`, `force z` and `torque x`, ... along the world's axes, `force` and `torque` their
       magnitudes;
     - for a joint with one axis: `axial force` and `axial torque` along the axis, `shear force` and `bending
-      torque` across it, and their components `force u`, `force w`, `torque u`, `torque w` along two further
-      axes. The axes u, w and the joint's own are right-handed and turn with the first body.
+      torque` perpendicular to the axis, and their components `force u`, `force w`, `torque u`, `torque w`.
+      The axes u, w and the axis of the joint form a right-handed frame that turns with the first body.
 
-    Peaks are peaks of the output times. The force of a prescribed motion is part of the axial load of its
-    joint. The force of a control law is not: it is the load of an actuator, named as the coordinate that it
-    acts on: `actuator force` (N or N m), `speed` (m/s or rad/s), `power` (W), and `work` and `energy` (J) up
-    to each time, see `work_and_energy`.
+    Values between output times are not examined. The force of a prescribed motion is part of the axial load
+    of its joint. The force of a control law is not part of a joint's load. Its force is the load of an
+    actuator, which has the name of the joint coordinate that the law acts on: `actuator force` (N or N m),
+    `speed` (m/s or rad/s), `power` (W), and `work` and `energy` (J) up to each time, see `work_and_energy`.
 
     Args:
         scene: the mechanism and its control laws.
-        runs: one run of newton_euler, MuJoCo or Pinocchio or of `rest_case`, or several by names of cases.
+        runs: one trajectory, of newton_euler, MuJoCo, Pinocchio or `rest_case`, or several by names of cases.
             The scenes of the cases have the same bodies, joints and controlled joint coordinates.
 
     Raises:
@@ -169,14 +169,14 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
     cases = {"run": runs} if isinstance(runs, Trajectory) else dict(runs)
     if not cases:
         raise MechanismError("load envelope", "has no cases", "one run or more")
-    found: list[dict[Load, Array]] = []
+    loads_of_joints: list[dict[Load, Array]] = []
     for name, run in cases.items():
         _check_run(scene, name, run)
-        found.append(joint_loads(scene, run))
+        loads_of_joints.append(joint_loads(scene, run))
+    loads_of_actuators = [actuator_loads(scene, run) for run in cases.values()]
     # their ranges
-    joints = tuple(_range(load, cases, found) for load in found[0])
-    found = [actuator_loads(scene, run) for run in cases.values()]
-    actuators = tuple(_range(load, cases, found) for load in found[0])
+    joints = tuple(_range(load, cases, loads_of_joints) for load in loads_of_joints[0])
+    actuators = tuple(_range(load, cases, loads_of_actuators) for load in loads_of_actuators[0])
     return LoadEnvelope(tuple(cases), joints, actuators)
 
 
@@ -197,22 +197,22 @@ def rest_case(scene: Scene) -> Trajectory:
         >>> round(weight / 9.81, 3)  # kg
         1.482
     """
-    held, state = statics(scene), initial_state(scene)
-    still = np.zeros_like(state.position)[None]
-    names = scene.mechanism.body_names, scene.mechanism.joint_names
-    poses = state.position[None], state.quaternion[None]
+    loads, state = statics(scene), initial_state(scene)
+    zero_velocities = np.zeros_like(state.position)[None]
     return Trajectory(
-        "newton_euler",
-        {},
-        0.0,
-        np.zeros(1),
-        *names,
-        *poses,
-        linear_velocity=still,
-        angular_velocity=still,
-        reaction_force=held.reaction_force[None],
-        reaction_torque=held.reaction_torque[None],
-        actuator_force=held.actuator_force[None],
+        engine="newton_euler",
+        settings={},
+        wall_time=0.0,
+        time=np.zeros(1),
+        body_names=scene.mechanism.body_names,
+        joint_names=scene.mechanism.joint_names,
+        position=state.position[None],
+        quaternion=state.quaternion[None],
+        linear_velocity=zero_velocities,
+        angular_velocity=zero_velocities,
+        reaction_force=loads.reaction_force[None],
+        reaction_torque=loads.reaction_torque[None],
+        actuator_force=loads.actuator_force[None],
         angle_names=tuple(scene.mechanism.coordinate_labels[key] for key in state.angles),
         joint_angle=np.array([[*state.angles.values()]]) if state.angles else None,
         mechanism=scene.mechanism,
@@ -235,10 +235,10 @@ def joint_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
     """Compute the loads (n,) of all joints over a run, see `load_envelope`."""
     assert run.reaction_force is not None
     assert run.reaction_torque is not None
-    found: dict[Load, Array] = {}
+    loads: dict[Load, Array] = {}
     for k, joint in enumerate(scene.mechanism.joints):
         axes = _axes(scene, joint, run)
-        for what, unit, across, vectors in (
+        for what, unit, perpendicular, vectors in (
             ("force", "N", "shear force", run.reaction_force[:, k]),
             ("torque", "N m", "bending torque", run.reaction_torque[:, k]),
         ):
@@ -248,12 +248,12 @@ def joint_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
                 u, w, axial = np.einsum("nij,ni->jn", axes, vectors)
                 components |= {
                     f"axial {what}": axial,
-                    across: np.hypot(u, w),
+                    perpendicular: np.hypot(u, w),
                     f"{what} u": u,
                     f"{what} w": w,
                 }
-            found |= {Load(joint.name, quantity, unit): values for quantity, values in components.items()}
-    return found
+            loads |= {Load(joint.name, quantity, unit): values for quantity, values in components.items()}
+    return loads
 
 
 def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
@@ -268,20 +268,22 @@ def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
         axes = [getattr(joint, "axis")]  # noqa: B009 (kinds with one axis)
     if not axes or any(np.linalg.norm(np.cross(axes[0], axis)) > 0.0 for axis in axes):
         return None
+    # columns u, w and axis: world frame at the initial pose, then frame of the first body, then world frame
     first = scene.mechanism.body_index(joint.first)
-    frame = np.column_stack([*perpendicular_pair(axes[0]), axes[0]])
-    turn = scene.mechanism.bodies[first].pose.rotation.T
-    return np.asarray(rotations(run.quaternion[:, first]) @ turn @ frame)
+    initial_axes = np.column_stack([*perpendicular_pair(axes[0]), axes[0]])
+    to_body_frame = scene.mechanism.bodies[first].pose.rotation.T
+    return np.asarray(rotations(run.quaternion[:, first]) @ to_body_frame @ initial_axes)
 
 
 def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
     """Compute the loads (n,) of all actuators over a run, see `load_envelope`."""
-    found: dict[Load, Array] = {}
+    loads: dict[Load, Array] = {}
     for k, law in enumerate(scene.control):
         assert run.actuator_force is not None
         joint = scene.mechanism.joint(law.joint)
         name, is_slide = coordinate_name(joint, law.coordinate), scene.mechanism.is_slide(*law.key)
         force = run.actuator_force[:, k]
+        # a trajectory measures joint coordinates by its mechanism, which a run of another engine may lack
         motion = replace(run, mechanism=scene.mechanism).joint(joint.name)
         assert motion.rates is not None
         speed = motion.rates[:, law.coordinate]
@@ -293,8 +295,8 @@ def actuator_loads(scene: Scene, run: Trajectory) -> dict[Load, Array]:
             ("work", "J", work),
             ("energy", "J", energy),
         ):
-            found[Load(name, quantity, unit)] = values
-    return found
+            loads[Load(name, quantity, unit)] = values
+    return loads
 
 
 def work_and_energy(force: Array, coordinate: Array) -> tuple[Array, Array]:
@@ -306,8 +308,9 @@ def work_and_energy(force: Array, coordinate: Array) -> tuple[Array, Array]:
         force: (n,) N or N m.
         coordinate: (n,) m or rad.
     """
-    steps = _trapezoids(force, coordinate)
-    work, energy = (np.concatenate([[0.0], np.cumsum(each)]) for each in (steps, np.maximum(steps, 0.0)))
+    work_steps = _trapezoids(force, coordinate)
+    energy_steps = np.maximum(work_steps, 0.0)
+    work, energy = (np.concatenate([[0.0], np.cumsum(steps)]) for steps in (work_steps, energy_steps))
     return work, energy
 
 
@@ -316,31 +319,30 @@ def _trapezoids(values: Array, x: Array) -> Array:
     return 0.5 * (values[1:] + values[:-1]) * np.diff(x)
 
 
-def _range(load: Load, cases: Mapping[str, Trajectory], found: list[dict[Load, Array]]) -> LoadRange:
+def _range(load: Load, cases: Mapping[str, Trajectory], loads_of_cases: list[dict[Load, Array]]) -> LoadRange:
     """Compute the range of a load over all cases.
 
     Args:
         load: the load.
         cases: runs by names of cases.
-        found: for each case, values (n,) of all loads.
+        loads_of_cases: for each case, values (n,) of all loads.
     """
-    extremes = [
-        (float(values[k]), float(run.time[k]), case)
-        for (case, run), loads in zip(cases.items(), found, strict=True)
-        for values in [loads[load]]
-        for k in (int(np.argmin(values)), int(np.argmax(values)))
-    ]
-    squares = [
-        (_mean(loads[load] ** 2, run.time), case)
-        for (case, run), loads in zip(cases.items(), found, strict=True)
-    ]
-    mean, case = max(squares, key=itemgetter(0))
+    # smallest and largest value of each case: (value, time, case); mean square of each case
+    extremes: list[tuple[float, float, str]] = []
+    squares: list[tuple[float, str]] = []
+    for (case, run), loads in zip(cases.items(), loads_of_cases, strict=True):
+        values = loads[load]
+        for k in (int(np.argmin(values)), int(np.argmax(values))):
+            extremes.append((float(values[k]), float(run.time[k]), case))
+        squares.append((_mean(values**2, run.time), case))
+    # of all cases
+    mean_square, rms_case = max(squares, key=itemgetter(0))
     least, most = min(extremes, key=itemgetter(0)), max(extremes, key=itemgetter(0))
-    return LoadRange(*load, *least, *most, float(np.sqrt(mean)), case)
+    return LoadRange(*load, *least, *most, float(np.sqrt(mean_square)), rms_case)
 
 
 def _mean(values: Array, time: Array) -> float:
-    """Average values (n,) over time; a single output is its own average."""
+    """Average values (n,) over time, s, by the trapezoidal rule; a single value is its own average."""
     if len(time) == 1:
         return float(values[0])
     return float(np.cumsum(_trapezoids(values, time))[-1] / (time[-1] - time[0]))

@@ -32,9 +32,9 @@ converges quadratically: the remaining error is about the square of the step."""
 def at_rest(scene: Scene) -> Scene:
     """Return the scene with a start at rest and prescribed motions held at their values at time 0."""
     start = initial_state(scene)
-    still = np.zeros_like(start.position)
+    zero = np.zeros_like(start.position)
     motions = tuple(motion.held_at_start() for motion in scene.motions)
-    state = replace(start, linear_velocity=still, angular_velocity=still)
+    state = replace(start, linear_velocity=zero, angular_velocity=zero)
     return replace(scene, motions=motions, initial_state=state)
 
 
@@ -64,13 +64,16 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
         scene.check_numbers(state, f"state of scene {scene.name!r}")
         start = replace(state, linear_velocity=start.linear_velocity, angular_velocity=start.angular_velocity)
     state = start
-    names = [freedom.name for freedom in chosen_freedoms(scene, state, None)]
-    system, model = Relative(scene), linearize(scene, state, names, [], [])
+    # d independent joint coordinates, and the linear model of their deviations; x = (deviations, rates)
+    names = [freedom.name for freedom in chosen_freedoms(scene, state, names=None)]
+    system, model = Relative(scene), linearize(scene, state, names, inputs=[], outputs=[])
+    d = len(names)
     for _ in range(MAX_ITERATIONS):
+        # accelerations, and their derivatives with respect to the coordinates (minus stiffness by mass)
+        accelerations, derivatives = model.f[d:], model.A[d:, :d]
         # The step in each mode is the acceleration divided by the magnitude of the eigenvalue. For a stable
         # mode this is Newton's step; for an unstable mode it follows the force, away from the equilibrium.
-        stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
-        values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
+        values, vectors = np.linalg.eig(derivatives * model.units / model.units[:, None])
         along = least_squares(vectors, accelerations / model.units)
         step = (vectors @ (along / np.maximum(np.abs(values), RIGID_MODE))).real
         if model.is_equilibrium and largest(step) < CONVERGED_STEP:
@@ -78,11 +81,11 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
         # take the step with limited length, and close the loops
         step *= min(1.0, MAX_EQUILIBRIUM_STEP / max(largest(step), MAX_EQUILIBRIUM_STEP))
         q, _ = system.coordinates(state)
-        motion = model.twists.reshape(-1, len(names)) @ (model.units * step)
-        v = least_squares(system.velocity_transformation(q), motion)
-        q = project_position(system, system.retract(q, v))
+        body_displacements = model.twists.reshape(-1, d) @ (model.units * step)
+        tree_step = least_squares(system.velocity_transformation(q), body_displacements)
+        q = project_position(system, system.retract(q, tree_step))
         state = system.state(q, np.zeros(system.nv))
-        model = linearize(scene, state, names, [], [])
+        model = linearize(scene, state, names, inputs=[], outputs=[])
     worst = names[int(np.argmax(np.abs(accelerations / model.units)))]
     problem = f"has no equilibrium nearby: coordinate {worst!r} still accelerates"
     raise MechanismError(f"scene {scene.name!r}", problem, "a state near one")

@@ -35,8 +35,9 @@ class Loads:
             for joints of several coordinates.
         joint_names: names (j,) of the joints of the reactions.
         actuator_force: (n, a) N or N m.
-        reaction_force, reaction_torque: (n, j, 3) on the second body, about its joint point, world frame. If
-            constraints are redundant, they are not unique, see `newton_euler.equations.reactions`.
+        reaction_force, reaction_torque: (n, j, 3) N and N m, on the second body of each joint, the torque
+            about its joint point, world frame. If constraints are redundant, reactions are not unique, see
+            `newton_euler.equations.reactions`.
 
     Examples:
         >>> held = statics(load("tracker_gravity"))
@@ -69,20 +70,20 @@ def inverse_dynamics(
     """Compute the forces of actuators that give joint coordinates wanted accelerations, and all reactions.
 
     Gravity, springs, dampers, wrenches, rotors and prescribed motions act as in a run; control laws do not.
-    If the actuators act on the coordinates themselves, freedoms without a wanted acceleration move freely. If
-    there are more actuators than coordinates, the forces with the least sum of squares are taken, in N m:
-    forces on slides count times the mechanism's size.
+    If the actuators act on the coordinates themselves, degrees of freedom without a wanted acceleration move
+    freely. If there are more actuators than coordinates, the forces with the least sum of squares are taken,
+    in N m: forces on slides are multiplied by the mechanism's size.
 
     Args:
         scene: the mechanism with its forces.
         states: one state; or n states: a trajectory, or poses of `newton_euler.solve_poses`, which are at
-            rest. Loops are closed.
+            rest. Loops must be closed.
         accelerations: m/s^2 or rad/s^2, one number or (n,), by the name of the joint, or by (name, number)
             for joints of several coordinates.
-        actuators: coordinates that actuators act on. If None, the coordinates of the scene's control laws,
-            or of `accelerations` if the scene has none.
+        actuators: joint coordinates that actuators act on. If None, the coordinates of the scene's control
+            laws, or of `accelerations` if the scene has none.
         rates: m/s or rad/s of the same coordinates, in place of the velocities of the states; a coordinate
-            without a rate has 0. Other freedoms move with the least kinetic energy.
+            without a rate has 0. Other degrees of freedom move with the least kinetic energy.
         time: s, of prescribed motions, one number or (n,); the times of a trajectory, or 0, if None.
 
     Raises:
@@ -102,12 +103,12 @@ def inverse_dynamics(
     mechanism = scene.mechanism
     coordinates = tuple(mechanism.coordinate(name) for name in accelerations)
     if actuators is None:
-        acting = tuple(law.key for law in scene.control) or coordinates
+        actuator_keys = tuple(law.key for law in scene.control) or coordinates
     else:
-        acting = tuple(mechanism.coordinate(name) for name in actuators)
-    if set(acting) == set(coordinates):
-        acting = coordinates
-    compiled = compiled_dynamics(scene, coordinates, acting)
+        actuator_keys = tuple(mechanism.coordinate(name) for name in actuators)
+    if set(actuator_keys) == set(coordinates):  # in the same order, which needs a simpler computation
+        actuator_keys = coordinates
+    compiled = compiled_dynamics(scene, coordinates, actuator_keys)
     # states, accelerations and times as arrays
     given = States(scene, states)
     wanted = [given.column(f"acceleration of {quoted(name)}", value) for name, value in accelerations.items()]
@@ -117,13 +118,13 @@ def inverse_dynamics(
     q, v = given.coordinates(compiled.system, times)
     # velocities from rates of the coordinates
     if rates is not None:
-        moving = {mechanism.coordinate(name): (name, value) for name, value in rates.items()}
-        for key in moving:
+        by_key = {mechanism.coordinate(name): (name, value) for name, value in rates.items()}
+        for key in by_key:
             if key not in coordinates:
                 name = mechanism.coordinate_name(key)
                 problem = "has no acceleration beside it"
                 raise MechanismError(f"rate of {quoted(name)}", problem, "both of them")
-        pairs = [moving.get(key, (key, 0.0)) for key in coordinates]
+        pairs = [by_key.get(key, (key, 0.0)) for key in coordinates]
         columns = [given.column(f"rate of {quoted(name)}", value) for name, value in pairs]
         v = compiled.velocities(q, columns, times)
     return loads_of(compiled, compiled.solve(q, v, wanted, times), given.is_single)
@@ -152,6 +153,6 @@ def loads_of(compiled: InverseDynamics, solved: SolvedStates, is_single: bool) -
         is_single: True if a single state was given; the arrays then lose their first axis.
     """
     mechanism = compiled.scene.mechanism
-    arrays = [array[0] if is_single else array for array in solved[:3]]
+    arrays = [solved.actuator_force, solved.reaction_force, solved.reaction_torque]
     names = tuple(map(mechanism.coordinate_name, compiled.servos.actuators))
-    return Loads(names, mechanism.joint_names, *arrays)
+    return Loads(names, mechanism.joint_names, *(array[0] if is_single else array for array in arrays))

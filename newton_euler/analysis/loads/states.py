@@ -1,4 +1,8 @@
-"""Input states of inverse dynamics and statics: a state, a trajectory or solved poses, as arrays."""
+"""Input states of inverse dynamics and statics: a state, a trajectory or solved poses, as arrays.
+
+Poses show angles only up to full revolutions. Some forces depend on the revolutions, so that states have
+these angles in addition, by joint coordinate (joint, number).
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ class States:
     """
 
     def __init__(self, scene: Scene, given: Any) -> None:
-        """Take the states of a scene.
+        """Check states and convert them to arrays.
 
         Args:
             scene: gives the bodies.
@@ -53,9 +57,9 @@ class States:
         self.is_single = arrays[0].ndim == 2
         self.position, self.quaternion, *rest = (a[None] for a in arrays) if self.is_single else arrays
         self.velocities = rest if len(rest) == len(velocities) else None
-        self._solved = given if isinstance(given, Poses) else None
+        self._solved_poses = given if isinstance(given, Poses) else None
         self.angles: Mapping[Key, Array] = {}
-        if self._solved is None:
+        if self._solved_poses is None:
             for row in range(len(self)):
                 scene.check_numbers(self.state(row), where)
         if isinstance(given, State):
@@ -81,14 +85,14 @@ class States:
             times: (n,) s, for prescribed motions.
         """
         # solved poses have the coordinates already, apart from full revolutions of angles
-        if self._solved is not None and system.nq == system.tree.nq:
-            q = self._solved.tree_coordinates.copy()
+        if self._solved_poses is not None and system.nq == system.tree.nq:
+            q = self._solved_poses.tree_coordinates.copy()
             for key, place in system.angles.items():
                 q[:, place] += whole_revolutions(self.angles.get(key, 0.0) - q[:, place])
             return q, np.zeros((len(self), system.nv))
         systems = (at_time(system, float(t)) for t in times)
-        found = [each.coordinates(self.state(row)) for row, each in enumerate(systems)]
-        return np.array([q for q, _ in found]), np.array([v for _, v in found])
+        pairs = [each.coordinates(self.state(row)) for row, each in enumerate(systems)]
+        return np.array([q for q, _ in pairs]), np.array([v for _, v in pairs])
 
     def column(self, name: str, value: Any) -> Array:
         """Convert values of a quantity to one number for each state, (n,).

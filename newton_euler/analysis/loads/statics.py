@@ -46,8 +46,10 @@ def statics(
 
     Args:
         scene: the mechanism with its forces.
-        states: see `inverse_dynamics`, velocities are ignored; the scene's initial pose if None.
-        actuators: see `inverse_dynamics`; the coordinates of the scene's control laws if None.
+        states: one state, or a trajectory or poses of n states; velocities are ignored. The scene's initial
+            state if None.
+        actuators: joint coordinates that actuators act on, by the name of the joint, or by (name, number) for
+            joints of several coordinates; those of the scene's control laws if None.
 
     Raises:
         MechanismError: naming the body that the actuators do not hold.
@@ -58,18 +60,21 @@ def statics(
         >>> held.actuators, held.reaction_force.shape
         (('slide_12', 'slide_13'), (8, 3))
     """
+    # states at rest, with prescribed motions that hold their coordinates
     given = States(scene, initial_state(scene) if states is None else states)
     given.velocities = None
     if scene.motions:
-        still = tuple(motion.held_at_start() for motion in scene.motions)
-        scene = replace(scene, motions=still, initial_state=given.state(0))
+        held_motions = tuple(motion.held_at_start() for motion in scene.motions)
+        scene = replace(scene, motions=held_motions, initial_state=given.state(0))
+    # inverse dynamics with zero accelerations of independent coordinates among those of the actuators
     keys = tuple(law.key for law in scene.control)
     if actuators is not None:
         keys = tuple(scene.mechanism.coordinate(name) for name in actuators)
     compiled = compiled_dynamics(scene, _independent(scene, given.state(0), keys), keys)
     zeros = [np.zeros(len(given))] * len(compiled.servos.coordinates)
     times = np.zeros(len(given))
-    solved = compiled.solve(*given.coordinates(compiled.system, times), zeros, times)
+    q, v = given.coordinates(compiled.system, times)
+    solved = compiled.solve(q, v, zeros, times)
     _check_at_rest(compiled, given, solved)
     return loads_of(compiled, solved, given.is_single)
 
@@ -79,13 +84,20 @@ def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key
     count = mobility(scene).degrees_of_freedom
     system = Relative(measuring(scene, keys))
     q, _ = system.coordinates(state)
+    # derivatives of the coordinates along the motions that leave loops closed
     rows = coordinate_rows(system, q, keys) @ tangents(system, q)
     chosen = independent_rows(rows, [], range(len(keys)), count)
     return tuple(keys[k] for k in sorted(chosen))
 
 
 def _check_at_rest(compiled: InverseDynamics, given: States, solved: SolvedStates) -> None:
-    """Raise `MechanismError` for a body that forces accelerate."""
+    """Raise `MechanismError` for a body that accelerates although the actuators should hold it.
+
+    Args:
+        compiled: compiled inverse dynamics.
+        given: the n states.
+        solved: forces and accelerations at these states.
+    """
     mechanism, size = compiled.scene.mechanism, compiled.scene.mechanism.size
     mass = np.array([body.mass for body in mechanism.bodies])
     inertia = np.array([np.linalg.norm(body.inertia, 2) for body in mechanism.bodies])
@@ -93,11 +105,12 @@ def _check_at_rest(compiled: InverseDynamics, given: States, solved: SolvedState
     angular = np.linalg.norm(solved.angular_acceleration, axis=-1)
     # unbalanced force on each body (n, b), N: mass times acceleration
     unbalanced = mass * linear + inertia * angular / size
-    known = _forces_on_bodies(compiled, solved)
-    for row in np.flatnonzero(np.any(unbalanced > MAX_UNBALANCED * _scale(mechanism, known), axis=1)):
-        # springs, wrenches and wind are only added where the other forces do not explain the acceleration
+    forces = _forces_on_bodies(compiled, solved)
+    for row in np.flatnonzero(np.any(unbalanced > MAX_UNBALANCED * _scale(mechanism, forces), axis=1)):
+        # the unbalanced force may be round-off of springs, wrenches and wind; these are computed only here,
+        # because they take longer
         applied = _applied_forces(compiled.scene, given.state(int(row)))
-        limits = MAX_UNBALANCED * _scale(mechanism, known[row] + applied)
+        limits = MAX_UNBALANCED * _scale(mechanism, forces[row] + applied)
         accelerated = np.flatnonzero(unbalanced[row] > limits)
         if len(accelerated):
             body = accelerated[np.argmax(unbalanced[row, accelerated])]
@@ -112,29 +125,29 @@ def _forces_on_bodies(compiled: InverseDynamics, solved: SolvedStates) -> Array:
     """
     scene, mechanism, size = compiled.scene, compiled.scene.mechanism, compiled.scene.mechanism.size
     weights = [body.mass * np.linalg.norm(scene.gravity) for body in mechanism.bodies]
-    found = np.tile(weights, (len(solved.reaction_force), 1))
+    on_bodies = np.tile(weights, (len(solved.reaction_force), 1))
     at_joints = np.linalg.norm(solved.reaction_force, axis=-1)
     at_joints = at_joints + np.linalg.norm(solved.reaction_torque, axis=-1) / size
     for key, force in zip(compiled.servos.actuators, solved.actuator_force.T, strict=True):
         lever = 1.0 if mechanism.is_slide(*key) else size
         at_joints[:, mechanism.joint_index(key[0])] += np.abs(force) / lever
     for joint, equations in enumerate(mechanism.equations):
-        found[:, [equations.first, equations.second]] += at_joints[:, [joint]]
-    return found
+        on_bodies[:, [equations.first, equations.second]] += at_joints[:, [joint]]
+    return on_bodies
 
 
 def _applied_forces(scene: Scene, state: State) -> Array:
     """Add up the magnitudes, N, of springs, wrenches and wind at each body (b,)."""
-    mechanism, at = scene.mechanism, surroundings(scene, state)
-    found = np.zeros(len(mechanism.bodies))
+    mechanism, force_inputs = scene.mechanism, surroundings(scene, state)
+    on_bodies = np.zeros(len(mechanism.bodies))
     for force in scene.forces:
         if isinstance(force, CoordinateForce):
             equations = mechanism.joint_equations(force.joint)
             bodies = [equations.first, equations.second]
         else:
-            bodies = [body for body, _ in force.wrenches(at)]
-        found[bodies] += force.magnitude(at)
-    return found
+            bodies = [body for body, _ in force.wrenches(force_inputs)]
+        on_bodies[bodies] += force.magnitude(force_inputs)
+    return on_bodies
 
 
 def _scale(mechanism: Mechanism, forces: Array) -> Array:
@@ -142,6 +155,10 @@ def _scale(mechanism: Mechanism, forces: Array) -> Array:
 
     A body on which small forces act still has the round-off of its neighbors' accelerations. The scale of a
     body is at least its mass times (sum of all forces, divided by the sum of all masses).
+
+    Args:
+        mechanism: gives the masses of the b bodies.
+        forces: (..., b) sums of the magnitudes of the forces on each body, N.
     """
     mass = np.array([body.mass for body in mechanism.bodies])
     return np.maximum(forces, mass * forces.sum(axis=-1, keepdims=True) / mass.sum())

@@ -3,15 +3,15 @@
 Traced derivatives of the equations of motion are integrated along the steps of a run
 (`newton_euler.integrators.tangent_steps`), on the linearized constraints. The run itself is bitwise equal to
 a run without derivatives. A step that is too long for the derivatives, for example of a mechanism at rest, is
-divided. In each part the error of the derivatives of all coordinates is at most 100 `rtol` of the largest
-derivative, for each parameter; so is the error of velocities. Round-off and singular configurations are
-excepted.
+divided. In each part of a step, and for each parameter, the error of the derivatives of coordinates is at
+most 100 `rtol` times the largest of these derivatives. The same holds for velocities. Round-off and singular
+configurations are excepted.
 
-Times of events must not depend on parameters. Set-points that jump and knots of splines have fixed times. A
-run is refused if a spring force jumps in the motion: a spring on a ball that passes half a revolution, or a
-spring with a rest length whose ends meet. Sampled controllers have no derivatives. Near singular
-configurations derivatives lose digits like accelerations. A run that comes too near is refused; parameters
-that move closed configurations allow less.
+Times of discontinuities must not depend on parameters. Set-points that jump and knots of splines have fixed
+times. A run is refused if a spring force jumps in the motion: a spring on a ball that passes half a
+revolution, or a spring with a rest length whose ends meet. Sampled controllers have no derivatives. Near
+singular configurations derivatives lose digits like accelerations, and a run that comes too near is refused.
+The required distance is larger for parameters that change the configurations in which loops close.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from newton_euler.analysis.sensitivity.tangent_code import ALONG, tangent_code
-from newton_euler.analysis.sensitivity.tangent_run import FollowedRun, tangent_options
+from newton_euler.analysis.sensitivity.tangent_run import TangentRun, tangent_options
 from newton_euler.analysis.sensitivity.tangent_starts import Starts, components
 from newton_euler.arguments import checked
 from newton_euler.compiled.formulations import check_formulation
@@ -50,7 +50,7 @@ class Sensitivities:
     of the positions of one body.
 
     Attributes:
-        run: the run itself, bitwise equal to a run of code with these parameters as inputs.
+        run: the run itself, bitwise equal to a run of `compile_scene` with these parameters.
         parameters: names of the p numbers.
 
     Examples:
@@ -134,8 +134,9 @@ def sensitivities(
         parameters: names, see `newton_euler.equations.parameters`, and for initial coordinates
             `newton_euler.runs.initial_coordinates`. An array stands for all of its numbers. Or values by
             name: the run is then the one that `simulate_batch` makes with these values, and all values share
-            the compiled code. If the rate `start.JOINT.rate` is a parameter, the coordinate `start.JOINT` is
-            held, also for derivatives with respect to geometry. If neither is, the joint follows the loops.
+            the compiled code. If the rate `start.JOINT.rate` is a parameter, the initial coordinate
+            `start.JOINT` is constant, also for derivatives with respect to geometry. If neither is a
+            parameter, the initial coordinate changes with the geometry as the loops require.
         formulation: see `simulate`.
         control: step control of DOP853 with projection, see `simulate`; other methods have no derivatives.
 
@@ -159,33 +160,35 @@ def sensitivities(
         values = checked_values(scene, parameters)
     else:
         values = own_values(scene, names)
-    labels = tuple(places)
+    labels = tuple(places)  # a name for each number
     # the run with its derivatives
     code = tangent_code(scene, labels, formulation)
     code.warn()
     numbers = np.array([values[name][index] for name, index in places.values()])
-    start, directions = Starts(code, labels)(numbers)
-    found = FollowedRun(code, options, ("output", "coordinates"))(start, directions)
+    x, directions = Starts(code, labels)(numbers)
+    tangent_run = TangentRun(code, options, ("output", "coordinates"))(x, directions)
     # the trajectory, and derivatives in its shapes
-    settings = code.settings | options.as_settings() | found.counts
-    outputs = named(code, found.results)
-    signs = outputs["quaternion"].copy()
-    run = native_trajectory(scene, settings, found.wall_time, outputs)
-    run = replace(run, mechanism=code.parametrized(start).mechanism)
+    settings = code.settings | options.as_settings() | tangent_run.counts
+    outputs = named(code, tangent_run.results)
+    quaternion = outputs["quaternion"].copy()
+    run = native_trajectory(scene, settings, tangent_run.wall_time, outputs)
+    run = replace(run, mechanism=code.parametrized(x).mechanism)
     arrays = {
-        name: found.derivatives["output"][:, start:stop].reshape(len(run.time), *shape, len(labels))
+        name: tangent_run.derivatives["output"][:, start:stop].reshape(len(run.time), *shape, len(labels))
         for name, (start, stop, shape) in code.function("output" + ALONG).layout.items()
     }
     if redundant_constraints(scene):
         arrays.pop("reaction_force", None)
         arrays.pop("reaction_torque", None)
-    signs = np.sign(np.sum(signs * run.quaternion, axis=2))  # quaternions of the run are continuous
+    # a trajectory changes the signs of quaternions, so that they are continuous in time
+    signs = np.sign(np.sum(quaternion * run.quaternion, axis=2))
     arrays["quaternion"] = arrays["quaternion"] * signs[:, :, None, None]
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise SensitivityError(f"derivatives of {name} are not finite")
-    _, of_joints = np.split(found.derivatives["coordinates"], 2, axis=1)
-    return Sensitivities(run, labels, **arrays, _coordinates=of_joints)
+    # the program "coordinates" has the joint coordinates and rates first, then their derivatives
+    _, coordinate_derivatives = np.split(tangent_run.derivatives["coordinates"], 2, axis=1)
+    return Sensitivities(run, labels, **arrays, _coordinates=coordinate_derivatives)
 
 
 def checked_names(parameters: Sequence[str]) -> tuple[str, ...]:

@@ -33,10 +33,13 @@ ALONG = " along"
 """End of the names of programs with derivatives along a direction."""
 
 UNREFINED, RATES, PROJECTED = (name + ALONG for name in ("unrefined", "derivative", "settled"))
-"""Names of programs: state rates without and with iterative refinement, and the projected direction."""
+"""Names of programs: rates of state and tangent, solved without and with iterative refinement; projection of
+a direction onto the linearized constraints."""
 
 SIGN_CHANGES = "reversing"
-"""Name of the program that returns, for each force that may jump, a vector that reverses at the jump."""
+"""Name of the program that returns, for each force that may jump, a vector that reverses at the jump.
+
+Such a force is discontinuous in the state, for example that of a spring whose two ends meet."""
 
 
 @lru_cache(maxsize=CACHED_SCENES)
@@ -51,7 +54,7 @@ def tangent_code(scene: Scene, names: tuple[str, ...], formulation: FormulationN
     """
     initial = initial_numbers(scene, names)
     code = TangentCode(scene, formulation, parameters=[name for name in names if name not in initial])
-    code.alone = len(names) == 1
+    code.has_single_direction = len(names) == 1
     return code
 
 
@@ -62,15 +65,15 @@ class TangentCode(CompiledScene):
     directions are evaluated at once in the lanes (elements) of vector registers.
     """
 
-    alone = False
-    """True if there is a single direction."""
+    has_single_direction = False
+    """True if derivatives are computed along one direction only. Lanes then hold different output times."""
 
     @property
     def rates(self) -> tuple[str, ...]:
         """Names of the programs of rates of state and tangent, in the order in which they are tried.
 
-        The first is faster. The last is accurate also for nearly dependent constraints, which have small
-        pivot ratios (smallest ratio of a pivot to its usual magnitude).
+        The first is faster. The last is also accurate if constraints are nearly dependent. The pivot ratio,
+        the smallest ratio of a pivot of the elimination to its usual magnitude, is small there.
         """
         return (RATES,) if self.formulation == "relative" else (UNREFINED, RATES)
 
@@ -82,28 +85,34 @@ class TangentCode(CompiledScene):
         """
         if not (SpanningTree(self.scene.mechanism).cuts or self.system.couplings):
             return False
-        found = places(self.scene, self._requested).values()
-        return any(place.field.moves_loops and place.owner[0] != "bodies" for place in found)
+        changed = places(self.scene, self._requested).values()
+        # the center and the frame of a body describe its pose; they do not move the joints
+        return any(place.field.moves_loops and place.owner[0] != "bodies" for place in changed)
 
     def _traced(self, name: str, in_lanes: bool) -> Traced:
+        """Return a program by name, with the instructions how to compile it."""
         if not name.endswith(ALONG):
             return super()._traced(name, in_lanes)
         program = self.program(name)
         straight = name in self.rates and program.operation_count < MIN_ROLLED_SIZE_IN_LANES
-        # for a single direction, lanes hold output times
-        many = name not in self.rates or not self.alone
-        return Traced(program, many, self._layouts.get(name), straight=straight)
+        # rates of a single direction are needed for one state at a time
+        many = name not in self.rates or not self.has_single_direction
+        return Traced(program, many=many, layout=self._layouts.get(name), straight=straight)
 
     def _identity_of(self, name: str) -> str | None:
+        """Return the fingerprint of all that a program by name depends on; None without a fingerprint."""
         known = super()._identity_of(name.removesuffix(ALONG))
-        return known and f"{known}{' alone' * (self.alone and name in self.rates)}"
+        if known and self.has_single_direction and name in self.rates:
+            return f"{known} alone"
+        return known
 
     def _trace(self, name: str) -> Program:
+        """Trace a program by name; inputs of a program with derivatives are x and the direction `along`."""
         if not name.endswith(ALONG):
             return super()._trace(name)
         graph, base = Graph(), name.removesuffix(ALONG)
         x, along = graph.variables(self.inputs), graph.variables(self.inputs)
-        along[self.size : self.flags.stop] = 0.0  # time and constraint rows stay
+        along[self.size : self.flags.stop] = 0.0  # time and flags of constraint rows do not change
         system = self._system_of(x, tuple(self.parameters))
         if name == PROJECTED:
             return graph.prune(self._projected(system, x, along))
@@ -111,9 +120,9 @@ class TangentCode(CompiledScene):
             rates = self._rates_along(system, x, along, refined=name == RATES)
             return graph.prune(rates)._replace(inputs=2 * self.inputs)
         scalars = self._scalars(base, system, x)
-        kept = self._smooth(scalars) if base == "output" else scalars
-        found = differentiated(kept, x, along)
-        return graph.prune([*kept, *found] if base == "coordinates" else found)
+        kept = self._differentiable(scalars) if base == "output" else scalars
+        changes = differentiated(kept, x, along)
+        return graph.prune([*kept, *changes] if base == "coordinates" else changes)
 
     def _rates_along(self, system: Formulation, x: Array, along: Array, refined: bool) -> list[Scalar]:
         """Return (qdot, vdot), their derivatives, and the pivot ratio.
@@ -136,12 +145,13 @@ class TangentCode(CompiledScene):
         equations = system.sparse_equations(q, v, rows)
         equations = equations._replace(refine=equations.refine and refined)
         solution = solve_constrained(equations)
-        # residuals at held accelerations and multipliers, differentiated
+        # residuals r(x, a), differentiated at constant a: a is a vector of variables `held`, which are
+        # replaced by their values after the differentiation
         count, used = len(equations.factor.pivots), equations.rows.numbers
-        accelerations, of_rows = graph.variables(count), graph.variables(len(used))
+        accelerations, used_multipliers = graph.variables(count), graph.variables(len(used))
         multipliers = zeros(len(equations.jacobian), x)
-        multipliers[used] = of_rows
-        held = [*accelerations, *of_rows]
+        multipliers[used] = used_multipliers
+        held = [*accelerations, *used_multipliers]
         values = [solution.acceleration.get(k, 0.0) for k in range(count)]
         values += [solution.multipliers.get(i, 0.0) for i in used]
         residuals = system.sparse_residuals(q, v, rows, accelerations, multipliers)
@@ -149,11 +159,12 @@ class TangentCode(CompiledScene):
         # derivatives of the accelerations
         force, gamma = sparse_vector([-change for change in right[:count]]), -objects(right[count:])
         reduced_force = equations.factor.lower(force)
-        found = solve_constrained(equations._replace(reduced_force=reduced_force, gamma=gamma)).acceleration
-        acceleration_changes = [found.get(k, 0.0) for k in range(count)]
-        of_held = replace(solution, acceleration=dict(enumerate(accelerations)))
-        # derivatives of qdot and vdot
-        vdot = system.sparse_vdot(q, v, of_held).tolist()
+        changed = equations._replace(reduced_force=reduced_force, gamma=gamma)
+        solution_change = solve_constrained(changed).acceleration
+        acceleration_changes = [solution_change.get(k, 0.0) for k in range(count)]
+        # derivatives of qdot and vdot, which depend on x and on the accelerations
+        held_solution = replace(solution, acceleration=dict(enumerate(accelerations)))
+        vdot = system.sparse_vdot(q, v, held_solution).tolist()
         changes = differentiate_along(graph, vdot, [*x, *accelerations], [*along, *acceleration_changes])
         rates = [*system.rate(q, v), *system.sparse_vdot(q, v, solution)]
         changes = differentiated(rates[: system.nq], x, along) + substitute(graph, changes, held, values)
@@ -165,10 +176,14 @@ class TangentCode(CompiledScene):
         Coordinates are projected first, then velocities, by steps of least length. Where constraints are
         nearly dependent, the steps are round-off. A factor then reduces them to zero, and the direction keeps
         the error of its integration.
+
+        Args:
+            system: equations of motion at x.
+            x, along: (inputs,) symbolic inputs and direction.
         """
         on_q, on_v = slice(system.nq), slice(system.nq, self.size)
         q, v, moved = x[on_q], x[on_v], along.copy()
-        for place in system.quaternions:
+        for place in system.quaternions:  # changes of a unit quaternion are perpendicular to it
             moved[place] -= q[place] * (q[place] @ moved[place])
         phi, jacobian = system.phi_and_jacobian(q)
         rows, units = dimensionless_rows(system, jacobian, self.rows.numbers), system.velocity_units
@@ -182,18 +197,20 @@ class TangentCode(CompiledScene):
             factor = ratio * ratio * (ratio * ratio)
             return np.array([factor * units[k] * least.get(k, 0.0) for k in range(system.nv)])
 
+        # coordinates
         used = self.rows.numbers
         change = system.rate(q, step(phi[used].tolist()))
-        change[system.work] = 0.0
+        change[system.work] = 0.0  # the work of forces is no coordinate
         moved[on_q] -= change
+        # velocities; `phi_rate` lacks the last rows of phi, the norms of quaternions
         rate = system.phi_rate(q, v)
-        norms = {i: sum(e * v[k] for k, e in jacobian[i].items()) for i in used if i >= system.rows}
-        moved[on_v] -= step([norms[i] if i in norms else rate[i] for i in used])
+        norm_rates = {i: sum(e * v[k] for k, e in jacobian[i].items()) for i in used if i >= system.rows}
+        moved[on_v] -= step([norm_rates[i] if i in norm_rates else rate[i] for i in used])
         return moved[: self.size].tolist()
 
-    def _smooth(self, scalars: list[Scalar]) -> list[Scalar]:
-        """Select the outputs that have derivatives, and record their layout."""
-        without = {"phi", "pivot_ratio", "joint_angle"}  # `coordinates` has the angles of all joints
+    def _differentiable(self, scalars: list[Scalar]) -> list[Scalar]:
+        """Select the outputs that have derivatives, and store their layout."""
+        without = {"phi", "pivot_ratio", "joint_angle"}  # the program `coordinates` has the angles of joints
         if self.redundant:  # reactions are not unique
             without |= {"reaction_force", "reaction_torque"}
         kept: list[Scalar] = []
@@ -206,12 +223,15 @@ class TangentCode(CompiledScene):
         return kept
 
     def _trace_reversing(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the vectors of forces that may jump; the layout has the names of the forces."""
-        at, scalars = system.surroundings(q, v), list[Scalar]()
+        """Trace a vector for each force that may jump, which reverses at the jump.
+
+        The layout has the first index, the end index and the shape of each vector, by name of the force.
+        """
+        force_inputs, scalars = system.surroundings(q, v), list[Scalar]()
         places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
         for force in system.scene.forces:
             if force.may_jump:
-                vector = force.reversing_vector(at).tolist()
+                vector = force.reversing_vector(force_inputs).tolist()
                 places[force.element] = len(scalars), len(scalars) + len(vector), (len(vector),)
                 scalars += vector
         self._layouts[SIGN_CHANGES] = places

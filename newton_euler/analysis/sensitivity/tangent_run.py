@@ -3,6 +3,10 @@
 A run is integrated first, and its steps are recorded. The derivatives, called tangents, satisfy the
 linearized equations of motion. They are integrated along the recorded steps
 (`newton_euler.integrators.tangent_steps`) and projected onto the linearized constraints.
+
+x (inputs,) is the input vector of compiled programs: the state (q, v) of length n, time, flags that select
+constraint rows, and parameters. A direction (inputs,) is a change of x. Native code treats several directions
+at once, each in one lane of a vector register.
 """
 
 from __future__ import annotations
@@ -29,7 +33,10 @@ from newton_euler.runs.intervals import Interval, integrate_intervals
 from newton_euler.scalars import Array
 
 NEAR_SINGULAR = "the run comes too near to a singular configuration"
+"""Error message of runs near a singular configuration, where derivatives grow without bound."""
+
 MASS_RATIO = "masses differ too much: beside heavy bodies, light ones amplify the errors of derivatives"
+"""Error message of runs whose equations of motion have small pivots although constraints are regular."""
 
 PIVOT_SPACING = 0.1
 """Largest motion, rad or sizes of the mechanism, between two states of a run at which pivot ratios are
@@ -40,17 +47,21 @@ PIVOT_REFINEMENT = 20
 """Number of points on each side of a minimum at which pivot ratios are evaluated again, twice in a row."""
 
 TOLERANCE_FACTOR = 100.0
-"""Tolerance of derivatives, divided by `rtol`. At this value steps of a moving scene are rarely divided."""
+"""Tolerance of derivatives, divided by the run's `rtol`. At this value the steps of the run are rarely too
+long for the derivatives, and rarely divided."""
 
 RECORDED_STEPS = 2048
 """Number of steps of a run for which memory is allocated. A longer run is repeated with more memory."""
 
 
 def tangent_options(control: Mapping[str, Any]) -> Options:
-    """Return the options of DOP853 with projection, of which alone there are derivatives.
+    """Return the options of DOP853 with projection; derivatives exist for no other method.
+
+    Args:
+        control: options of the run by name.
 
     Raises:
-        OptionError: for another integrator or stabilization, and for options that it does not have.
+        OptionError: for another integrator or stabilization, and for options that DOP853 does not have.
     """
     chosen = dict(control)
     for name, only in (("integrator", "DOP853"), ("stabilization", "projection"), ("rest", 0.0)):
@@ -60,42 +71,52 @@ def tangent_options(control: Mapping[str, Any]) -> Options:
     return Options.of("DOP853", cast(StepControl, chosen))
 
 
-class Followed(NamedTuple):
-    """A run with its derivatives along p directions."""
+class TangentResults(NamedTuple):
+    """A run at its m output times, with its derivatives along p directions.
+
+    Attributes:
+        results: (m, outputs) outputs of the scene.
+        derivatives: (m, results, p) by program, "output" or "coordinates". The program "coordinates" has the
+            joint coordinates and rates themselves, followed by their derivatives.
+        counts: numbers of steps and evaluations by name.
+        wall_time: s, of the run and its derivatives.
+    """
 
     results: Array
-    """(n, outputs) outputs of the scene."""
     derivatives: dict[str, Array]
-    """(n, outputs, p) by program; the program "coordinates" has the coordinates before their derivatives."""
     counts: dict[str, float]
     wall_time: float
-    """s, of the run and its derivatives."""
 
 
-class _Path:
-    """Motion within the steps of a run, interpolated by cubics through states and rates at the ends.
+class _RecordedMotion:
+    """Motion of a run between its recorded steps, interpolated by cubics through states and rates.
+
+    A place in the motion is a number of a step plus a fraction of this step, such as 2.5 for the middle of
+    step 2.
 
     Pivot ratios are those of Phi_q Phi_q^T with the dimensionless constraint Jacobian Phi_q, without masses.
     Pivot ratios with masses would also vanish where a light body is at a dead center.
     """
 
-    def __init__(self, code: TangentCode, steps: Array, begun: Array, end: Array) -> None:
-        """Take the recorded steps of a run.
+    def __init__(self, code: TangentCode, steps: Array, begin: Array, end: Array) -> None:
+        """Collect states, times and flags at the ends of all steps.
 
         Args:
             code: compiled equations.
-            steps: (m, n + 2 + flags), see `newton_euler.integrators.dop853.Dop853`.
-            begun, end: x (inputs,) at the beginning and at the end.
+            steps: (m, n + 2 + flags) state, time and flags at the start of each step, and its size, s.
+            begin, end: x (inputs,) at the beginning and at the end.
         """
-        n, nq, known = code.size, code.system.nq, code.flags.stop
+        n, nq, recorded = code.size, code.system.nq, code.flags.stop
         self._code, self._n, self._nq = code, n, nq
-        self._sizes = np.minimum(steps[:, -1:], end[n] - steps[:, n : n + 1])  # the last may go beyond
-        self._ends = np.tile(begun, (len(steps) + 1, 1))
-        self._ends[:-1, :known] = steps[:, :known]
-        self._ends[-1, :known] = end[:known]
+        # sizes (m, 1), s; the last step may reach beyond the end
+        self._sizes = np.minimum(steps[:, -1:], end[n] - steps[:, n : n + 1])
+        self._ends = np.tile(begin, (len(steps) + 1, 1))
+        self._ends[:-1, :recorded] = steps[:, :recorded]
+        self._ends[-1, :recorded] = end[:recorded]
+        # number of parts of each step, so that the motion in a part is at most `PIVOT_SPACING`
         speeds = np.abs(self._ends[:, nq:n] / code.system.velocity_units).max(axis=1, initial=0.0)
         moved = self._sizes[:, 0] * np.maximum(speeds[:-1], speeds[1:])
-        self._counts = 1 + (moved / PIVOT_SPACING).astype(int)
+        self._part_counts = 1 + (moved / PIVOT_SPACING).astype(int)
 
     def least_pivot_ratio(self) -> float:
         """Find the smallest pivot ratio of the run, divided by the largest.
@@ -110,9 +131,10 @@ class _Path:
             small = ratios < FAR_PIVOT_RATIO * most
             if least < NEAR_PIVOT_RATIO * most or not small.any():
                 break
+            # local minima, and finer places between the neighbors of each
             padded = np.pad(ratios, 1, constant_values=np.inf)
-            (lowest,) = np.nonzero(small & (ratios <= padded[:-2]) & (ratios <= padded[2:]))
-            first, last = places[np.maximum(lowest - 1, 0)], places[np.minimum(lowest + 1, len(places) - 1)]
+            (minima,) = np.nonzero(small & (ratios <= padded[:-2]) & (ratios <= padded[2:]))
+            first, last = places[np.maximum(minima - 1, 0)], places[np.minimum(minima + 1, len(places) - 1)]
             places = np.unique(np.linspace(first, last, 2 * PIVOT_REFINEMENT + 1))
             ratios = self._pivot_ratios(self._states(places))
             least = min(least, ratios.min())
@@ -121,18 +143,26 @@ class _Path:
     def jump(self) -> str:
         """Describe the force that jumps in the run, and the time; empty if no force jumps.
 
-        A vector that turns far within a step is examined at points between: a jump reverses it at once.
+        The vector of a force reverses at a jump, see `SIGN_CHANGES`. A vector that reverses within a step is
+        examined at many places of the step, because a smooth rotation may have reversed it.
         """
-        turned = np.any([*self._reversals(self._ends).values()], axis=0)
-        for step in np.flatnonzero(turned):
+        has_reversed = np.any([*self._reversals(self._ends).values()], axis=0)
+        for step in np.flatnonzero(has_reversed):
             x = self._states(np.linspace(step, step + 1, PIVOT_REFINEMENT * PIVOT_REFINEMENT))
-            for force, found in self._reversals(x).items():
-                if found.any():
-                    return f"{force} jumps at t = {x[found.argmax(), self._n]:.6g} s"
+            for force, reversals in self._reversals(x).items():
+                if reversals.any():
+                    return f"{force} jumps at t = {x[reversals.argmax(), self._n]:.6g} s"
         return ""
 
     def _reversals(self, x: Array) -> dict[str, Array]:
-        """True (k - 1,) where the vector of a force reverses between two of x (k, inputs), by its name."""
+        """Find where the vector of each force that may jump reverses between two successive x.
+
+        Args:
+            x: (k, inputs) states with time and parameters.
+
+        Returns:
+            (k - 1,) True for a reversal, by name of the force.
+        """
         vectors = self._evaluated(SIGN_CHANGES, x)
         products = vectors[1:] * vectors[:-1]
         layout = self._code.function(SIGN_CHANGES).layout
@@ -141,11 +171,12 @@ class _Path:
         }
 
     def _places(self) -> Array:
-        """Return step numbers and fractions of a step (k,): both ends, and at most `PIVOT_SPACING` apart."""
-        counts = np.repeat(self._counts, self._counts)
-        first = np.repeat(np.cumsum(self._counts) - self._counts, self._counts)
-        step = np.repeat(np.arange(len(self._counts)), self._counts)
-        return np.append(step + (np.arange(len(first)) - first) / counts, len(self._counts))
+        """Return places (k,) in the motion, at most `PIVOT_SPACING` apart: ends of all parts of steps."""
+        counts = self._part_counts
+        step = np.repeat(np.arange(len(counts)), counts)
+        first_part = np.repeat(np.cumsum(counts) - counts, counts)
+        fraction = (np.arange(len(first_part)) - first_part) / np.repeat(counts, counts)
+        return np.append(step + fraction, len(counts))
 
     @cached_property
     def _slopes(self) -> Array:
@@ -153,16 +184,21 @@ class _Path:
         return self._evaluated("rate", self._ends)
 
     def _states(self, places: Array) -> Array:
-        """Return x (k, inputs) at places (k,), with the velocities at the beginning of the step."""
-        step = np.minimum(places.astype(int), len(self._counts) - 1)
-        share, size = (places - step)[:, None], self._sizes[step]
+        """Return x (k, inputs) at places (k,), with the velocities at the beginning of the step.
+
+        With the fraction s of a step, the step size h, the change d of a coordinate, and its rates r_0 and
+        r_1 at the ends, the cubic is q = q_0 + s (d + (1 - s) ((1 - s) (h r_0 - d) + s (d - h r_1))).
+        """
+        step = np.minimum(places.astype(int), len(self._part_counts) - 1)
+        fraction, size = (places - step)[:, None], self._sizes[step]
         x, nq = self._ends[step], self._nq
         begin, end = size * self._slopes[step], size * self._slopes[step + 1]
         change = self._ends[step + 1, :nq] - x[:, :nq]
-        change -= 2.0 * np.pi * np.round((change - 0.5 * (begin + end)) / (2.0 * np.pi))  # of angles
-        bend = (1.0 - share) * (begin - change) + share * (change - end)
-        x[:, :nq] += share * (change + (1.0 - share) * bend)
-        x[:, self._n] += share[:, 0] * size[:, 0]
+        # remove full revolutions, which the run adds to angles at the end of a step
+        change -= 2.0 * np.pi * np.round((change - 0.5 * (begin + end)) / (2.0 * np.pi))
+        deviation = (1.0 - fraction) * (begin - change) + fraction * (change - end)
+        x[:, :nq] += fraction * (change + (1.0 - fraction) * deviation)
+        x[:, self._n] += fraction[:, 0] * size[:, 0]
         return x
 
     def _pivot_ratios(self, x: Array) -> Array:
@@ -171,12 +207,12 @@ class _Path:
         return np.where(ratios > 0.0, ratios, 0.0)
 
     def _evaluated(self, program: str, x: Array) -> Array:
-        """Evaluate a program at x (k, inputs)."""
+        """Evaluate a program by name at x (k, inputs); programs may need only the first elements of x."""
         function = self._code.function(program)
         return at_rows(function, x[:, : function.inputs])
 
 
-class FollowedRun:
+class TangentRun:
     """Function that runs a compiled scene with derivatives along directions."""
 
     def __init__(self, code: TangentCode, options: Options, programs: Sequence[str]) -> None:
@@ -195,7 +231,7 @@ class FollowedRun:
             raise SensitivityError(f"sampled controller of joint {scene.sampled[0].joint!r} has none")
         self._code, self._options, self._programs = code, options, programs
 
-    def __call__(self, x: Array, directions: Array, times: Array | None = None) -> Followed:
+    def __call__(self, x: Array, directions: Array, times: Array | None = None) -> TangentResults:
         """Run from x (inputs,) with derivatives along directions (inputs, p).
 
         Args:
@@ -206,11 +242,12 @@ class FollowedRun:
             IntegrationError: for a run that stops.
             SensitivityError: for a run near a singular configuration, or without derivatives.
         """
+        # derivatives by program, one array for each interval between knots of splines
         parts: dict[str, list[Array]] = {name: [] for name in self._programs}
 
-        def differentiate(integrator: Integrator, begun: Array, interval: Interval) -> None:
-            """Integrate the directions through an interval between jumps, after its run."""
-            for name, part in self._along(integrator, begun, interval, directions).items():
+        def differentiate(integrator: Integrator, begin: Array, interval: Interval) -> None:
+            """Integrate the directions through an interval, after its run."""
+            for name, part in self._along(integrator, begin, interval, directions).items():
                 parts[name].append(part if interval.is_output.all() else part[interval.is_output])
 
         run = integrate_intervals(
@@ -219,59 +256,76 @@ class FollowedRun:
         if run.stopped:
             raise run.stopped
         derivatives = {
-            name: found[0] if len(found) == 1 else np.concatenate(found) for name, found in parts.items()
+            name: arrays[0] if len(arrays) == 1 else np.concatenate(arrays) for name, arrays in parts.items()
         }
-        return Followed(run.results, derivatives, reported_counts(run.counts), run.wall_time)
+        return TangentResults(run.results, derivatives, reported_counts(run.counts), run.wall_time)
 
     def _along(
-        self, integrator: Integrator, begun: Array, interval: Interval, directions: Array
+        self, integrator: Integrator, begin: Array, interval: Interval, directions: Array
     ) -> dict[str, Array]:
-        """Integrate directions (inputs, p) through an interval from x (inputs,); results by program."""
+        """Integrate directions through an interval.
+
+        Args:
+            integrator: has made the run in this interval, and recorded its first steps.
+            begin: x (inputs,) at the beginning.
+            interval: the interval.
+            directions: (inputs, p) at the beginning; changed to their values at the end.
+
+        Returns:
+            Derivatives (m, results, p) at the m times of the interval, by program.
+        """
+        # a run of more steps than recorded is repeated
         code = self._code
         steps = int(integrator.counts[Count.STEPS])
         if steps > len(integrator.steps):
             integrator = Integrator(code, interval.times, self._options, room=steps)
-            integrator(begun)
-        path = _Path(code, integrator.steps[:steps], begun, integrator.x)
-        self._check(path)
-        self._turn_pieces(begun, interval, directions)
+            integrator(begin)
+        motion = _RecordedMotion(code, integrator.steps[:steps], begin, integrator.x)
+        self._check(motion)
+        self._set_piece_directions(begin, interval, directions)
+        # the first program of rates whose results are accurate
         for rates in code.rates:
-            found = self._carried(rates, integrator, begun, directions)
-            if found is not None:
-                return found
-        near = code.loses_rank and path.least_pivot_ratio() < NEAR_PIVOT_RATIO
-        raise SensitivityError(NEAR_SINGULAR if near else MASS_RATIO)
+            derivatives = self._integrate(rates, integrator, begin, directions)
+            if derivatives is not None:
+                return derivatives
+        is_near_singular = code.loses_rank and motion.least_pivot_ratio() < NEAR_PIVOT_RATIO
+        raise SensitivityError(NEAR_SINGULAR if is_near_singular else MASS_RATIO)
 
-    def _check(self, path: _Path) -> None:
-        """Raise `SensitivityError` for a run without derivatives, or without known derivatives."""
+    def _check(self, motion: _RecordedMotion) -> None:
+        """Raise `SensitivityError` for a run without derivatives, or whose derivatives are inaccurate."""
         code = self._code
-        if code.projects and code.moves_loops and path.least_pivot_ratio() < NEAR_PIVOT_RATIO:
+        if code.projects and code.moves_loops and motion.least_pivot_ratio() < NEAR_PIVOT_RATIO:
             raise SensitivityError(NEAR_SINGULAR)
-        if any(force.may_jump for force in code.scene.forces) and (jump := path.jump()):
+        if any(force.may_jump for force in code.scene.forces) and (jump := motion.jump()):
             raise SensitivityError(f"{jump}, a time that depends on parameters")
 
-    def _carried(
-        self, program: str, integrator: Integrator, begun: Array, directions: Array
+    def _integrate(
+        self, program: str, integrator: Integrator, begin: Array, directions: Array
     ) -> dict[str, Array] | None:
         """Integrate directions (inputs, p) along the recorded steps of a run.
 
         Args:
-            program: name of the program of rates.
+            program: name of the program of rates of state and tangent.
             integrator: has made the run.
-            begun: x (inputs,) at the beginning.
+            begin: x (inputs,) at the beginning.
             directions: changed to their values at the end.
 
         Returns:
             Derivatives at the output times by program; None, without changes, if pivot ratios are too small
             for this program of rates.
         """
-        # results, and the record of the native code
-        code, most, rates = self._code, max_adaptive_steps(self._options), self._code.function(program)
-        floor = UNSAFE_PIVOT_RATIO if program == RATES else NEAR_PIVOT_RATIO
-        settled = code.function(PROJECTED) if code.projects else None
+        # functions: rates, projection, and results to differentiate
+        code, max_substeps, rates = (
+            self._code,
+            max_adaptive_steps(self._options),
+            self._code.function(program),
+        )
+        min_pivot_ratio = UNSAFE_PIVOT_RATIO if program == RATES else NEAR_PIVOT_RATIO
+        project = code.function(PROJECTED) if code.projects else None
         functions = {name: code.function(name + ALONG) for name in self._programs}
+        # arrays of the results, and the record of the native code, whose class describes the fields
         n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(integrator.times)
-        found = {
+        derivatives = {
             name: np.empty((rows, function.outputs, directions.shape[1]))
             for name, function in functions.items()
         }
@@ -285,14 +339,14 @@ class FollowedRun:
             wide=wide,
             count=int(integrator.counts[Count.STEPS]),
             rows=rows,
-            max_substeps=most,
+            max_substeps=max_substeps,
             projecting=int(code.projects),
             places=code.system.work.start,
             speeds=code.system.nq,
             tolerance=TOLERANCE_FACTOR * self._options.rtol,
-            floor=floor if code.projects else -HUGE,
+            floor=min_pivot_ratio if code.projects else -HUGE,
             rates=rates,
-            project=settled,
+            project=project,
             pause=python.pause,
             steps=integrator.steps,
             times=integrator.times,
@@ -310,13 +364,13 @@ class FollowedRun:
             counts=np.zeros(len(TangentCount)),
             found=np.empty((max(n, *(function.outputs for function in functions.values())), wide)),
         )
-        # integrate groups of directions side by side
+        # integrate groups of directions, one direction in each lane
         for first in range(0, directions.shape[1], lanes):
-            beside = directions[:, first : first + lanes]
-            together = beside.shape[1]
-            x[:inputs] = begun[:, None]
+            group = directions[:, first : first + lanes]
+            group_size = group.shape[1]
+            x[:inputs] = begin[:, None]
             x[inputs:] = 0.0
-            x[inputs:, :together] = beside
+            x[inputs:, :group_size] = group
             tangents.at[:] = x
             tangents.noise[:] = 0.0
             with python.interruptible():
@@ -325,20 +379,31 @@ class FollowedRun:
                 return None
             if status == Status.TOO_MANY_STEPS:
                 reached = tangents.counts[TangentCount.TIME_REACHED]
-                limit = f"more than {most} parts of steps at t = {reached:.6g} s"
+                limit = f"more than {max_substeps} parts of steps at t = {reached:.6g} s"
                 raise SensitivityError(f"{limit}; derivatives vibrate much faster than the run moves")
-            ends[:, first : first + together] = x[inputs : inputs + n, :together]
-            # project the directions at the outputs, and differentiate the results of all programs
-            if settled:
-                tangent_methods()(evaluate_along, tangents, 1, together, settled, n, 0, lanes, tangents.table)
+            ends[:, first : first + group_size] = x[inputs : inputs + n, :group_size]
+            # project the directions at the outputs, except at the start (row 0); then differentiate the
+            # results of all programs at all outputs
+            evaluate, table = tangent_methods(), tangents.table
+            if project:
+                evaluate(evaluate_along, tangents, 1, group_size, project, n, 0, lanes, table)
             for name, function in functions.items():
-                into = function.outputs, first, directions.shape[1], found[name]
-                tangent_methods()(evaluate_along, tangents, 0, together, function, *into)
+                place = function.outputs, first, directions.shape[1], derivatives[name]
+                evaluate(evaluate_along, tangents, 0, group_size, function, *place)
         directions[:n] = ends
-        return found
+        return derivatives
 
-    def _turn_pieces(self, x: Array, interval: Interval, directions: Array) -> None:
-        """Set directions (inputs, p) of the pieces of functions, which are linear in parameters."""
+    def _set_piece_directions(self, x: Array, interval: Interval, directions: Array) -> None:
+        """Set the directions of the polynomial pieces of functions of time, in place.
+
+        The coefficients of the piece that is valid in an interval are elements of x and depend linearly on
+        parameters such as the samples of a spline.
+
+        Args:
+            x: (inputs,) at the beginning of the interval.
+            interval: the interval.
+            directions: (inputs, p).
+        """
         code = self._code
         if not code.piecewise:
             return

@@ -53,15 +53,15 @@ def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple
         For each number, by its name such as `gravity.z`: the name of the parameter, and the index in its
         value.
     """
-    found: dict[str, tuple[str, tuple[int, ...]]] = {}
+    numbers: dict[str, tuple[str, tuple[int, ...]]] = {}
     for name, value in own_values(scene, names).items():
         for index in np.ndindex(*value.shape):
-            if value.shape == (3, 3) and index[0] > index[1]:
+            if value.shape == (3, 3) and index[0] > index[1]:  # below the diagonal of a symmetric matrix
                 continue
-            spatial = set(value.shape) == {3}
-            component = "".join("xyz"[k] for k in index) if spatial else ".".join(map(str, index))
-            found[f"{name}.{component}" if component else name] = name, index
-    return found
+            is_spatial = set(value.shape) == {3}  # vector or matrix, with components x, y, z
+            component = "".join("xyz"[k] for k in index) if is_spatial else ".".join(map(str, index))
+            numbers[f"{name}.{component}" if component else name] = name, index
+    return numbers
 
 
 def own_numbers(scene: Scene, names: Sequence[str]) -> Array:
@@ -76,9 +76,8 @@ def _sizes(scene: Scene, names: Sequence[str]) -> Array:
     for numbers of mixed units, for example of functions of time.
     """
     units, initial = units_of(scene, names), initial_numbers(scene, names)
-    found = places(scene, [name for name in names if name not in initial])
     angular = {name for name in names if units[name].startswith("rad")}
-    for name, place in found.items():
+    for name, place in places(scene, [name for name in names if name not in initial]).items():
         _, _, attribute = place.owner
         if {*attribute.split(".")} & DIRECTION_ATTRIBUTES:
             angular.add(name)
@@ -101,14 +100,16 @@ class Starts:
         Args:
             code: compiled scene; its input vector x has the state and the parameters.
             names: names of the p parameters.
-            held: values of initial coordinates and rates that are given, but are not among the p parameters.
+            held: values, by name, of initial coordinates and rates (`start.JOINT`) that are given, but are
+                not among the p parameters.
         """
         self._code, self._held = code, np.array(list((held or {}).values()))
         self._names = (*names, *(held or {}))
         self._assembly = assembly_of(code.scene, self._names)
-        moving = {*self._assembly.kinematic, *self._assembly.initial}
         self._sizes = _sizes(code.scene, names)
-        self._moving = [k for k, name in enumerate(names) if name in moving]
+        # indices of the parameters that change the initial state
+        moves_start = {*self._assembly.kinematic, *self._assembly.initial}
+        self._moving = [k for k, name in enumerate(names) if name in moves_start]
 
     def __call__(self, numbers: Array) -> tuple[Array, Array]:
         """Compute the initial input vector x (inputs,) and its derivatives (inputs, p) for values (p,).
@@ -125,7 +126,8 @@ class Starts:
             if name in code.parameters:
                 x[code.place(name)] = numbers[k]
                 directions[code.place(name), k] = 1.0
-        # initial states with each parameter that moves them changed by -3, ..., 3 steps
+        # rows of parameter values: the given ones; then, for each parameter that changes the initial state,
+        # rows with this parameter changed by -3, -2, -1, 1, 2, 3 steps
         rows = [numbers]
         for k in self._moving:
             for number in SIXTH_ORDER:
@@ -134,24 +136,25 @@ class Starts:
         values = run_values(code.scene, dict(zip(self._names, np.array(rows).T, strict=True)))
         self._refuse(values.errors)
         if self._assembly.is_needed:
-            found, errors = self._assembly(values.arrays)
+            assembled, errors = self._assembly(values.arrays)
             self._refuse(errors)
-            states = self._assembly.starts(code, found)
+            states = self._assembly.starts(code, assembled)
             x[: code.size] = states[0]
             weights, system = np.array(list(SIXTH_ORDER.values())), code.system
-            # indices of angles, of which differences of full revolutions are removed
+            # differences of full revolutions of angles are removed
             angles = [*system.angles.values(), *system.uncounted_angles]
-            # difference quotients of both orders, compared
-            for k, moved in zip(self._moving, states[1:].reshape(-1, len(weights), code.size), strict=True):
-                changes = moved - states[0]
+            changed_states = states[1:].reshape(-1, len(weights), code.size)
+            for k, changed in zip(self._moving, changed_states, strict=True):
+                changes = changed - states[0]
                 changes[:, angles] -= 2.0 * np.pi * np.round(changes[:, angles] / (2.0 * np.pi))
-                fine, coarse = weights @ changes / steps[k], FOURTH_ORDER @ changes / steps[k]
+                sixth, fourth = weights @ changes / steps[k], FOURTH_ORDER @ changes / steps[k]
+                # compare both orders, for coordinates and for velocities
                 for part in (slice(system.nq), slice(system.nq, code.size)):
-                    largest = np.abs([fine[part], states[0, part]]).max(initial=MIN_COMPARED)
-                    if not np.abs(fine - coarse)[part].max(initial=0.0) <= MAX_ORDER_DIFFERENCE * largest:
+                    scale = np.abs([sixth[part], states[0, part]]).max(initial=MIN_COMPARED)
+                    if not np.abs(sixth - fourth)[part].max(initial=0.0) <= MAX_ORDER_DIFFERENCE * scale:
                         unknown = f"the derivative of the start by {self._names[k]} is not known"
                         raise SensitivityError(f"{unknown}: {NEAR_SINGULAR}")
-                directions[: code.size, k] = fine
+                directions[: code.size, k] = sixth
         return x, directions
 
     def _refuse(self, errors: Mapping[int, MechanismError]) -> None:

@@ -15,7 +15,7 @@ from mechanisms import ball_loop, carts, line_spring, mass_on_rail, pendulum
 from crosscheck.library import load
 from newton_euler import compile_scene, equilibrium, sensitivities, simulate_batch, start, with_parameters
 from newton_euler.analysis.sensitivity.tangent_code import tangent_code
-from newton_euler.analysis.sensitivity.tangent_run import FollowedRun
+from newton_euler.analysis.sensitivity.tangent_run import TangentRun
 from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
 from newton_euler.equations.parameters import parameter_values, places
 from newton_euler.integrators.options import Options
@@ -232,7 +232,7 @@ def test_tangents_stay_on_the_linearized_constraints(formulation):
     names = ("rod.mass", "ball.point.x", "start.pivot", "gravity.z")
     code = tangent_code(scene, names, formulation)
     start, directions = Starts(code, names)(own_numbers(scene, names))
-    found = FollowedRun(code, Options(rtol=1e-6, atol=1e-8), ("surface",))(start, directions)
+    found = TangentRun(code, Options(rtol=1e-6, atol=1e-8), ("surface",))(start, directions)
     rows = 2 * len(code.system.phi_units)
     open_by = np.abs(found.derivatives["surface"][:, :rows])
     # round-off of tangents of order 1 times entries of the Jacobian and its rate, up to 10
