@@ -5,9 +5,9 @@ noise. A fit has two steps. Each uses the trust-region method of scipy, and is r
 estimated from its residuals until the noise converges (`newton_euler.analysis.identification.noise`):
 
 1. A regularized fit of all parameters. A change of a parameter by its scale, a typical magnitude, costs as
-   much as a residual of one standard deviation. Combinations of parameters without information in the data
-   therefore keep their values, and steps are bounded. If a parameter grows beyond its scale, the scale is
-   enlarged, because the initial value may be far too small.
+   much as a residual of one standard deviation of the noise. Combinations of parameters without information
+   in the data therefore keep their values, and steps are bounded. If a parameter grows beyond its scale, the
+   scale is enlarged, because the initial value may be far too small.
 2. A fit of the identifiable combinations, whose effect exceeds the noise, without regularization. The other
    combinations return to their initial values.
 """
@@ -38,11 +38,12 @@ RANK_TOL = 1e-7
 combination of parameters is not identifiable."""
 
 CONVERGED_STD = 0.1
-"""Length of the next Gauss-Newton step, in standard deviations, up to which a fit counts as converged."""
+"""Length of the next Gauss-Newton step, in standard deviations of the parameters (`Fit.next_step`), up to
+which a fit counts as converged."""
 
 REPEATED_STD = 0.01
-"""Length of the next Gauss-Newton step, in standard deviations, above which the second step of a fit is
-repeated."""
+"""Length of the next Gauss-Newton step, in standard deviations of the parameters, above which the second step
+of a fit is repeated."""
 
 ROUND_OFF_CHANGE = 1e-12
 """Change of a parameter, in units of its scale, below which the change is round-off."""
@@ -52,7 +53,8 @@ STEP_ROUND_OFF = 1e-8
 with a relative tolerance of 1e-10."""
 
 EDGE_DISTANCE = 1e-6
-"""Distance from an invalid value, in units of the scale, within which a parameter counts as at the edge."""
+"""Distance from an invalid value, in units of the scale, within which a parameter counts as at the edge of
+its valid values. An example of an invalid value is a length with which loops cannot close."""
 
 MAX_GROWTH = 2.0
 """Largest ratio of a parameter to its scale; beyond, the scale is enlarged."""
@@ -80,7 +82,7 @@ class Fit:
         scale: (p,) typical magnitudes of the parameters.
         units: (p,) units of the parameters.
         noise: noise of the measurements.
-        if_not_converged: message in case the result of the last fit turns out not to have converged.
+        if_not_converged: message to use if `next_step` shows that the last fit has not converged.
     """
 
     def __init__(self, scene: Scene, names: tuple[str, ...], residuals: Residuals) -> None:
@@ -93,8 +95,9 @@ class Fit:
         """
         self._evaluate, self.noise = residuals, Noise(residuals.runs)
         self.before, self.scale, self.units = _scales(scene, names)
-        self.if_not_converged, self._invalid = "", ""
-        # columns of angles that may be in degrees instead of rad, before the fit
+        self.if_not_converged = ""
+        self._invalid_text = ""  # error of the last invalid parameter values in the current fit
+        # measured columns of angles that may be in degrees instead of rad, found before the fit
         self._degree_columns: set[str] = set()
 
     def solve(self) -> Array:
@@ -104,7 +107,7 @@ class Fit:
         self._degree_columns = self._evaluate.like_degrees(self.residuals(change))
         for _ in range(MAX_FITS):
             change = self._fit_regularized(change)
-            growth = self._estimate_noise(change)
+            growth = self._estimate_noise(change)  # ratios of the new noise to the one before
             if np.abs(growth - 1.0).max() < ROUGH_CHANGE:
                 break
             if growth.max() > 1.0 + ROUGH_CHANGE:
@@ -117,9 +120,13 @@ class Fit:
         return change
 
     def _estimate_noise(self, change: Array) -> Array:
-        """Estimate the noise from the residuals; return the growth factors of its levels."""
+        """Estimate the noise from the residuals after a change (p,).
+
+        Returns:
+            For each group of columns (see `Noise.levels`), the new noise divided by the noise before.
+        """
         jacobian = self.jacobian(change)
-        # derivatives by identifiable combinations: they show how much of the noise the fit absorbs
+        # derivatives with respect to identifiable combinations show how much of the noise the fit absorbs
         fitted = jacobian @ split(jacobian).strong.T
         return self.noise.estimate(self.residuals(change), fitted)
 
@@ -134,7 +141,10 @@ class Fit:
         return change
 
     def _project(self, change: Array) -> Array:
-        """Project a change (p,) on the identifiable directions; return `change` if the result is invalid."""
+        """Project a change (p,) on the identifiable directions.
+
+        The result is the change itself if the projected parameter values are invalid.
+        """
         strong, weak, _ = split(self.jacobian(change))
         if not len(weak):
             return change
@@ -171,29 +181,36 @@ class Fit:
 
         if not basis.size:
             return initial
-        self._invalid = ""
+        self._invalid_text = ""
         initial_residuals = np.concatenate([self._weighted(initial), regularization * initial])
         penalty = INVALID_FACTOR * max(1.0, float(np.abs(initial_residuals).max()))
 
         def change_of(z: Array) -> Array:
-            return np.asarray(initial + basis @ (z - 1.0))  # z begins at 1: tolerances are relative to z
+            """Return the change (p,) for coordinates z (k,) in the subspace.
+
+            z begins at 1, because the tolerances of `least_squares` are relative to z.
+            """
+            return np.asarray(initial + basis @ (z - 1.0))
 
         def residuals(z: Array) -> Array:
+            """Compute weighted residuals, then the regularization; large numbers for invalid values."""
             change = change_of(z)
             try:
                 return np.concatenate([self._weighted(change), regularization * change])
             except NewtonEulerError as error:
-                self._invalid = f"further values are impossible: {error}"
+                self._invalid_text = f"further values are impossible: {error}"
                 return np.full(len(initial_residuals), penalty)
 
         def jacobian(z: Array) -> Array:
+            """Compute the derivatives of `residuals` with respect to z."""
             return np.vstack([self.jacobian(change_of(z)) @ basis, regularization * basis])
 
         solved = least_squares(
             residuals, np.ones(basis.shape[1]), jacobian, max_nfev=MAX_EVALUATIONS, **TOLERANCES
         )
-        ended = f"{MAX_EVALUATIONS} evaluations are used up" if solved.status == 0 else "steps are too small"
-        self.if_not_converged = f"the fit has not converged: {self._invalid or ended}"
+        is_limit = solved.status == 0
+        reason = f"{MAX_EVALUATIONS} evaluations are used up" if is_limit else "steps are too small"
+        self.if_not_converged = f"the fit has not converged: {self._invalid_text or reason}"
         return change_of(solved.x)
 
     def next_step(self, change: Array) -> float:
@@ -207,24 +224,30 @@ class Fit:
         """
         jacobian = self.jacobian(change)
         strong = split(jacobian).strong
+        # minus the step, along directions whose lengths are standard deviations
         deviations = strong @ (jacobian.T @ self._weighted(change))
         if np.abs(strong.T @ deviations).max() < STEP_ROUND_OFF:
             return 0.0
         return float(np.linalg.norm(deviations))
 
     def is_at_edge(self, change: Array) -> list[bool]:
-        """True for each parameter for which a slightly larger or smaller value is invalid."""
+        """Return True for each parameter whose slightly larger or smaller value is invalid.
+
+        Args:
+            change: (p,) change at which the parameters are examined.
+        """
         steps = EDGE_DISTANCE * np.eye(len(change))
         return [
-            not all(self._evaluate.can_start(self.values(change + small)) for small in (step, -step))
+            not all(self._evaluate.can_start(self.values(change + signed)) for signed in (step, -step))
             for step in steps
         ]
 
     def curvature(self, change: Array) -> float:
-        """Compute the relative change of derivatives at a distance of two standard deviations.
+        """Compute how much derivatives change at a distance of two standard deviations from a change (p,).
 
-        Root mean square over the identifiable combinations (D. M. Bates and D. G. Watts, Journal of the Royal
-        Statistical Society B 42, 1980); infinite if values at this distance are invalid.
+        The result is the relative change, as root mean square over the identifiable combinations (D. M. Bates
+        and D. G. Watts, Journal of the Royal Statistical Society B 42, 1980). It is infinite if values at
+        this distance are invalid.
         """
         jacobian = self.jacobian(change)
         strong = split(jacobian).strong
@@ -236,7 +259,7 @@ class Fit:
         return float(np.sqrt(np.mean(np.square(norms)))) if norms else 0.0
 
     def in_degrees(self, change: Array) -> tuple[str, ...]:
-        """Return the names of measured columns that fit as degrees instead of rad."""
+        """Return the names of measured columns that fit as degrees instead of rad, after a change (p,)."""
         residuals = self.residuals(change)
         suspected = self._degree_columns | self._evaluate.like_degrees(residuals)
         return tuple(sorted(suspected & self._evaluate.unexplained(residuals)))
@@ -246,7 +269,7 @@ class Fit:
         return self.before + np.where(np.abs(change) > ROUND_OFF_CHANGE, change, 0.0) * self.scale
 
     def residuals(self, change: Array) -> Array:
-        """Compute the residuals (n,), SI."""
+        """Compute the residuals (n,), computed minus measured, SI, after a change (p,)."""
         return self._evaluate(self.values(change)).residuals
 
     def jacobian(self, change: Array) -> Array:
@@ -284,7 +307,7 @@ class Split(NamedTuple):
     Attributes:
         strong: (s, p) orthogonal identifiable directions; the length of each is its standard deviation.
         weak: (p - s, p) a basis of the directions that are not identifiable, with many zeros.
-        covariance: (p, p) of all parameters.
+        covariance: (p, p) of all parameters; variances that round-off makes infinite are cut off.
     """
 
     strong: Array
@@ -308,7 +331,10 @@ def split(jacobian: Array) -> Split:
 
 
 def _sparse_basis(rows: Array) -> Array:
-    """Return a basis of the row space of `rows` (d, p); each row has a column in which all others are 0."""
+    """Return a basis (d, p) of the row space of `rows` (d, p) with many zeros.
+
+    Each row of the basis has a column in which all other rows are 0.
+    """
     from scipy.linalg import qr
 
     _, _, order = qr(rows, mode="economic", pivoting=True)

@@ -58,10 +58,10 @@ class Identification:
     """Result of `identify`: p parameters fitted to measurements, with uncertainties and warnings.
 
     Attributes:
-        scene: the scene with the fitted parameters. If joints' `point_on_first`, `point_on_second` or
-            `length` are parameters, the scene counts coordinates from another initial pose than the
-            measurements, see `newton_euler.with_parameters`; a run of `simulate_batch` with these values does
-            not.
+        scene: the scene with the fitted parameters. If `point_on_first`, `point_on_second` or `length` of a
+            joint is a parameter, joint coordinates of this scene are zero at another initial pose than those
+            of the measurements, see `newton_euler.with_parameters`. In a run of `simulate_batch` with these
+            values they are zero at the same pose.
         parameters: names of the parameters.
         units: (p,) SI units; empty for pure numbers.
         before, values: (p,) initial and fitted values.
@@ -71,11 +71,12 @@ class Identification:
         noise: standard deviations of columns by name, for each run; given, or estimated from the residuals.
         misfits: root mean squares of the residuals of columns by name, in units of their noise.
         misfit: reduced chi: root of (sum of squared residuals in units of the given noise, divided by the
-            expected sum). About 1 if the scene can move as measured. NaN if no noise is given, or if the fit
-            uses up all numbers with given noise.
-        degrees_of_freedom: of the misfit, see `newton_euler.analysis.identification.noise`. If all noise is
-            given: the number of measured numbers minus the number of identifiable combinations.
-        probability: of this misfit or a larger one by chance alone; NaN without a misfit.
+            expected sum). About 1 if the scene can move as measured. NaN if no noise is given, or if there
+            are not more numbers with given noise than the fit needs.
+        degrees_of_freedom: degrees of freedom of the misfit as a chi-squared variable, see
+            `newton_euler.analysis.identification.noise`. If all noise is given: the number of measured
+            numbers minus the number of identifiable combinations of parameters.
+        probability: probability of this misfit or a larger one by chance alone; NaN without a misfit.
         residuals: measured minus computed, (n,) by column, for each run.
         unlike: columns without given noise that a constant fits better than the scene.
         in_degrees: columns of rad or rad/s that fit as degrees.
@@ -86,7 +87,7 @@ class Identification:
             `MAX_CURVATURE` the covariance is valid for single parameters, not for all together.
         contradiction: a line on the coordinate or rate whose first measurement contradicts the start of its
             run, if no parameter moves the start; empty if there is none.
-        evaluations: number of evaluations of all runs, with derivatives.
+        evaluations: number of times that all runs were simulated, with derivatives.
 
     Examples:
         >>> scene = load("tracker")
@@ -193,7 +194,7 @@ class Identification:
 
     @property
     def notes(self) -> list[str]:
-        """Lines on a start that contradicts measurements, and on limits of the covariance."""
+        """Lines on measurements that contradict the start of a run, and on limits of the covariance."""
         lines = [self.contradiction] if self.contradiction else []
         if not self.is_wrong and self.curvature > MAX_CURVATURE:
             lines.append("the confidence region is curved: deviations hold for single parameters only")
@@ -212,7 +213,8 @@ def identify(
 
     Args:
         scene: model of the measured mechanism.
-        parameters: names, see `sensitivities`; of an array all numbers are fitted.
+        parameters: names, see `newton_euler.equations.parameters` and, for initial coordinates,
+            `newton_euler.runs.initial_coordinates`. All numbers of an array are fitted.
         measurements: of one or several runs: CSV files, see `measurements_from_csv`, or `Measurements`.
         formulation: see `simulate`.
         control: step control of DOP853 with projection, see `simulate`; other methods have no derivatives.
@@ -238,23 +240,25 @@ def identify(
     names = tuple(components(scene, checked_names(parameters)))
     runs = _runs(scene, names, measurements)
     count = sum(run.time.size * len(run.columns) for run in runs.values())
-    unknown = {name for run in runs.values() for name in run.columns if name not in run.noise}
-    if count < len(names) + len(unknown):
-        more = ", and for the noise of each column that is not given" if unknown else ""
-        needed = f"at least {len(names) + len(unknown)}, one for each that is fitted{more}"
+    without_noise = {name for run in runs.values() for name in run.columns if name not in run.noise}
+    if count < len(names) + len(without_noise):
+        more = ", and for the noise of each column that is not given" if without_noise else ""
+        needed = f"at least {len(names) + len(without_noise)}, one for each that is fitted{more}"
         raise MechanismError("measurements", f"are {count} numbers", needed)
     # fit
     measured = Residuals(scene, names, runs, formulation, tangent_options(control))
     measured.code.warn()
     fit = Fit(scene, names, measured)
+    # change of the parameters from their initial values, and its combinations that are not identifiable
+    # (`weak`), in units of scales
     change, noise = fit.solve(), fit.noise
     _, weak, covariance = split(fit.jacobian(change))
     values = fit.values(change)
     stopped = fit.if_not_converged if fit.next_step(change) > CONVERGED_STD else ""
     # covariance: infinite for combinations that are not identifiable, NaN at an edge or for a wrong scene
     is_at_edge = fit.is_at_edge(change) if stopped else [False] * len(names)
-    is_weak = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
-    for k in np.flatnonzero(is_weak | is_at_edge):
+    is_not_identifiable = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
+    for k in np.flatnonzero(is_not_identifiable | is_at_edge):
         covariance[k, :] = covariance[:, k] = np.nan
         covariance[k, k] = np.nan if is_at_edge[k] else np.inf
     if noise.probability < MIN_PROBABILITY:
@@ -339,11 +343,11 @@ def _misfits(residuals: Sequence[Mapping[str, Floats]]) -> dict[str, float]:
     Args:
         residuals: for each run, residuals (n,) in units of their noise by name of the column.
     """
-    found: dict[str, list[Floats]] = {}
+    by_name: dict[str, list[Floats]] = {}
     for run in residuals:
         for name, column in run.items():
-            found.setdefault(name, []).append(column)
-    return {name: float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for name, each in found.items()}
+            by_name.setdefault(name, []).append(column)
+    return {name: float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for name, each in by_name.items()}
 
 
 def _describe_weak(names: Sequence[str], values: Array, fit: Fit, weak: Array) -> list[str]:
@@ -355,10 +359,12 @@ def _describe_weak(names: Sequence[str], values: Array, fit: Fit, weak: Array) -
         weak: (d, p) combinations, in units of scales.
     """
     lines = []
-    what = "that was measured" if fit.noise.probability >= MIN_PROBABILITY else "beyond these residuals"
+    # if given noise does not explain the residuals, the residuals count as noise
+    is_explained = fit.noise.probability >= MIN_PROBABILITY
+    what = "that was measured" if is_explained else "beyond these residuals"
     # combinations with the indices of their parameters; those of few parameters first
-    found = [([k for k, x in enumerate(row) if abs(x) > FACTOR_TOLERANCE], row) for row in weak]
-    for indices, row in sorted(found, key=lambda pair: (len(pair[0]), pair[0])):
+    combinations = [([k for k, x in enumerate(row) if abs(x) > FACTOR_TOLERANCE], row) for row in weak]
+    for indices, row in sorted(combinations, key=lambda pair: (len(pair[0]), pair[0])):
         if len(indices) == 1:
             lines.append(f"{names[indices[0]]} is not identifiable")
             continue
@@ -370,6 +376,7 @@ def _describe_weak(names: Sequence[str], values: Array, fit: Fit, weak: Array) -
                 operator = "/" if x * y > 0.0 else "*"
                 lines.append(f"only {names[indices[0]]} {operator} {names[indices[1]]} is identifiable")
                 continue
+        # an example: changes of one percent of the scales
         changes = [f"{names[k]} {0.01 * change[k]:+.2g} {fit.units[k]}".rstrip() for k in indices]
         lines.append(f"not identifiable: {', '.join(changes)} together change nothing {what}")
     return lines

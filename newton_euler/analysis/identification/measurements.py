@@ -1,11 +1,12 @@
 """Measured motion: columns of numbers over time, from a CSV file or from arrays.
 
-Names of columns are `coordinate.JOINT` and `rate.JOINT`, m or rad from the initial pose and their rates. A
-joint of several coordinates has `coordinate.JOINT.0`, `coordinate.JOINT.1`. Other columns have the names of
-`Trajectory.to_dataframe`:
-`position.BODY.x` (m, the center of mass), `quaternion.BODY.w`, `linear_velocity.BODY.x`,
-`angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`, `actuator_force.0`,
-`kinetic_energy`, `potential_energy`, `work`; in SI or the units of `UNITS`, world frame.
+Columns are in SI or the units of `UNITS`, vectors in the world frame. Names of columns are:
+
+- `coordinate.JOINT` and `rate.JOINT`: joint coordinate, m or rad from the initial pose, and its rate. A joint
+  of several coordinates has `coordinate.JOINT.0`, `coordinate.JOINT.1`.
+- as in `Trajectory.to_dataframe`: `position.BODY.x` (m, the center of mass), `quaternion.BODY.w`,
+  `linear_velocity.BODY.x`, `angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`,
+  `actuator_force.0`, `kinetic_energy`, `potential_energy`, `work`.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ UNITS = {unit: (unit, 1.0) for unit in ("s", "m", "rad", "m/s", "rad/s", "N", "N
 """Accepted units of columns, each with its SI unit and the factor to the SI unit."""
 
 HEADING = re.compile(r"(.*?)\s*(?:\[([^]]*)\])?")
-"""Heading of a column: name, and unit in brackets if there is one."""
+"""Pattern of the heading of a column: name, and unit in brackets if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,11 @@ class Measurements:
 
 
 def _factor(name: str, unit: object) -> float:
-    """Return the factor from a unit to SI."""
+    """Return the factor from the unit of a column to SI.
+
+    Raises:
+        MechanismError: for a unit that is not in `UNITS`; names the column.
+    """
     if not isinstance(unit, str) or unit not in UNITS:
         raise MechanismError("measurements", f"unit of {quoted(name)} is {quoted(unit)}", ", ".join(UNITS))
     return UNITS[unit][1]
@@ -197,14 +202,14 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
         needed = "a column time, and at least one of measurements"
         raise SourceError(where, f"line 1 has {names:.200}; needed: {needed}")
     check_names(where, header)
-    # rows of noise and start, and rows of measurements
+    # rows (number of the line, cells) of measurements, and rows of noise and start by the name of the column
     time_column, data = header.index("time"), list[Row]()
-    special: dict[str, dict[str, float]] = {NOISE: {}, START: {}}
+    special_rows: dict[str, dict[str, float]] = {NOISE: {}, START: {}}
     for line, cells in rows[1:]:
-        if len(cells) == len(header) and cells[time_column].lower() in special:
+        if len(cells) == len(header) and cells[time_column].lower() in special_rows:
             given = {name: cell for name, cell in zip(header, cells, strict=True) if cell and name != "time"}
             values = row_numbers(where, list(given), (line, list(given.values())))
-            special[cells[time_column].lower()] |= dict(zip(given, values, strict=True))
+            special_rows[cells[time_column].lower()] |= dict(zip(given, values, strict=True))
         else:
             data.append((line, cells))
     if len(data) < 2:
@@ -215,12 +220,12 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     table.refuse(time < 0.0, "time", time, "times from 0 on")
     try:
         start = {}
-        for name, number in special[START].items():
+        for name, number in special_rows[START].items():
             if not (initial := initial_name(name)):
                 problem = f"the start is given by column {quoted(name)}; needed: coordinates and rates"
                 raise SourceError(where, problem)
             start[initial] = number * _factor(name, units.get(name, "1"))
-        return Measurements(time, columns, special[NOISE], start, units)
+        return Measurements(time, columns, noise=special_rows[NOISE], start=start, units=units)
     except MechanismError as error:
         raise SourceError(where, f"{error.problem}; needed: {error.needed}") from error
 
@@ -251,15 +256,17 @@ def column_places(
         mechanism: gives names of bodies, joints and coordinates.
         layout: layout of the results of the program "output": for each quantity, first index, end and shape.
     """
-    joints = list(mechanism.coordinate_labels.values())
-    found = {f"coordinate.{name}": ("coordinates", k) for k, name in enumerate(joints)}
-    found |= {f"rate.{name}": ("coordinates", len(joints) + k) for k, name in enumerate(joints)}
-    named = {"b": mechanism.body_names, "j": mechanism.joint_names}
+    # the program "coordinates" returns all joint coordinates, then their rates
+    labels = list(mechanism.coordinate_labels.values())
+    places = {f"coordinate.{label}": ("coordinates", k) for k, label in enumerate(labels)}
+    places |= {f"rate.{label}": ("coordinates", len(labels) + k) for k, label in enumerate(labels)}
+    # the program "output" returns the arrays of a trajectory; axes of bodies and joints have names
+    names = {"b": mechanism.body_names, "j": mechanism.joint_names}
     for name, (start, _, shape) in layout.items():
         if name in QUANTITIES:
-            columns = column_names(name, shape, named)
-            found |= {column: ("output", start + k) for k, column in enumerate(columns)}
-    return found
+            columns = column_names(name, shape, names)
+            places |= {column: ("output", start + k) for k, column in enumerate(columns)}
+    return places
 
 
 class Column(NamedTuple):
@@ -267,17 +274,17 @@ class Column(NamedTuple):
 
     Attributes:
         program: name of the compiled program that computes the quantity, "coordinates" or "output".
-        of_value: index in the results of the program.
-        of_derivative: index in the results of the program with derivatives.
+        value_place: index of the quantity in the results of the program.
+        derivative_place: index of its derivatives in the results of the program with derivatives.
         unit: SI unit.
-        quaternion: number of the body if the column is a component of its quaternion; else -1.
+        quaternion_body: number of the body if the column is a component of the body's quaternion; else -1.
     """
 
     program: str
-    of_value: int
-    of_derivative: int
+    value_place: int
+    derivative_place: int
     unit: str
-    quaternion: int
+    quaternion_body: int
 
 
 Places = Mapping[str, tuple[str, int]]
@@ -307,7 +314,9 @@ def column_of(scene: Scene, name: str, values: Places, derivatives: Places) -> C
         unit = "N" if mechanism.is_slide(*scene.control[int(rest)].key) else "N m"
     elif kind == "quaternion":
         body = mechanism.body_index(rest.rpartition(".")[0])
-    return Column(*values[name], derivatives[name][1], unit, body)
+    program, value_place = values[name]
+    _, derivative_place = derivatives[name]
+    return Column(program, value_place, derivative_place, unit, quaternion_body=body)
 
 
 def compared(
@@ -328,13 +337,16 @@ def compared(
         Residuals (n, m), computed minus measured, and their derivatives (n, m, p).
     """
     measured = np.stack(list(run.columns.values()), axis=1)
-    bodies = np.array([column.quaternion for column in columns])
+    # signs of quaternions; not all components need to be measured
+    bodies = np.array([column.quaternion_body for column in columns])
     for body in np.unique(bodies[bodies >= 0]):
-        of_body = bodies == body
-        signs = np.where(np.sum(values[:, of_body] * measured[:, of_body], axis=1) < 0.0, -1.0, 1.0)
-        values[:, of_body] *= signs[:, None]
-        derivatives[:, of_body] *= signs[:, None, None]
+        components = bodies == body
+        products = np.sum(values[:, components] * measured[:, components], axis=1)
+        signs = np.where(products < 0.0, -1.0, 1.0)
+        values[:, components] *= signs[:, None]
+        derivatives[:, components] *= signs[:, None, None]
+    # residuals without full revolutions of angles
     residuals = values - measured
-    angles = np.array([column.unit == "rad" for column in columns])
-    residuals[:, angles] -= 2.0 * np.pi * np.round(residuals[:, angles] / (2.0 * np.pi))
+    is_angle = np.array([column.unit == "rad" for column in columns])
+    residuals[:, is_angle] -= 2.0 * np.pi * np.round(residuals[:, is_angle] / (2.0 * np.pi))
     return residuals, derivatives

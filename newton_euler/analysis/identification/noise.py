@@ -63,19 +63,22 @@ class Noise:
     """
 
     def __init__(self, runs: Sequence[Measurements]) -> None:
+        """Divide the measured columns of all runs into groups, with first estimates of unknown noise."""
         self.misfit, self.freedom = math.nan, 0.0
+        # columns without given noise, with the largest standard deviation of their numbers in a run
         spread: dict[str, float] = {}
         for run in runs:
             for name in (name for name in run.columns if name not in run.noise):
                 spread[name] = max(spread.get(name, 0.0), float(np.std(run.columns[name])))
         self.unknown = tuple(spread)
-        # group and unit of noise of each of the n measured numbers
+        # for each of the n measured numbers: its group, and its noise in units of the level of the group
         columns = [(run, name) for run in runs for name in run.columns]
         sizes = [run.time.size for run, _ in columns]
         groups = [0 if name in run.noise else 1 + self.unknown.index(name) for run, name in columns]
         self._group = np.repeat(groups, sizes)
         self._unit = np.repeat([run.noise.get(name, 1.0) for run, name in columns], sizes)
-        # for each group: level, smallest level, degrees of freedom that the fit leaves, growth of the level
+        # for each group: level, smallest level, degrees of freedom that the fit leaves, ratio of the level to
+        # the one before
         deviations = np.array([1.0, *(spread[name] or 1.0 for name in self.unknown)])
         self.levels, self._min_levels = FIRST_NOISE * deviations, MIN_NOISE * deviations
         self.levels[0] = 1.0
@@ -112,12 +115,15 @@ class Noise:
         return tuple(name for name, each in zip(self.unknown, is_unknown[1:], strict=True) if each)
 
     def estimate(self, residuals: Array, fitted: Array) -> Array:
-        """Estimate the levels from the residuals of a fit; return their growth factors (1 + u,).
+        """Estimate the levels from the residuals of a fit.
 
         Args:
             residuals: (n,) SI.
             fitted: (n, s) derivatives of the residuals, in units of the noise, with respect to the fitted
                 combinations in units of their standard deviations; the columns are orthonormal.
+
+        Returns:
+            (1 + u,) new levels, divided by the levels before.
         """
         squares, previous = (residuals / self.effective) ** 2, self.levels.copy()
         self.misfit, self.freedom = math.nan, 0.0

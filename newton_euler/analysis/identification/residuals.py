@@ -1,8 +1,8 @@
 """Residuals (computed minus measured motion), and their derivatives with respect to parameters of a scene.
 
 `Residuals` simulates the measured runs with given parameter values and compares the results with the measured
-columns. It also finds columns that are likely wrong: in degrees, unlike the scene, or in contradiction to the
-start of the run.
+columns. It also finds columns that are likely wrong: in degrees, worse than a constant, or in contradiction
+to the start of the run.
 """
 
 from __future__ import annotations
@@ -64,7 +64,12 @@ coincidence: its probability is 1e-9."""
 
 
 class ResidualValues(NamedTuple):
-    """Residuals (n,), computed minus measured, and their derivatives (n, p); SI."""
+    """Residuals and their derivatives with respect to p parameters, SI.
+
+    Attributes:
+        residuals: (n,) computed minus measured.
+        jacobian: (n, p).
+    """
 
     residuals: Array
     jacobian: Array
@@ -142,14 +147,15 @@ class Residuals:
         """
         if self._last is None or self._last[0] != values.tobytes():
             self.evaluations += 1
-            found = [self._of_run(k, values) for k in range(len(self.runs))]
-            of_all = ResidualValues(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
-            self._last = values.tobytes(), of_all
+            by_run = [self._of_run(k, values) for k in range(len(self.runs))]
+            all_runs = ResidualValues(*(np.concatenate(arrays) for arrays in zip(*by_run, strict=True)))
+            self._last = values.tobytes(), all_runs
         return self._last[1]
 
     def _of_run(self, k: int, values: Array) -> ResidualValues:
         """Simulate run k with parameter values (p,), and compare the result with the measurements."""
         run, columns, (starts, simulate) = self.runs[k], self._columns[k], self._models[k]
+        # x has the initial state and the parameters, directions (inputs, p) are its derivatives
         x, directions = starts(values)
         computed, derivatives = _selected(simulate(x, directions, run.time), columns)
         residuals, jacobian = compared(computed, derivatives, run, columns)
@@ -158,7 +164,7 @@ class Residuals:
         return ResidualValues(residuals.T.ravel(), jacobian.swapaxes(0, 1).reshape(residuals.size, -1))
 
     def can_start(self, values: Array) -> bool:
-        """True if parameter values (p,) are valid for the scene and for the starts of all runs."""
+        """Return True if parameter values (p,) are valid for the scene and for the starts of all runs."""
         try:
             for starts, _ in self._models:
                 starts(values)
@@ -188,13 +194,13 @@ class Residuals:
 
     def unlike(self, residuals: Array) -> tuple[str, ...]:
         """Return the names of columns without given noise that a constant fits better than the scene."""
-        found: dict[str, None] = {}  # names once, in order
-        for run, of_run in zip(self.runs, self.by_column(residuals), strict=True):
-            for name, column in run.columns.items():
-                deviation = max(np.std(column), CONSTANT_STD * (1.0 + np.abs(column).max()))
-                if name not in run.noise and _rms(of_run[name]) > WORSE_THAN_CONSTANT * deviation:
-                    found[name] = None
-        return tuple(found)
+        names: dict[str, None] = {}  # an ordered set: several runs may have a column of this name
+        for run, by_name in zip(self.runs, self.by_column(residuals), strict=True):
+            for name, measured in run.columns.items():
+                deviation = max(np.std(measured), CONSTANT_STD * (1.0 + np.abs(measured).max()))
+                if name not in run.noise and _rms(by_name[name]) > WORSE_THAN_CONSTANT * deviation:
+                    names[name] = None
+        return tuple(names)
 
     def contradiction(self, values: Array) -> str:
         """Describe the measured coordinate or rate that contradicts the start of its run most.
@@ -206,12 +212,13 @@ class Residuals:
             values: (p,) values of the parameters.
         """
         # deviation of each measured initial coordinate, in standard deviations, by a line of text
-        found, deviations = self(values), dict[str, float]()
-        largest_derivatives = self.by_column(np.abs(found.jacobian).max(axis=1))
-        for k, residuals in enumerate(self.by_column(found.residuals)):
+        evaluated, deviations = self(values), dict[str, float]()
+        largest_derivatives = self.by_column(np.abs(evaluated.jacobian).max(axis=1))
+        for k, residuals in enumerate(self.by_column(evaluated.residuals)):
             run = self.runs[k]
             for (name, measured), column in zip(run.columns.items(), self._columns[k], strict=True):
                 initial = initial_name(name)
+                # skip other columns, runs measured from a later time, and starts that a parameter moves
                 if not initial or run.time[0] > 0.0 or largest_derivatives[k][name][0] > 0.0:
                     continue
                 start, first = measured[0] + residuals[name][0], measured[0]
@@ -220,6 +227,7 @@ class Residuals:
                 line = (
                     f"{name} starts at {start:.6g} {column.unit}, held, but is {first:.6g} in the first row"
                 )
+                # `start` is the row of the file with initial coordinates
                 advice = "is the line start right?" if initial in run.start else f"fit {initial}?"
                 noise = run.noise.get(name, _estimated_noise(measured))
                 deviations[f"{self._prefixes[k]}{line}: {advice}"] = abs(residuals[name][0]) / noise
@@ -227,17 +235,18 @@ class Residuals:
         return worst if worst and deviations[worst] > CONTRADICTION_STD else ""
 
     def _angles(self, residuals: Array) -> Iterator[tuple[str, AngleFit]]:
-        """Yield the name and the residuals of each column of rad or rad/s, for each run."""
-        for run, columns, of_run in zip(self.runs, self._columns, self.by_column(residuals), strict=True):
+        """Yield names of columns of rad or rad/s, for each run, with a test whether they are in degrees."""
+        for run, columns, by_name in zip(self.runs, self._columns, self.by_column(residuals), strict=True):
             for (name, measured), column in zip(run.columns.items(), columns, strict=True):
                 if column.unit not in ("rad", "rad/s"):
                     continue
+                # residuals if the measured numbers are converted from degrees
                 converted = np.deg2rad(measured)
-                as_degrees, size = of_run[name] + measured - converted, _rms(converted)
+                as_degrees, size = by_name[name] + measured - converted, _rms(converted)
                 if column.unit == "rad":
                     as_degrees -= 2.0 * np.pi * np.round(as_degrees / (2.0 * np.pi))
                     size = min(size, 1.0)
-                yield name, AngleFit(_rms(of_run[name]), _rms(as_degrees), size)
+                yield name, AngleFit(_rms(by_name[name]), _rms(as_degrees), size)
 
 
 @lru_cache(maxsize=CACHED_SCENES)
@@ -259,19 +268,19 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _selected(followed: TangentResults, columns: list[Column]) -> tuple[Array, Array]:
+def _selected(run: TangentResults, columns: list[Column]) -> tuple[Array, Array]:
     """Return the m computed columns (n, m) of a simulated run and their derivatives (n, m, p)."""
     values, derivatives = [], []
     for column in columns:
-        results = followed.derivatives[column.program]
+        results = run.derivatives[column.program]
         if column.program == "coordinates":
-            # this program returns the coordinates, then their derivatives
+            # this program returns the coordinates (the same for each parameter), then their derivatives
             count = results.shape[1] // 2
-            values.append(results[:, column.of_value, 0])
-            derivatives.append(results[:, count + column.of_derivative])
+            values.append(results[:, column.value_place, 0])
+            derivatives.append(results[:, count + column.derivative_place])
         else:
-            values.append(followed.results[:, column.of_value])
-            derivatives.append(results[:, column.of_derivative])
+            values.append(run.results[:, column.value_place])
+            derivatives.append(results[:, column.derivative_place])
     return np.stack(values, axis=1), np.stack(derivatives, axis=1)
 
 
