@@ -70,7 +70,7 @@ _DIGEST_SIZE = 32
 
 
 def _digest(key: str, code: bytes) -> bytes:
-    """Return the digest that the file of an entry begins with."""
+    """Return the SHA-256 of a key and a content, with which the file of an entry begins."""
     return hashlib.sha256(key.encode() + code).digest()
 
 
@@ -142,8 +142,7 @@ def _untrusted_owner(status: os.stat_result) -> str:
 
 
 def read_cache(key: str) -> bytes | None:
-    """Return the content of the entry with this key; None if there is no such entry or it cannot be
-    trusted."""
+    """Return the content of the entry with this key; None for a missing, damaged or untrusted entry."""
     directory = cache_directory()
     if directory is None:
         return None
@@ -185,8 +184,7 @@ def write_cache(key: str, code: bytes) -> None:
 
 
 def _reduce(directory: Path) -> None:
-    """Remove abandoned temporary files; if the cache exceeds its limit, remove the entries unused for
-    longest."""
+    """Remove abandoned temporary files; if the cache is too large, remove entries not used for longest."""
     # list the entries, and remove abandoned files
     now, total = time.time(), 0
     entries: list[tuple[float, int, str]] = []  # time of last use, size, path

@@ -4,6 +4,8 @@
 code from the cache. The text is written directly, because a compiler for general Python, such as Numba, takes
 about twenty times longer for long straight-line code. The cache key contains the text or what it depends on,
 the versions of all tools, and the processor.
+
+Code can take several inputs at once, one in each *lane* (element) of the processor's vector registers.
 """
 
 from __future__ import annotations
@@ -34,8 +36,8 @@ MIN_ROLLED_SIZE = 9_500
 as long to compile."""
 
 MIN_ROLLED_SIZE_IN_LANES = 6 * MIN_ROLLED_SIZE
-"""Number of operations below which callers set `Traced.straight` for programs that take several inputs at
-once, such as the equations of motion. Straight-line code of this size compiles in 8 s."""
+"""Number of operations below which programs that take one state of each of several runs are straight-line
+code (`Traced.straight`), such as the equations of motion. Straight-line code of this size compiles in 8 s."""
 
 CODE_LEVEL, ROLLED_CODE_LEVEL = 1, 0
 """LLVM's code generation levels for straight-line code and for rolled code.
@@ -44,11 +46,14 @@ Level 2, the default of LLVM, makes the same code in a sixth more time. Level 0 
 level 1, and its straight-line code takes twice as long to run."""
 
 DESCRIPTION_NAME = "f.description"
-"""Name of the constant in a compiled module that holds the attributes of its `NativeFunction` as JSON."""
+"""Name of the constant in a compiled module that holds the attributes of its `NativeFunction` as JSON.
+
+Code from the cache has these attributes, too."""
 
 PROGRAM_SIGNATURE = Signature({"x": "ptr", "y": "ptr", "on": "i64"}, "void")
-"""Signature of every compiled program, the function `f(x, y, on)`. Bit i of `on` is 1 if lane i shall write
-y."""
+"""Signature of every compiled program: `f(x, y, on)` reads the inputs x and writes the outputs y.
+
+Bit i of `on` is 1 if lane i shall write its y."""
 
 C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
 """Type of `ctypes` for functions with the signature `PROGRAM_SIGNATURE`."""
@@ -112,17 +117,18 @@ class NativeModule:
         """
         llvm = llvm_binding()
         processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-        made_by = Path(__file__).read_text(encoding="utf-8")
-        versions = (made_by, optimize, llvm.llvm_version_info, sys.version, processor, features)
+        compiler_source = Path(__file__).read_text(encoding="utf-8")
+        versions = (compiler_source, optimize, llvm.llvm_version_info, sys.version, processor, features)
         key = cache_key(identity, *versions)
         code = read_cache(key)
         self.from_cache = code is not None
         target = llvm.Target.from_default_triple()
         machine_of = partial(target.create_target_machine, cpu=processor, features=features)
+        # compile the text
         if code is None:
             with garbage_collection_off():
-                written, level = text()
-            module, machine = llvm.parse_assembly(written), machine_of(opt=level)
+                llvm_text, level = text()
+            module, machine = llvm.parse_assembly(llvm_text), machine_of(opt=level)
             if optimize:
                 # LLVM's default optimization passes take ten times as long, and the code is not faster
                 passes = llvm.create_new_module_pass_manager()
@@ -132,13 +138,14 @@ class NativeModule:
                 passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
             code = machine.emit_object(module)
             write_cache(key, code)
+        # load the machine code into an engine that begins with an empty module
         self._engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine_of())
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         self._engine.finalize_object()
         self.addresses = {name: int(self._engine.get_function_address(name)) for name in functions}
 
     def constant(self, name: str) -> bytes:
-        """Return the content of a named constant of the module, a text that ends with a zero byte."""
+        """Return the text of a named constant of the module, which a zero byte ends in memory."""
         return ctypes.string_at(int(self._engine.get_global_value_address(name)))
 
 
@@ -149,8 +156,8 @@ class Traced(NamedTuple):
         program: operations, from `Graph.prune`.
         many: True for code that takes several x at once, one in each lane.
         layout: description of the results for callers, anything that JSON can hold.
-        straight: True for straight-line code even if the program has `MIN_ROLLED_SIZE` operations. Results
-            are bitwise those of rolled code, which fuses no multiplications and additions.
+        straight: True for straight-line code even if the program has `MIN_ROLLED_SIZE` operations or more.
+            Results are bitwise those of rolled code: both then fuse no multiplications and additions.
         lanes: number of lanes if `many` is True.
     """
 
@@ -174,7 +181,10 @@ class NativeFunction:
     """
 
     def __init__(self, trace: Callable[[], Traced], identity: str | None = None) -> None:
-        """Compile a program: straight-line code, or loops over repeated pieces if it is `MIN_ROLLED_SIZE`.
+        """Compile a program, or load its code from the cache.
+
+        Programs of `MIN_ROLLED_SIZE` operations or more become loops over repeated pieces, except those with
+        `Traced.straight`. All others become straight-line code.
 
         Args:
             trace: returns the program; not called if its code is in the cache.
@@ -194,12 +204,12 @@ class NativeFunction:
             else:
                 body = emit_rolled(program, "f", lanes)
             description = program.inputs, len(program.outputs), lanes, program.operation_count, layout
-            written = with_callees(body, lanes) + _constant(DESCRIPTION_NAME, json.dumps(description))
-            return written, CODE_LEVEL if straight else ROLLED_CODE_LEVEL
+            llvm_text = with_callees(body, lanes) + _constant(DESCRIPTION_NAME, json.dumps(description))
+            return llvm_text, CODE_LEVEL if straight else ROLLED_CODE_LEVEL
 
         limits = MIN_ROLLED_SIZE, MIN_ROLLED_SIZE_IN_LANES, REGISTER_DOUBLES, lane_count()
-        known = f"{identity} {limits}" if identity else text()[0]
-        self.module = NativeModule(known, text, {"f": PROGRAM_SIGNATURE})
+        full_identity = f"{identity} {limits}" if identity else text()[0]
+        self.module = NativeModule(full_identity, text, {"f": PROGRAM_SIGNATURE})
         description = json.loads(self.module.constant(DESCRIPTION_NAME))
         self.inputs, self.outputs, self.lanes, self.operation_count, self.layout = description
         self.address = self.module.addresses["f"]
@@ -215,9 +225,10 @@ class NativeFunction:
         if x.shape not in ((self.inputs,), (self.inputs, self.lanes)):
             needed = f"{(self.inputs,)} or {(self.inputs, self.lanes)}"
             raise ValueError(f"got inputs of shape {x.shape}; needed: {needed}")
-        given = np.repeat(x, self.lanes) if x.ndim == 1 else np.ascontiguousarray(x)
+        # a single x goes to all lanes; all lanes write y (bit mask -1)
+        x_in_lanes = np.repeat(x, self.lanes) if x.ndim == 1 else np.ascontiguousarray(x)
         y = np.empty((self.outputs, self.lanes))
-        self._call(given.ctypes.data, y.ctypes.data, -1)
+        self._call(x_in_lanes.ctypes.data, y.ctypes.data, -1)
         return y[:, 0].copy() if x.ndim == 1 else y
 
 

@@ -1,10 +1,10 @@
-"""Write programs (pruned expression graphs) as straight-line LLVM code, for one input or for one in each
-lane.
+"""Write programs (pruned expression graphs) as straight-line LLVM code, for one or several inputs.
 
-A *lane* is an element of a vector register; code in lanes processes several inputs at once. If one sum alone
-uses a product, straight-line code computes both by a fused multiply-add, which rounds once. This module makes
-this choice and not LLVM, because LLVM's choice depends on the surrounding code. So results are the same bit
-by bit in all lanes and in scalar code. Large programs round each operation separately.
+A *lane* is an element of a vector register; code in lanes processes several inputs at once, one in each lane.
+If one sum alone uses a product, both are computed by a fused multiply-add, which rounds once. This module
+makes this choice and not LLVM, because LLVM's choice depends on the surrounding code. So results are the same
+bit by bit in all lanes and in scalar code. Large programs round each operation separately (`emit_straight`
+with `fuses=False`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable
 from newton_euler.codegen.expression import Program, operands
 from newton_euler.codegen.trigonometry import call_per_lane, constant, intrinsic_suffix, sincos, vector_type
 
-# LLVM's instructions and intrinsic functions by name of the operation
+# LLVM's instructions and intrinsic functions by name of the operation in an expression graph
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _CALLS = {"sqrt": "llvm.sqrt", "minimum": "llvm.minnum"}
 _SINCOS_RESULTS = ("sin", "cos")  # in the order in which @sincos returns them
@@ -36,14 +36,20 @@ class Instructions:
     """
 
     def __init__(self, lanes: int = 1) -> None:
+        """Begin without instructions; `lanes` is the number of inputs that are processed at once."""
         self.lines: list[str] = []
         self._lanes = lanes
         self._type, self._suffix = vector_type("double", lanes), intrinsic_suffix(lanes)
         self._angles: set[str] = set()  # operands whose sine and cosine are computed already
 
     def operation(self, name: str, op: str, a: str, b: str | None) -> str:
-        """Append an operation on operands a and b (None if there is no second one), with the result
-        `name`."""
+        """Append an operation.
+
+        Args:
+            name: name of the result.
+            op: name of the operation in an expression graph.
+            a, b: operands; b is None if there is no second one.
+        """
         t = self._type
         if op in _ARITHMETIC:
             self.lines.append(f"  {name} = {_ARITHMETIC[op]} {t} {a}, {b}")
@@ -177,7 +183,7 @@ def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = Tru
         program: program to write.
         name: name of the LLVM function.
         lanes: number of inputs that a call takes at once.
-        fuses: True to round a product and the only sum that uses it once.
+        fuses: True to compute a product and the only sum that uses it by one fused multiply-add.
     """
     out, fused = Instructions(lanes), _fused_products(program) if fuses else {}
     absorbed = set(fused.values())  # products that have no separate instruction
@@ -195,11 +201,10 @@ def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = Tru
         elif k in absorbed:
             values.append("")
         elif k in fused:
-            _, x, y = program.nodes[fused[k]]
+            _, x, y = program.nodes[fused[k]]  # the factors of the product
             first = fused[k] == a
-            values.append(
-                out.product_and_sum(f"%n{k}", op, (values[x], values[y]), values[b if first else a], first)
-            )
+            factors, term = (values[x], values[y]), values[b if first else a]
+            values.append(out.product_and_sum(f"%n{k}", op, factors, term, first))
         else:
             values.append(out.operation(f"%n{k}", op, values[a], values[b] if b >= 0 else None))
         for place in places.get(k, ()):
@@ -214,9 +219,9 @@ def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = Tru
 
 
 def _fused_products(program: Program) -> dict[int, int]:
-    """Return the node of the product to fuse with each sum or difference, by node of the sum.
+    """Return the node of the product to fuse with a sum or difference, by the node of the sum.
 
-    A product is fused if nothing else uses it. If both operands are such products, the first one is fused.
+    A product is fused if only this sum uses it. If both operands are such products, the first one is fused.
     """
     uses = Counter(program.outputs)
     for node in program.nodes:

@@ -53,9 +53,8 @@ nodes, and plain tuples are faster to make than named ones."""
 class Graph:
     """Expression graph: operations in an order in which they can be evaluated.
 
-    A method named like an operation adds the operation on nodes a and b (given by their indices), simplifies
-    it,
-    and returns the result as a scalar: an `Expression`, or a float if it is constant.
+    A method named like an operation adds the operation on nodes a and b (given by their indices) and
+    simplifies it. The result is a scalar: an `Expression`, or a float if it is constant.
 
     Attributes:
         nodes: every operation; operands come before the operations that use them.
@@ -63,6 +62,7 @@ class Graph:
     """
 
     def __init__(self) -> None:
+        """Make an empty graph."""
         self.nodes: list[Node] = []
         self.inputs = 0
         self._index_of_node: dict[Node, int] = {}
@@ -82,12 +82,11 @@ class Graph:
         return index
 
     def index(self, scalar: Expression | float) -> int:
-        """Return the index of the node of a scalar; a float becomes a constant of the graph."""
+        """Return the index of the node of a scalar; a float becomes a constant node of the graph."""
         return scalar.index if isinstance(scalar, Expression) else self.constant(scalar)
 
     def scalar(self, index: int) -> Any:
-        """Return the scalar of the node at an index: a float if the node is a constant, else an
-        `Expression`."""
+        """Return the scalar of the node at an index: a float for a constant, else an `Expression`."""
         value = self._constants.get(index)
         return Expression(self, index) if value is None else value
 
@@ -153,7 +152,7 @@ class Graph:
         return -self.mul(negated[a], b) if a in negated else self.record("mul", a, b)
 
     def scale(self, factor: float, b: int) -> Any:
-        """Return the product of a constant factor and the node at index b."""
+        """Return the product of a constant factor and the node at index b, with constants multiplied."""
         if factor == 0.0:
             return 0.0
         if factor == 1.0:
@@ -174,8 +173,7 @@ class Graph:
         return self.record("mul", self.constant(factor), b)
 
     def ancestors(self, roots: Iterable[int]) -> list[int]:
-        """Return the indices of all nodes that are needed to evaluate the nodes `roots`, in ascending
-        order."""
+        """Return the indices, ascending, of all nodes that are needed to evaluate the nodes `roots`."""
         needed = bytearray(len(self.nodes))
         for root in roots:
             needed[root] = True
@@ -231,7 +229,7 @@ class Program(NamedTuple):
 
     @property
     def operation_count(self) -> int:
-        """Number of floating-point operations. Changes of sign do not count: processors do them for free."""
+        """Number of floating-point operations without changes of sign, which cost almost no time."""
         return sum(count for op, count in self.counts().items() if op != "neg")
 
     def run(self, inputs: Sequence[float]) -> Array:
@@ -250,7 +248,8 @@ class Program(NamedTuple):
 class Expression:
     """A scalar that stands for a node of a graph; arithmetic with it adds nodes.
 
-    It supports + - * /, and NumPy's sqrt, sin, cos, arctan2 and minimum on arrays of objects.
+    The class supports + - * /, and NumPy's sqrt, sin, cos, arctan2 and minimum on arrays of objects. NumPy
+    calls the methods of these names.
 
     Attributes:
         graph: graph that the node belongs to.
@@ -330,14 +329,22 @@ class Expression:
 
 
 def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression]) -> Array:
-    """Compute partial derivatives (outputs, variables) by forward differentiation, as scalars of the same
-    graph."""
+    """Compute partial derivatives of outputs with respect to variables by forward differentiation.
+
+    Args:
+        graph: graph of the outputs; receives the operations of the derivatives.
+        outputs: scalars to differentiate.
+        variables: inputs of the graph.
+
+    Returns:
+        Derivatives (outputs, variables), scalars of the same graph.
+    """
     roots = [graph.index(output) for output in outputs]
     needed = graph.ancestors(roots)
-    table = np.zeros((len(outputs), len(variables)), dtype=object)
+    jacobian = np.zeros((len(outputs), len(variables)), dtype=object)
     for column, variable in enumerate(variables):
-        table[:, column] = _directional(graph, roots, needed, {variable.index: 1.0})
-    return table
+        jacobian[:, column] = _directional(graph, roots, needed, {variable.index: 1.0})
+    return jacobian
 
 
 def differentiate_along(
@@ -346,9 +353,10 @@ def differentiate_along(
     """Compute directional derivatives (outputs,) along `directions`, as scalars of the same graph.
 
     Args:
+        graph: graph of the outputs; receives the operations of the derivatives.
         outputs: scalars to differentiate.
         variables: inputs of the graph.
-        directions: derivative of each variable, a scalar of the same graph.
+        directions: derivative of each variable along the direction, a scalar of the same graph.
     """
     roots = [graph.index(output) for output in outputs]
     rates = {variable.index: rate for variable, rate in zip(variables, directions, strict=True)}
@@ -360,14 +368,16 @@ def substitute(
 ) -> list[Any]:
     """Return the scalars with variables replaced by values.
 
-    The variables may be used by + - * / and negation only.
+    The variables may be operands of + - * / and negation only.
 
     Args:
+        graph: graph of the scalars; receives the new operations.
         scalars: scalars of the graph.
         variables: inputs of the graph.
         values: value of each variable, a scalar of the same graph.
     """
     roots = [graph.index(scalar) for scalar in scalars]
+    # new scalar of each variable, and of each node that depends on a variable, by index
     replaced = {variable.index: value for variable, value in zip(variables, values, strict=True)}
     for index in graph.ancestors(roots):
         indices = operands(graph.nodes[index])
@@ -383,7 +393,8 @@ def _directional(graph: Graph, roots: list[int], needed: list[int], rates: dict[
     Args:
         roots: indices of nodes.
         needed: indices of all nodes that the roots depend on, ascending.
-        rates: derivatives of the inputs by index; those of the needed nodes are added.
+        rates: derivatives of the inputs by index; the derivatives of the needed nodes are added. Nodes
+            without an entry have the derivative 0.
     """
     for index in needed:
         rate = _rate(graph, index, rates)
@@ -397,12 +408,13 @@ def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
     op, indices = graph.nodes[index][0], operands(graph.nodes[index])
     if not any(k in rates for k in indices):
         return 0.0
+    # operands a and b, their derivatives da and db, and the result of the operation
     da = rates.get(indices[0], 0.0)
-    a, itself = graph.scalar(indices[0]), graph.scalar(index)
+    a, result = graph.scalar(indices[0]), graph.scalar(index)
     if op == "neg":
         return -da
     if op == "sqrt":
-        return 0.5 * da / itself
+        return 0.5 * da / result
     if op == "sin":
         return a.cos() * da
     if op == "cos":
@@ -415,7 +427,7 @@ def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
     if op == "mul":
         return da * b + a * db
     if op == "div":
-        return (da - itself * db) / b
+        return (da - result * db) / b
     if op == "arctan2":
         return (b * da - a * db) / (a * a + b * b)
     raise TypeError(f"{op} has no derivative")

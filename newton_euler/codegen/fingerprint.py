@@ -50,6 +50,11 @@ SOURCE = _source()
 def _parts(value: Any, neutral: frozenset[str]) -> Iterator[bytes]:
     """Yield bytes that identify the content of a value, the same in every process.
 
+    Args:
+        value: see `fingerprint`. A class of this package that is no dataclass lists the attributes that
+            define its objects in `DEFINED_BY`.
+        neutral: names of fields to ignore.
+
     Raises:
         TypeError: if the value has no fingerprint.
     """

@@ -1,9 +1,12 @@
-"""Translate Python expressions of native functions to LLVM text: conditions, numbers, elements of vectors,
-calls.
+"""Translate Python expressions to LLVM text: conditions, numbers, elements of vectors, calls.
 
-`newton_euler.codegen.function_text` explains lanes (elements of vector registers, one per run) and masks, and
-`newton_euler.codegen.translate` adds statements. Methods named `_of_...` translate one class of syntax nodes
-of the module `ast`.
+The expressions are parts of functions marked `native` (`newton_euler.codegen.native`). Code for several runs
+processes one run in each *lane* (element) of the vector registers. A number that is the same in all lanes is
+an LLVM scalar; other numbers are vectors with one element per lane. A condition that differs between lanes is
+a *mask*, a vector of booleans. A lane is *on* if the present instructions apply to it.
+
+`newton_euler.codegen.function_text` writes instructions, and `newton_euler.codegen.translate` adds
+statements. Methods named `_of_...` translate one class of syntax nodes of the module `ast`.
 """
 
 from __future__ import annotations
@@ -93,6 +96,7 @@ class Expressions(FunctionText):
     """
 
     def __init__(self, function: Callable[..., Any], lanes: int, found: Found) -> None:
+        """Begin the text of a function; see `FunctionText` for the arguments."""
         super().__init__(function, lanes, found)
         self.tables: dict[str, str] = {}
         self.calls: list[Call] = []
@@ -142,36 +146,41 @@ class Expressions(FunctionText):
             else_true: the value is true in the other lanes if True, else zero.
         """
         more, after = self._labels("where", "after")
-        on = chosen = ""
+        # skip the evaluation if the condition holds in no lane
+        on = chosen_lanes = ""
         if varies(test):
             on = self._on()
-            chosen = self._and(on, test.operand)
-        before = self._at
-        self._branch(self._any(chosen) if on else test.operand, more, after)
+            chosen_lanes = self._and(on, test.operand)
+        before = self._block_label
+        self._branch(self._any(chosen_lanes) if on else test.operand, more, after)
+        # evaluate with the chosen lanes on
         self._begin(more)
         if on:
-            self._turn(chosen)
+            self._turn(chosen_lanes)
         value = make()
         if on:
             value = self._wide(value)
             self._turn(on)
-        end = self._at
+        end = self._block_label
         self._jump(after)
+        # the value, or the other one if the evaluation was skipped
         self._begin(after)
         other = "zeroinitializer"
         if else_true:
             other = ALL if varies(value) else "true"
-        made = f"phi {value.type} [ {other}, %{before} ], [ {value.operand}, %{end} ]"
-        return Value(value.type, self._new(made))
+        phi = f"phi {value.type} [ {other}, %{before} ], [ {value.operand}, %{end} ]"
+        return Value(value.type, self._new(phi))
 
     def _compare(self, test: ast.Compare) -> Value:
         """Translate a comparison of two numbers."""
         a, b = self._pair(self._value(test.left), self._value(test.comparators[0]))
         word, kind = COMPARISONS[type(test.ops[0])], str(a.type)
         if is_whole(a):
-            made = f"icmp {word if word in ('eq', 'ne') else f's{word}'} {kind} {a.operand}, {b.operand}"
+            predicate = word if word in ("eq", "ne") else f"s{word}"  # s: signed
+            made = f"icmp {predicate} {kind} {a.operand}, {b.operand}"
             return Value(kind.replace("i64", "i1"), self._new(made))
-        made = f"fcmp {'une' if word == 'ne' else f'o{word}'} {kind} {a.operand}, {b.operand}"
+        predicate = "une" if word == "ne" else f"o{word}"  # with NaN, only != is true, as in Python
+        made = f"fcmp {predicate} {kind} {a.operand}, {b.operand}"
         return Value(kind.replace("double", "i1"), self._new(made))
 
     # Numbers
@@ -215,8 +224,7 @@ class Expressions(FunctionText):
             raise self._error(node, f"uses {node.id!r} before it has a value") from error
 
     def _of_attribute(self, node: ast.Attribute) -> Value:
-        """Translate a field of a record, which is loaded on entry of the function, or a member of an
-        `IntEnum`."""
+        """Translate a field of a record, loaded on entry of the function, or a member of an `IntEnum`."""
         if not isinstance(node.value, ast.Name):
             raise self._error(node, "holds an attribute of anything but a record or an IntEnum")
         if node.value.id not in self._records:
@@ -226,13 +234,14 @@ class Expressions(FunctionText):
         if name not in record.type.kinds:
             raise self._error(node, f"uses {name!r}, which {record.type.__name__} has not")
         if (node.value.id, name) not in self._fields:
+            # each field of a record takes 8 bytes, in the order of the class
             place, kind = list(record.type.kinds).index(name), record.type.kinds[name]
-            word, machine = f"%{node.value.id}.{name}", machine_type(kind)
+            operand, machine = f"%{node.value.id}.{name}", machine_type(kind)
             self._entry += [
-                f"  {word}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
-                f"  {word} = load {machine}, ptr {word}.at",
+                f"  {operand}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
+                f"  {operand} = load {machine}, ptr {operand}.at",
             ]
-            self._fields[node.value.id, name] = Value(kind_in(kind, self.lanes), word)
+            self._fields[node.value.id, name] = Value(kind_in(kind, self.lanes), operand)
         return self._fields[node.value.id, name]
 
     def _member(self, owner: ast.Name, node: ast.Attribute) -> IntEnum:
@@ -258,9 +267,8 @@ class Expressions(FunctionText):
         a, b = self._pair(self._value(node.left), self._value(node.right))
         op, t = type(node.op), a.type
         if is_whole(a) and op in INT_OPERATIONS:
-            if (
-                op in (ast.FloorDiv, ast.Mod) and "%" in b.operand
-            ):  # a variable may be 0 in lanes that are off
+            # names of variables begin with %; a variable may be 0 in lanes that are off
+            if op in (ast.FloorDiv, ast.Mod) and "%" in b.operand:
                 raise self._error(node, "divides whole numbers by what may be 0")
             return Value(t, self._new(f"{INT_OPERATIONS[op]} {t} {a.operand}, {b.operand}"))
         x, y = self._float(a), self._float(b)
@@ -280,6 +288,7 @@ class Expressions(FunctionText):
         The fused operation rounds once on processors that support it. LLVM does not choose which operations
         to fuse, because its choice would depend on the surrounding code.
         """
+        # the factors of the product x or y, and the other term; signs of a difference
         (first, second), term = x.factors or y.factors or ("", ""), y.operand if x.factors else x.operand
         if op is ast.Sub and x.factors:
             term = self._new(f"fneg {x.type} {term}")
@@ -315,9 +324,10 @@ class Expressions(FunctionText):
                 return vector._replace(offset=self._sum(vector.offset, index.operand))
             return vector._replace(operand=self._address(vector, index))
         if self._is_scattered(vector, index):
-            at, on = self._addresses(vector, index), self._on()
-            given = f"{self._pointers} {at}, i32 8, {self._mask} {on}, {self._doubles} zeroinitializer"
-            return Value(self._doubles, self._new(f"call {self._doubles} {self._moved('gather')}({given})"))
+            addresses, on = self._addresses(vector, index), self._on()
+            given = f"{self._pointers} {addresses}, i32 8, {self._mask} {on}, {self._doubles} zeroinitializer"
+            gather = f"call {self._doubles} {self._masked_intrinsic('gather')}({given})"
+            return Value(self._doubles, self._new(gather))
         kind = self._element_type(vector)
         return Value(kind, self._new(f"load {kind}, ptr {self._address(vector, index)}, align 8"))
 
@@ -326,9 +336,9 @@ class Expressions(FunctionText):
         vector, index = self._place(target)
         value = self._wide(self._float(value))
         if self._is_scattered(vector, index):
-            at, on = self._addresses(vector, index), self._on()
-            given = f"{typed(value)}, {self._pointers} {at}, i32 8, {self._mask} {on}"
-            self._emit(f"call void {self._moved('scatter')}({given})")
+            addresses, on = self._addresses(vector, index), self._on()
+            given = f"{typed(value)}, {self._pointers} {addresses}, i32 8, {self._mask} {on}"
+            self._emit(f"call void {self._masked_intrinsic('scatter')}({given})")
         elif vector.type == "shared":
             raise self._error(target, "writes one element of a shared vector from several lanes")
         else:
@@ -347,8 +357,7 @@ class Expressions(FunctionText):
         return vector, index
 
     def _is_scattered(self, vector: Value, index: Value) -> bool:
-        """Return True if the index of an element, counted from the start of the vector, differs between
-        lanes."""
+        """Return True if an element is at another index of the whole vector in each lane."""
         return bool(vector.offset) or varies(index)
 
     def _element_type(self, vector: Value) -> str:
@@ -363,7 +372,7 @@ class Expressions(FunctionText):
     def _addresses(self, vector: Value, index: Value) -> str:
         """Return the vector of addresses of an element whose index differs between lanes."""
         place = self._sum(vector.offset, self._wide(index).operand)
-        if vector.type == "ptr":
+        if vector.type == "ptr":  # element i of a lane is at index `lanes` i + lane
             numbers = ", ".join(f"i64 {lane}" for lane in range(self.lanes))
             place = self._new(f"mul {self._wholes} {place}, splat (i64 {self.lanes})")
             place = self._new(f"add {self._wholes} {place}, <{numbers}>")
@@ -378,9 +387,9 @@ class Expressions(FunctionText):
         """LLVM type of one address per lane."""
         return vector_type("ptr", self.lanes)
 
-    def _moved(self, way: str) -> str:
+    def _masked_intrinsic(self, operation: str) -> str:
         """Return the name of LLVM's intrinsic function for a masked "gather" or "scatter" of doubles."""
-        return f"@llvm.masked.{way}.{intrinsic_suffix(self.lanes)}.v{self.lanes}p0"
+        return f"@llvm.masked.{operation}.{intrinsic_suffix(self.lanes)}.v{self.lanes}p0"
 
     # Calls
 
@@ -411,11 +420,18 @@ class Expressions(FunctionText):
         return self._call(node, function, arguments)
 
     def _call(self, node: ast.Call, function: Callable[..., Any], arguments: list[Value]) -> Value:
-        """Translate the call of a native function, and record that the function has to be translated."""
+        """Translate the call of a native function, and add the call to `calls`.
+
+        Args:
+            node: syntax node of the call, for messages.
+            function: the Python function that is called.
+            arguments: its arguments.
+        """
         signature, forms = signature_of(function), ""
         given = [f"{self._mask} {self._on()}"] if self.lanes > 1 else []
         for argument, kind in zip(arguments, signature.arguments.values(), strict=True):
             value = self._wide(self._float(argument)) if kind == "double" else argument
+            # whether the value fits the annotation, by kind; records and callbacks need the same kind
             fits = {"double": True, "i64": is_whole(value), "ptr": is_vector(value)}
             if not fits.get(str(kind_in(kind, 1)), value.type == kind):
                 raise self._error(node, f"passes {value.type} for {kind}")

@@ -53,9 +53,9 @@ def varies(value: Value) -> bool:
 
 
 class Found(NamedTuple):
-    """Properties of a function that its translation finds out, and that the next translation starts with.
+    """Variables and loops of a function that differ between lanes.
 
-    The translation is repeated until nothing is added.
+    A translation adds the ones that it finds, and is repeated until nothing is added.
 
     Attributes:
         varying: names of variables that may differ between lanes.
@@ -75,16 +75,23 @@ class FunctionText:
     """
 
     def __init__(self, function: Callable[..., Any], lanes: int, found: Found) -> None:
+        """Begin the text of a function.
+
+        Args:
+            function: Python function that is translated.
+            lanes: number of runs at once.
+            found: variables and loops that differ between lanes, as far as they are known; completed.
+        """
         self.function, self.lanes, self._found = function, lanes, found
         self._doubles, self._wholes, self._mask = map(self._type_in_lanes, ("double", "i64", "i1"))
         self._lines: list[str] = []
         self._slots: list[str] = []  # instructions that allocate variables
         self._records: dict[str, Value] = {}  # arguments that are records, by name
-        self._variables: dict[str, Value] = {}  # slot of a number, or the vector or callback, by name
-        self._count = 0  # number of temporary names so far
+        self._variables: dict[str, Value] = {}  # address of a number, or the vector or callback, by name
+        self._count = 0  # number of temporary names and labels so far
         self._divergence = 0  # depth of branches and loops in which lanes may be off
         self._open = True  # False after a jump, until the next label
-        self._at = "entry"  # label of the present block
+        self._block_label = "entry"  # label of the present block
 
     def _new(self, instruction: str) -> str:
         """Append an instruction with a result, and return the name of the result."""
@@ -111,15 +118,15 @@ class FunctionText:
     def _begin(self, label: str) -> None:
         """Begin a block of instructions at a label."""
         self._lines.append(f"{label}:")
-        self._open, self._at = True, label
+        self._open, self._block_label = True, label
 
     def _jump(self, label: str) -> bool:
-        """Jump to a label unless the block has ended already; return True if it had not."""
-        jumped = self._open
-        if jumped:
+        """Jump to a label unless the block has ended already; return True if the jump was written."""
+        was_open = self._open
+        if was_open:
             self._emit(f"br label %{label}")
         self._open = False
-        return jumped
+        return was_open
 
     def _branch(self, test: str, yes: str, no: str) -> None:
         """Jump to the label `yes` if a condition holds, else to the label `no`."""
@@ -196,7 +203,7 @@ class FunctionText:
         Args:
             value: number to store.
             address: LLVM operand of the address.
-            volatile: " volatile" to prevent masked stores, see
+            volatile: " volatile" to keep LLVM from replacing this code by a slower masked store, see
                 `newton_euler.codegen.emit.Instructions.store`.
         """
         operand = value.operand
@@ -224,7 +231,13 @@ class FunctionText:
         return self._alike(a, b), self._alike(b, a)
 
     def _store(self, name: str, value: Value, node: ast.expr | None = None) -> None:
-        """Assign a value to a variable. A variable that is a vector or a callback is assigned only once."""
+        """Assign a value to a variable. A variable that is a vector or a callback is assigned only once.
+
+        Args:
+            name: name of the variable.
+            value: value to assign.
+            node: syntax node of the variable, for messages.
+        """
         known = self._variables.get(name)
         if name in self._records:
             raise self._error(node, f"assigns to {name!r}, which is a record")

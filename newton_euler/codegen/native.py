@@ -6,7 +6,7 @@ the same function into LLVM text, for one run or for several runs at once. The f
 - assignments, if, while, `for k in range(...)`, arithmetic and comparisons;
 - elements `a[k]` and tails `a[k:]` of vectors, and fields of records;
 - calls of other native functions, of callbacks, and of abs, min, max and sqrt;
-- tables of module level (tuples of floats) and members of an `IntEnum`, which become constants.
+- constants of module level: numbers, tables (tuples of floats) and members of an `IntEnum`.
 
 Arguments are annotated `float`, `int`, an `IntEnum`, `Vector`, `Shared`, `Callback` or a subclass of
 `Record`. Integers have 64 bits. `//` and `%` round towards zero, so they are meant for numbers that are not
@@ -69,8 +69,9 @@ class Record:
     """Format of the fields in memory, 8 bytes each: a double, an integer or an address."""
 
     def __init_subclass__(cls) -> None:
-        known = vars(sys.modules[cls.__module__])
-        cls.kinds = {name: TYPES.get(hint) or known[hint] for name, hint in cls.__annotations__.items()}
+        """Find the kinds and the layout of the fields from the annotations of the class, which are texts."""
+        names = vars(sys.modules[cls.__module__])  # with other classes of records
+        cls.kinds = {name: TYPES.get(hint) or names[hint] for name, hint in cls.__annotations__.items()}
         cls.layout = Struct("".join("d" if kind == "double" else "q" for kind in cls.kinds.values()))
 
     @cached_property

@@ -1,7 +1,8 @@
 """Compile functions marked `native` (see `newton_euler.codegen.native`) and call them from Python.
 
-`NativeFunctions` translates the functions and all functions that they call to LLVM text. It compiles the text
-or loads its machine code from the cache. Its calls pass numbers, arrays and records to the functions.
+Such functions are written in a simple subset of Python, for example the integrators. `NativeFunctions`
+translates the functions and all functions that they call to LLVM text. It compiles the text or loads its
+machine code from the cache. Its calls pass numbers, arrays and records to the functions.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ class NativeFunctions:
         module: machine code of the functions.
     """
 
-    def __init__(self, functions: list[Callable[..., Any]], side_by_side: bool = False) -> None:
+    def __init__(self, functions: list[Callable[..., Any]], in_lanes: bool = False) -> None:
         """Compile functions, or load their machine code from the cache.
 
         Args:
             functions: functions marked `native`.
-            side_by_side: True for code that makes several runs at once, one in each lane of the vector
+            in_lanes: True for code that makes several runs at once, one in each lane of the vector
                 registers (`newton_euler.codegen.translate`).
         """
-        lanes = lane_count() if side_by_side else 1
+        lanes = lane_count() if in_lanes else 1
         signatures = {function.__name__: signature_of(function) for function in functions}
-        # the functions may be in files of a user, which `SOURCE` does not cover
+        # `SOURCE` is the digest of this package's files; the functions may be in files of a user
         files = sorted({function.__code__.co_filename for function in functions})
         texts = [Path(file).read_text(encoding="utf-8") for file in files]
         identity = "\n".join([SOURCE.hex(), str(lanes), *signatures, *texts])
@@ -55,7 +56,7 @@ class NativeFunctions:
         """
         call, given = self._calls[function.__name__], [address_of(argument) for argument in arguments]
 
-        # the default value keeps the code and everything that was passed by address alive
+        # `keep` is never passed: its default value keeps alive the code, and all that was passed by address
         def bound(*more: Any, keep: tuple[Any, ...] = (self, *arguments)) -> Any:
             """Call the function with the bound arguments and these further ones."""
             return call(*given, *map(address_of, more))
@@ -68,7 +69,7 @@ class NativeFunctions:
 
 
 def _ctypes(signature: Signature) -> Any:
-    """Return the type of `ctypes` for functions of a signature."""
+    """Return the type of `ctypes` for functions of a signature; vectors and records are pointers."""
     kinds: dict[Kind, Any] = {"double": ctypes.c_double, "i64": ctypes.c_int64, "void": None}
     arguments = [kinds.get(kind, ctypes.c_void_p) for kind in signature.arguments.values()]
     return ctypes.CFUNCTYPE(kinds[signature.result], *arguments)

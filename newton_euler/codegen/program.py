@@ -1,4 +1,8 @@
-"""Make a native function from Python code that computes with scalars, or load it from the cache on disk."""
+"""Make a native function from Python code that computes with scalars, or load it from the cache on disk.
+
+Tracing calls the code once with symbolic scalars, which record all operations; the record is compiled. A
+fingerprint (hash) of all that the code depends on identifies the function in the cache.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +28,8 @@ def native_program(
     Args:
         name: name of the function, which distinguishes functions of the same objects in the cache.
         inputs: length of x.
-        trace: takes symbolic scalars x (inputs,) and returns the results, and any value for the attribute
-            `layout` of the function, such as the meaning of its results.
+        trace: takes symbolic scalars x (inputs,) and returns the results, and a value for the attribute
+            `layout` of the function, which describes the results to callers; None for no description.
         depends_on: all objects on which the results depend; their contents identify the cached code.
         neutral: names of fields of these objects that do not change the results.
         many: True for code that takes several x at once, one in each lane, unless the program is large.
@@ -36,7 +40,7 @@ def native_program(
         graph = Graph()
         scalars, layout = trace(graph.variables(inputs))
         program = graph.prune(scalars)
-        return Traced(program, many and program.operation_count < MIN_ROLLED_SIZE, layout)
+        return Traced(program, many=many and program.operation_count < MIN_ROLLED_SIZE, layout=layout)
 
     known = fingerprint(*depends_on, neutral=neutral)
-    return NativeFunction(traced, known and f"{known} {name}")
+    return NativeFunction(traced, identity=f"{known} {name}" if known else None)

@@ -4,8 +4,8 @@ A program is a pruned expression graph, a list of operations. The same sequences
 every joint, body and loop of a kind. `cut` divides the program into pieces. Whether it cuts at a place
 depends only on the operations around that place, so repeated sequences are cut alike (content-defined
 chunking). Pieces of equal structure become one LLVM function. Tables hold the values and constants that each
-instance of a piece takes. Results equal those of straight-line code bit by bit: the same operations in the
-same order.
+instance of a piece takes. The operations and their order are the same as in straight-line code, so that
+results are equal bit by bit if the straight-line code fuses no multiplications and additions.
 
 Values that a piece uses from other pieces are in one array, which begins with the inputs. If there is no
 memory for this array, all results are NaN, which callers treat as a failure.
@@ -40,8 +40,8 @@ CHECKSUM_BASE, CHECKSUM_MODULUS = 131, 1_000_003
 """Base and modulus of the checksums (Rabin-Karp rolling hash); their products fit into 64 bits."""
 
 MIN_COMMON_FRACTION = 0.002
-"""Uses of a constant as a fraction of all operations, from which on the constant is part of the code. A rarer
-constant is in the table of an instance."""
+"""Uses of a constant, divided by the number of all operations, from which on the constant is part of the
+code. A rarer constant is in the table of an instance."""
 
 Operand = tuple[str, int | float]
 """Operand of an operation in a piece: ("own", number of an operation of the piece), ("value", number of a
@@ -74,7 +74,8 @@ class Piece:
         number: number of the piece, part of the name of its LLVM function.
         steps: operations, equal in all instances; values and data differ.
         instances: occurrences of the piece.
-        kept: numbers of the steps whose results another piece or an output uses in some instance, ascending.
+        kept: numbers of the steps, ascending, whose results the array of values stores, because another piece
+            or an output uses the result of some instance.
     """
 
     number: int
@@ -108,29 +109,33 @@ def _checksums(words: Sequence[str]) -> Array:
     The checksum is the number with the letters of these words as digits in base `CHECKSUM_BASE`, modulo
     `CHECKSUM_MODULUS`. Python's hash() would differ between processes.
     """
-    # value of each word as a number, and the factor by which it shifts the words before it
-    kinds = sorted(set(words))
-    place_of = {word: k for k, word in enumerate(kinds)}
-    digits = [[*word.encode()] for word in kinds]
+    # for each different word: its value as a number, and the factor by which it shifts the words before it
+    different = sorted(set(words))
+    place_of = {word: k for k, word in enumerate(different)}
+    digits = [[*word.encode()] for word in different]
     numbers = [sum(d * CHECKSUM_BASE ** (len(each) - 1 - k) for k, d in enumerate(each)) for each in digits]
     values = [number % CHECKSUM_MODULUS for number in numbers]
     shifts = [CHECKSUM_BASE ** len(each) % CHECKSUM_MODULUS for each in digits]
     places = np.array([place_of[word] for word in words])
     value, shift = np.array(values)[places], np.array(shifts)[places]
     # append the words of the window one after the other, for all places at once
-    total = np.zeros(len(words), dtype=np.int64)
+    checksum = np.zeros(len(words), dtype=np.int64)
     for back in range(min(CHECKSUM_LENGTH, len(words)) - 1, -1, -1):
-        at = slice(0, len(words) - back)
-        total[back:] = (total[back:] * shift[at] + value[at]) % CHECKSUM_MODULUS
-    return total
+        before = slice(0, len(words) - back)  # the words `back` places before each place
+        checksum[back:] = (checksum[back:] * shift[before] + value[before]) % CHECKSUM_MODULUS
+    return checksum
 
 
 def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
-    """Divide a program into pieces; return the different pieces, and all instances in order of execution."""
+    """Divide a program into pieces.
+
+    Returns:
+        The different pieces; all instances in order of execution, each with its piece.
+    """
     common = _common_constants(program)
     pieces: dict[tuple[Step, ...], Piece] = {}
     order: list[tuple[Piece, Instance]] = []
-    home: dict[int, tuple[Piece, int]] = {}  # piece of each node, and number of its step
+    step_of_node: dict[int, tuple[Piece, int]] = {}  # piece that computes a node, and number of its step
     used: set[int] = set(program.outputs)  # nodes that other pieces or outputs use
     # pieces of equal structure share one entry
     for nodes in cut(program):
@@ -138,80 +143,79 @@ def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
         piece = pieces.setdefault(steps, Piece(len(pieces), steps))
         piece.instances.append(instance)
         order.append((piece, instance))
-        home.update({node: (piece, place) for place, node in enumerate(nodes)})
+        step_of_node.update({node: (piece, number) for number, node in enumerate(nodes)})
         used.update(instance.values)
     # each piece stores the values that other pieces or outputs use
     for node in sorted(used):
-        if node in home:
-            piece, place = home[node]
-            if place not in piece.kept:
-                piece.kept.append(place)
+        if node in step_of_node:
+            piece, number = step_of_node[node]
+            if number not in piece.kept:
+                piece.kept.append(number)
     for piece in pieces.values():
         piece.kept.sort()
     return list(pieces.values()), order
 
 
 def _common_constants(program: Program) -> set[float]:
-    """Return the constants that are used so often that they become part of the code; see
-    `MIN_COMMON_FRACTION`."""
-    used = Counter(a for op, a, _ in program.nodes if op not in LEAVES)
-    used.update(b for _, _, b in program.nodes if b >= 0)
-    counts: Counter[float] = Counter()
+    """Return the constants that are used often (`MIN_COMMON_FRACTION`) and become part of the code."""
+    uses_of_node = Counter(a for op, a, _ in program.nodes if op not in LEAVES)
+    uses_of_node.update(b for _, _, b in program.nodes if b >= 0)
+    uses_of_value: Counter[float] = Counter()
     for k, (op, value, _) in enumerate(program.nodes):
         if op == "const":
-            counts[value] += used[k]
-    least = MIN_COMMON_FRACTION * program.operation_count
-    return {value for value, count in counts.items() if count >= least}
+            uses_of_value[value] += uses_of_node[k]
+    min_uses = MIN_COMMON_FRACTION * program.operation_count
+    return {value for value, uses in uses_of_value.items() if uses >= min_uses}
 
 
 def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[tuple[Step, ...], Instance]:
-    """Separate the structure of some operations, which other instances may share, from the data of this
-    instance.
+    """Separate some operations into structure, which other instances may share, and data of this instance.
 
     Args:
+        program: program of the operations.
         nodes: indices of the operations.
         common: constants that belong to the structure.
     """
-    instance = Instance(nodes, [], [])
-    known: dict[int, Operand] = {node: ("own", place) for place, node in enumerate(nodes)}
+    instance = Instance(nodes, values=[], data=[])
+    known: dict[int, Operand] = {node: ("own", number) for number, node in enumerate(nodes)}  # by node
     steps: list[Step] = []
-    for k in nodes:
-        ends: list[Operand] = []
-        for end in operands(program.nodes[k]):
-            operand = known.get(end)
+    for node in nodes:
+        step_operands: list[Operand] = []
+        for operand_node in operands(program.nodes[node]):
+            operand = known.get(operand_node)
             if operand is None:
-                op, value, _ = program.nodes[end]
+                op, value, _ = program.nodes[operand_node]
                 if op != "const":
-                    operand = known[end] = "value", len(instance.values)
-                    instance.values.append(end)
+                    operand = known[operand_node] = "value", len(instance.values)
+                    instance.values.append(operand_node)
                 elif value in common:
-                    operand = known[end] = "literal", value
+                    operand = known[operand_node] = "literal", value
                 else:  # one entry for each use: another instance may have two different constants
                     operand = "data", len(instance.data)
                     instance.data.append(value)
-            ends.append(operand)
-        steps.append((program.nodes[k][0], tuple(ends)))
+            step_operands.append(operand)
+        steps.append((program.nodes[node][0], tuple(step_operands)))
     return tuple(steps), instance
 
 
 def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
     """Write a program as a loop over its pieces; an `Emitter` (see `newton_euler.codegen.emit`)."""
     pieces, order = roll(program)
-    # lay out the table of values: inputs, stored values of all instances, constants among the outputs
+    # lay out the array of values: inputs, stored results of all instances, constants among the outputs
     place = {k: int(a) for k, (op, a, _) in enumerate(program.nodes) if op == "input"}  # by node
     size = program.inputs
-    starts = []  # place of the first result of each instance
+    starts = []  # index of the first stored result of each instance
     for piece, instance in order:
         starts.append(size)
         for number, step in enumerate(piece.kept):
             place[instance.nodes[step]] = size + number
         size += len(piece.kept)
-    fixed = [k for k in dict.fromkeys(program.outputs) if program.nodes[k][0] == "const"]
-    for k in fixed:
+    constant_outputs = [k for k in dict.fromkeys(program.outputs) if program.nodes[k][0] == "const"]
+    for k in constant_outputs:
         place[k] = size
         size += 1
 
-    # tables of what each instance takes: places of values, and data
+    # tables of what each instance takes: indices of values, and rare constants
     values: list[int] = []
     data: list[float] = []
     value_starts, data_starts = [], []
@@ -234,7 +238,7 @@ def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
     ]
     # code: constants, one function for each piece, and the loop that calls the functions
     constants = Instructions(lanes)
-    for k in fixed:
+    for k in constant_outputs:
         constants.store(f"%c{k}", constant(program.nodes[k][1], lanes), "%v", place[k])
     bodies = [_emit_piece(piece, name, place, lanes) for piece in pieces]
     mask_lines, store_lines = Instructions(lanes), Instructions(lanes)
@@ -262,14 +266,15 @@ def _table(kind: str, name: str, entries: Sequence[object]) -> str:
 
 
 def _emit_piece(piece: Piece, name: str, place: dict[int, int], lanes: int) -> str:
-    """Write a piece as an LLVM function of four pointers: values, places of its arguments, data, and results.
+    """Write a piece as an LLVM function of four pointers.
 
-    If the piece has only one instance, its places and data are in the code.
+    The pointers are the array of values, indices of the piece's arguments in this array, data, and results.
+    If the piece has only one instance, its indices and data are in the code.
 
     Args:
         piece: piece to write.
         name: name of the LLVM function of the program.
-        place: place of each node in the array of values.
+        place: index of each node in the array of values.
         lanes: number of inputs that a call takes at once.
     """
     out = Instructions(lanes)
@@ -295,9 +300,10 @@ def _emit_piece(piece: Piece, name: str, place: dict[int, int], lanes: int) -> s
                 known[key] = out.load(f"%v{number}", "%v", f"%q{number}")
         return known[key]
 
-    for number, (op, ends) in enumerate(piece.steps):
-        given = [operand(end) for end in ends]
-        known["own", number] = out.operation(f"%n{number}", op, given[0], given[1] if ends[1:] else None)
+    for number, (op, step_operands) in enumerate(piece.steps):
+        given = [operand(key) for key in step_operands]
+        second = given[1] if len(given) > 1 else None
+        known["own", number] = out.operation(f"%n{number}", op, given[0], second)
     for number, step in enumerate(piece.kept):
         out.store(f"%k{number}", known["own", step], "%results", number)
     head = (

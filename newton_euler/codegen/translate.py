@@ -3,7 +3,8 @@ once.
 
 Several runs are processed in the *lanes* (elements) of vector registers. The Python function is the program
 of each lane (single program, multiple data). Numbers that are the same in all lanes are scalars; other
-numbers are vectors. A condition that differs between lanes is a *mask*, a vector of booleans:
+numbers are vectors. A condition that differs between lanes is a *mask*, a vector of booleans. A lane is *on*
+if the present instructions apply to it. Control flow that differs between lanes is translated as follows:
 
 - `if` executes both sides, each in the lanes that need it, and skips a side that no lane needs;
 - loops run until the last lane leaves;
@@ -56,14 +57,24 @@ class Loop(NamedTuple):
 class Translator(Expressions):
     """Translation of one function for given forms of its arguments.
 
+    The form of an argument says whether it is a number, vector or record, and whether it differs between
+    lanes (`newton_euler.codegen.function_expressions.FORMS`).
+
     Attributes:
         signature: kinds of the arguments and of the result of the function.
     """
 
     def __init__(self, call: Call, lanes: int, found: Found) -> None:
+        """Prepare the translation.
+
+        Args:
+            call: the function, and the forms of its arguments.
+            lanes: number of runs at once.
+            found: variables and loops that differ between lanes, as far as they are known; completed.
+        """
         super().__init__(call.function, lanes, found)
         self.signature = signature_of(call.function)
-        self._call_made = call
+        self._translated_call = call
         self._exits: list[str] = []  # innermost last: label to jump to if no lane is on
         self._loops: list[Loop] = []  # innermost last
         self._turned_off = 0  # number of statements so far that turned lanes off
@@ -71,14 +82,17 @@ class Translator(Expressions):
 
     def translated(self) -> str:
         """Return the LLVM text of the function."""
-        # arguments: store numbers in variables, note the records
+        # arguments: store numbers in variables, register the records
         definition, arguments = definition_of(self.function), []
-        if self.lanes > 1:
+        if self.lanes > 1:  # the first argument is the mask of the lanes that are on
             arguments.append(f"{self._mask} %on.in")
             self._slots.append(f"  %on = alloca {self._mask}")
             self._turn("%on.in")
+        # LLVM type or kind of an argument by the letter of its form
         types = {"v": self._doubles, "w": self._wholes, "u": "i64", "l": "ptr", "s": "shared"}
-        for (name, kind), form in zip(self.signature.arguments.items(), self._call_made.forms, strict=True):
+        for (name, kind), form in zip(
+            self.signature.arguments.items(), self._translated_call.forms, strict=True
+        ):
             offset = f"%{name}.offset" if form.isupper() else ""
             value = Value(types.get(form.lower(), kind), f"%{name}.in", offset=offset)
             arguments.append(f"{machine_type(value.type)} %{name}.in")
@@ -102,7 +116,7 @@ class Translator(Expressions):
         self._begin(end)
         returned = "" if result == "void" else self._new(f"load {result}, ptr %result")
         self._emit(f"ret {result} {returned}")
-        head = f"define internal {result} @{self._call_made.name}({', '.join(arguments)}) {{"
+        head = f"define internal {result} @{self._translated_call.name}({', '.join(arguments)}) {{"
         return "\n".join([head, "entry:", *self._slots, *self._entry, *self._lines, "}"])
 
     def _block(self, statements: list[ast.stmt]) -> None:
@@ -188,14 +202,14 @@ class Translator(Expressions):
         """Translate `if` with a condition that differs between lanes: both sides, each in some lanes."""
         yes, between, no, after = self._labels("if", "between", "else", "endif")
         on = self._on()
-        chosen, others = self._and(on, test.operand), self._without(on, test.operand)
+        yes_lanes, no_lanes = self._and(on, test.operand), self._without(on, test.operand)
         self._divergence += 1
-        self._some_lanes(chosen, yes, between, statement.body)
-        left = self._on()
+        self._some_lanes(yes_lanes, yes, between, statement.body)
+        yes_lanes = self._on()  # those that are still on behind the body
         if statement.orelse:
-            self._some_lanes(others, no, after, statement.orelse)
-            others = self._on()
-        self._turn(self._or(left, others))
+            self._some_lanes(no_lanes, no, after, statement.orelse)
+            no_lanes = self._on()
+        self._turn(self._or(yes_lanes, no_lanes))
         self._divergence -= 1
 
     def _some_lanes(self, mask: str, label: str, after: str, body: list[ast.stmt]) -> None:
@@ -272,6 +286,7 @@ class Translator(Expressions):
             step: emits the instructions between two iterations.
         """
         begin, body, following, done = self._labels("test", "do", "next", "done")
+        # in a divergent loop some lanes may leave before others
         divergent = statement.lineno in self._found.divergent
         left, waiting = (self._mask_slot() if divergent else "" for _ in range(2))
         before, returned = self._turned_off, self._returned
@@ -377,7 +392,9 @@ def text(functions: list[Callable[..., Any]], lanes: int = 1) -> str:
     Raises:
         NativeError: if a function contains Python that cannot be translated.
     """
+    # entry functions, and calls of functions that are not translated yet
     entries, waiting = map(list, zip(*(_entry(function, lanes) for function in functions), strict=True))
+    # LLVM text of functions and tables by name, and the Python function that a name belongs to
     written: dict[str, str] = {}
     tables: dict[str, str] = {}
     owners: dict[str, Callable[..., Any]] = {}
@@ -395,8 +412,7 @@ def text(functions: list[Callable[..., Any]], lanes: int = 1) -> str:
 
 
 def _entry(function: Callable[..., Any], lanes: int) -> tuple[str, Call]:
-    """Return the LLVM text of an entry function for callers in other languages, and the call that it
-    contains.
+    """Return the LLVM text of an entry function for other languages, and the call that it contains.
 
     The entry function calls the translated function with all lanes on. For several lanes, its arguments are
     vectors, records, callbacks and integers, and it has no result.

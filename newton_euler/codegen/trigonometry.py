@@ -20,7 +20,8 @@ REGISTER_DOUBLES = 4
 """Number of doubles in a vector register of most processors (256 bits)."""
 
 MAX_REDUCED_ANGLE = 1e5
-"""Largest angle, rad, for which the number of quarter turns times a part of pi/2 is exact."""
+"""Largest angle, rad, for which the number of quarter turns times each of the first two parts of pi/2
+(`HALF_PI`) is exact."""
 
 TWO_OVER_PI = 6.36619772367581382433e-01
 """2 / pi, the number of quarter turns in a radian."""

@@ -159,7 +159,7 @@ def scalar_and_lanes(function, seed: int, f=None) -> tuple[list[np.ndarray], lis
         NativeFunctions([function])(function, row, own[0])
         alone.append(own)
     row = Row(4, 0.7, y, shared, f and NativeFunction(lambda: Traced(f, many=True, lanes=LANES)))
-    NativeFunctions([function], side_by_side=True)(function, row, x)
+    NativeFunctions([function], in_lanes=True)(function, row, x)
     return [np.stack(each, axis=1) for each in zip(*alone, strict=True)], [x, y]
 
 
