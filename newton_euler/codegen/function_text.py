@@ -80,7 +80,7 @@ class FunctionText:
         Args:
             function: Python function that is translated.
             lanes: number of runs at once.
-            found: variables and loops that differ between lanes, as far as they are known; completed.
+            found: variables and loops known to differ between lanes; the translation adds others.
         """
         self.function, self.lanes, self._found = function, lanes, found
         self._doubles, self._wholes, self._mask = map(self._type_in_lanes, ("double", "i64", "i1"))

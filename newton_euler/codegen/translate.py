@@ -70,7 +70,7 @@ class Translator(Expressions):
         Args:
             call: the function, and the forms of its arguments.
             lanes: number of runs at once.
-            found: variables and loops that differ between lanes, as far as they are known; completed.
+            found: variables and loops known to differ between lanes; the translation adds others.
         """
         super().__init__(call.function, lanes, found)
         self.signature = signature_of(call.function)

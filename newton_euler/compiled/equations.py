@@ -122,7 +122,7 @@ class CompiledEquations:
 
     Attributes:
         scene: the scene that is compiled: mechanism, forces, control laws, prescribed motions.
-        system: the same equations over floats, in Python, from which the programs are traced.
+        system: the same equations over floats, in Python: the reference for the compiled ones.
         formulation: "relative" (joint coordinates) or "cartesian" (poses of all bodies).
         stabilization: "projection", "baumgarte" or "none": how runs keep constraints closed.
         alpha: 1/s, Baumgarte's parameter.
@@ -192,7 +192,7 @@ class CompiledEquations:
         return self._length(self.parameters)
 
     def _length(self, parameters: Iterable[str]) -> int:
-        """Return the length of an input vector x that ends with the named parameters only."""
+        """Return the length of an input vector x that has only the named parameters at its end."""
         return self.flags.stop + sum(int(np.prod(self.parameters[name])) for name in parameters)
 
     @property
@@ -240,7 +240,7 @@ class CompiledEquations:
 
     @cached_property
     def output_state_size(self) -> int:
-        """Number of leading elements of a state that the outputs need: nq, or all."""
+        """Number of leading elements of a state (q, v) that the outputs need: nq or all of them."""
         return self.system.nq if self.scene.outputs <= POSITION_OUTPUTS else self.size
 
     @cached_property
@@ -293,7 +293,7 @@ class CompiledEquations:
             name: name of the program, or "rows" for the choice of the constraint rows.
 
         Returns:
-            None if the scene contains objects without a fingerprint, such as classes of the user.
+            The fingerprint; None if the scene contains objects without one, such as classes of the user.
         """
         parameters = self._kinematic if name in KINEMATIC_PROGRAMS else tuple(self.parameters)
         ignored = NOT_COMPILED_FIELDS if name == "output" else NOT_COMPILED_FIELDS | {"outputs"}
@@ -319,7 +319,7 @@ class CompiledEquations:
         return cache(compute)
 
     @cached_property
-    def _decided(self) -> RankDecisions:
+    def _rank_decisions(self) -> RankDecisions:
         """Choice of the constraint rows, from the cache on disk if possible."""
         known = self._identity_of("rows")
         key = known and cache_key(known, "rows")
@@ -348,12 +348,12 @@ class CompiledEquations:
     @property
     def rows(self) -> RowsInUse:
         """Constraint rows that imply all other rows, exchangeable rows included."""
-        return self._decided.rows
+        return self._rank_decisions.rows
 
     @property
     def exchangeable(self) -> ExchangeableRows:
         """Constraint rows of which some are redundant; a run chooses which of them to leave out."""
-        return self._decided.exchangeable
+        return self._rank_decisions.exchangeable
 
     @property
     def rank(self) -> int:
@@ -363,12 +363,12 @@ class CompiledEquations:
     @property
     def redundant(self) -> bool:
         """True if redundant constraints make the joint reactions non-unique."""
-        return self._decided.redundant
+        return self._rank_decisions.redundant
 
     @property
     def nearly_redundant(self) -> tuple[NearlyRedundant, ...]:
         """Constraints that are almost redundant, each with its treatment: kept or ignored."""
-        return self._decided.nearly_redundant
+        return self._rank_decisions.nearly_redundant
 
     @property
     def noise(self) -> float:

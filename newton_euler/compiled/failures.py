@@ -41,7 +41,7 @@ LEFT_MOTION_FACTOR = 30.0
 """Factor beyond the stability limit at which a rate is no property of the motion but of a diverged run.
 
 A rate is an eigenvalue magnitude, 1/s, of the linearized motion. In tests with light links in loops, rates
-exceed the limit by a factor of 1.5 before the run diverges, and by a factor of 100 or more one step later."""
+are 1.5 times the limit before the run diverges, and 100 times the limit or more one step later."""
 
 EXAMINED_FROM_END = (1, 2, 4, 16, 64)
 """States of a run, counted from its end, at which rates are computed first to find one above the limit."""

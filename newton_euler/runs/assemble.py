@@ -178,7 +178,7 @@ def _check_joints(scene: Scene, state: State) -> None:
     """Raise `MechanismError` for a joint that is open or opening.
 
     Dimensions in files are rounded, so that redundant constraints may contradict each other slightly. Joints
-    with such constraints may be open as far as the rounding requires.
+    with such constraints may be open by the amount that the rounding causes.
     """
     try:
         scene.mechanism.check_closed(state.frames(), "in the initial state")

@@ -265,7 +265,7 @@ class Assembly:
         """Set the polynomial pieces of splines at time 0 in x (n, inputs), in place.
 
         The samples of these splines are parameters that vary. The equations use only the current polynomial
-        piece, whose coefficients are parameters of their own.
+        piece, whose coefficients are separate parameters.
         """
         code = self.code
         splines = [

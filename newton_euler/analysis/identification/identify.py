@@ -59,9 +59,9 @@ class Identification:
 
     Attributes:
         scene: the scene with the fitted parameters. If `point_on_first`, `point_on_second` or `length` of a
-            joint is a parameter, joint coordinates of this scene are zero at another initial pose than those
-            of the measurements, see `newton_euler.with_parameters`. In a run of `simulate_batch` with these
-            values they are zero at the same pose.
+            joint is a parameter, this scene has another initial pose, at which its joint coordinates are zero
+            (`newton_euler.with_parameters`). Coordinates of the measurements, and of `simulate_batch` with
+            the fitted values, are zero at the initial pose of the given scene.
         parameters: names of the parameters.
         units: (p,) SI units; empty for pure numbers.
         before, values: (p,) initial and fitted values.

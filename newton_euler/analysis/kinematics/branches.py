@@ -210,8 +210,8 @@ def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, A
     """Find rows and columns of the irreducible diagonal blocks of the Jacobian, without blocks of goals.
 
     Source: block triangular form of A. Pothen, C.-J. Fan, ACM Transactions on Mathematical Software 16(4),
-    1990. The matrix has independent loop equations first, then goals. A goal that forms a block of its own
-    only sets a coordinate.
+    1990. The matrix has independent loop equations first, then goals. A goal that is a block by itself only
+    sets a coordinate.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching

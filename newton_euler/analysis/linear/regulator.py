@@ -107,7 +107,7 @@ def lqr(
             key: (float(p_gain), float(d_gain)) for key, p_gain, d_gain in zip(keys, k_p, k_d, strict=True)
         }
         others: dict[str | Key, float | TimeFunction] = dict(references)
-        target = others.pop((joint, k), 0.0)  # the coordinate that the actuator moves may be none of x
+        target = others.pop((joint, k), 0.0)  # the actuator may move another coordinate than those of x
         law = StateFeedback(joint, law_gains, target, coordinate=k, feedforward=float(force), targets=others)
         feedback.append(law)
     return tuple(feedback)

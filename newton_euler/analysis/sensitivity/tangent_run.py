@@ -186,8 +186,8 @@ class _RecordedMotion:
     def _states(self, places: Array) -> Array:
         """Return x (k, inputs) at places (k,), with the velocities at the beginning of the step.
 
-        With the fraction s of a step, the step size h, the change d of a coordinate, and its rates r_0 and
-        r_1 at the ends, the cubic is q = q_0 + s (d + (1 - s) ((1 - s) (h r_0 - d) + s (d - h r_1))).
+        Let s be the fraction of a step, h its size, d the change of a coordinate in the step, and r_0 and r_1
+        the rates at its ends. The cubic is q_0 + s (d + (1 - s) ((1 - s) (h r_0 - d) + s (d - h r_1))).
         """
         step = np.minimum(places.astype(int), len(self._part_counts) - 1)
         fraction, size = (places - step)[:, None], self._sizes[step]
