@@ -2,8 +2,9 @@
 
 The integrator is native code, and calls back into Python for accelerations and for projection onto the
 constraints. Constraints become dependent in a singular configuration. The pivot ratio of a state measures the
-distance from it. Here the ratio is (smallest singular value of the constraint Jacobian / largest one)^2. It is
-divided by its largest value in the sample configurations of `newton_euler.equations.redundancy.Mobility`.
+distance from it. Here the ratio is (smallest singular value of the constraint Jacobian / largest one)^2,
+divided by the largest such number in the sample configurations of
+`newton_euler.equations.redundancy.Mobility`.
 
 Redundant constraint rows that files give only approximately are left out; the others are the rows in use.
 """

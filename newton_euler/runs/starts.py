@@ -134,7 +134,7 @@ class Assembly:
 
         driving_rows = self._driven.rows(code.system)
         selected = independent_among(set(range(len(configuration.rows))) - set(driving_rows))
-        for row in driving_rows:  # those with given rates come first
+        for row in driving_rows:  # those with given rates come first; add a row if it is independent
             selected = max(selected, independent_among({*selected, row}), key=len)
         return CompiledEquations(scene, "relative", parameters=parameters, independent=selected)
 

@@ -194,7 +194,7 @@ class _RecordedMotion:
         x, nq = self._ends[step], self._nq
         begin, end = size * self._slopes[step], size * self._slopes[step + 1]
         change = self._ends[step + 1, :nq] - x[:, :nq]
-        # remove full revolutions, which the run adds to angles at the end of a step
+        # remove full revolutions, by which the run may change an angle at the end of a step
         change -= 2.0 * np.pi * np.round((change - 0.5 * (begin + end)) / (2.0 * np.pi))
         deviation = (1.0 - fraction) * (begin - change) + fraction * (change - end)
         x[:, :nq] += fraction * (change + (1.0 - fraction) * deviation)
@@ -315,11 +315,8 @@ class TangentRun:
             for this program of rates.
         """
         # functions: rates, projection, and results to differentiate
-        code, max_substeps, rates = (
-            self._code,
-            max_adaptive_steps(self._options),
-            self._code.function(program),
-        )
+        code, max_substeps = self._code, max_adaptive_steps(self._options)
+        rates = code.function(program)
         min_pivot_ratio = UNSAFE_PIVOT_RATIO if program == RATES else NEAR_PIVOT_RATIO
         project = code.function(PROJECTED) if code.projects else None
         functions = {name: code.function(name + ALONG) for name in self._programs}
