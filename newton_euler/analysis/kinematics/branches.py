@@ -123,13 +123,13 @@ def assembly_branches(
             "number of values", len(goal.coordinates), "one of each coordinate, and one direction"
         )
     # poses from random configurations; the same goal for each
-    at, hits = _search(chain, goal)
+    configs, hits = _search(chain, goal)
     begin, goals = chain.at(chain.start[None]), goal[np.zeros(len(hits), dtype=int)]
     # blocks of equations whose determinant differs between branches, and its sign relative to the start
-    blocks = _blocks(chain, at, goals) if len(at) else []
-    determinants = _determinants(at, goals, blocks)
+    blocks = _blocks(chain, configs, goals) if len(configs) else []
+    determinants = _determinants(configs, goals, blocks)
     varies = np.zeros(len(blocks), dtype=bool)
-    if len(at) > 1:
+    if len(configs) > 1:
         varies = np.ptp(determinants, axis=0) > MIN_DETERMINANT
     blocks = [block for block, block_varies in zip(blocks, varies, strict=True) if block_varies]
     start_signs = np.sign(_determinants(begin, chain.goal_at(begin), blocks))
@@ -137,14 +137,14 @@ def assembly_branches(
     signs[np.abs(determinants[:, varies]) < MIN_DETERMINANT] = 0.0
     # leave out points of continuous families; sort by the distance to the start
     is_scattered = (hits < MIN_HITS) & np.any(signs == 0.0, axis=1)
-    order = _order(at, begin)
+    order = _order(configs, begin)
     order = order[~is_scattered[order]]
     sign_texts = ["".join("-0+"[int(sign) + 1] for sign in signs[row]) for row in order]
     labels = tuple(f"{k} {text}" for k, text in enumerate(sign_texts))
-    at = at[order]
-    every = np.ones(len(at), dtype=bool)
+    configs = configs[order]
+    every = np.ones(len(configs), dtype=bool)
     return Branches(
-        poses=poses_of(at, goals[order], names, reached=every, beyond=~every),
+        poses=poses_of(configs, goals[order], names, reached=every, beyond=~every),
         labels=labels,
         blocks=tuple(_joints(chain, columns) for _, columns in blocks),
         found=hits[order],
@@ -164,8 +164,8 @@ def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
     hits = np.zeros(0, dtype=int)
     for tried in range(SAMPLES, MAX_SAMPLES + 1, SAMPLES):
         q = random_coordinates(chain, SAMPLES, rng)
-        at, met = newton(chain.at(q), goal[np.zeros(SAMPLES, dtype=int)], RANDOM_STEPS)
-        for values, feature in zip(at.values[met], _features(at)[met], strict=True):
+        configs, met = newton(chain.at(q), goal[np.zeros(SAMPLES, dtype=int)], RANDOM_STEPS)
+        for values, feature in zip(configs.values[met], _features(configs)[met], strict=True):
             distance = np.linalg.norm(features - feature, axis=1) if len(features) else np.full(1, np.inf)
             nearest = int(np.argmin(distance))
             if distance[nearest] < SAME_POSE:
@@ -179,34 +179,35 @@ def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
     return Configurations(chain, branches), hits
 
 
-def _features(at: Configurations) -> Array:
+def _features(configs: Configurations) -> Array:
     """Compute vectors (n, 19 b) whose distances compare poses.
 
     For each of b bodies: the position (3) in sizes of the mechanism, and the products (16) of the
     quaternion's components. The products are the same for a quaternion and its negative.
     """
-    positions = at.position / at.chain.scene.mechanism.size
-    products = at.quaternion[..., None] * at.quaternion[..., None, :]
+    positions = configs.position / configs.chain.scene.mechanism.size
+    products = configs.quaternion[..., None] * configs.quaternion[..., None, :]
     bodies = positions.shape[1]
     return np.hstack([positions.reshape(-1, 3 * bodies), products.reshape(-1, 16 * bodies)])
 
 
-def _order(at: Configurations, begin: Configurations) -> Array:
+def _order(configs: Configurations, begin: Configurations) -> Array:
     """Return the indices (n,) that sort configurations by their distance to the start.
 
     Mirror images at equal distance are sorted by their poses.
     """
-    features = _features(at)
+    features = _features(configs)
     distance = np.linalg.norm(features - _features(begin), axis=1)
     return np.lexsort((*features.T[::-1].round(3), distance.round(3)))
 
 
-def _matrix(at: Configurations, goal: Goal) -> Array:
+def _matrix(configs: Configurations, goal: Goal) -> Array:
     """Return the square Jacobian (n, nv, nv) of independent loop equations and goals."""
-    return np.concatenate([at.jacobian[:, at.chain.independent], at.goal_errors(goal)[1]], axis=1)
+    loop_rows, goal_rows = configs.jacobian[:, configs.chain.independent], configs.goal_errors(goal)[1]
+    return np.concatenate([loop_rows, goal_rows], axis=1)
 
 
-def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, Array]]:
+def _blocks(chain: Chain, configs: Configurations, goal: Goal) -> list[tuple[Array, Array]]:
     """Find rows and columns of the irreducible diagonal blocks of the Jacobian, without blocks of goals.
 
     Source: block triangular form of A. Pothen, C.-J. Fan, ACM Transactions on Mathematical Software 16(4),
@@ -216,7 +217,7 @@ def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, A
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
-    pattern = np.any(_matrix(at, goal) != 0.0, axis=0)  # nonzero in some of the configurations
+    pattern = np.any(_matrix(configs, goal) != 0.0, axis=0)  # nonzero in some of the configurations
     columns = maximum_bipartite_matching(csr_array(pattern), perm_type="column")
     _, block_of_row = connected_components(csr_array(pattern[:, columns]), connection="strong")
     first_goal = len(chain.independent)
@@ -225,11 +226,11 @@ def _blocks(chain: Chain, at: Configurations, goal: Goal) -> list[tuple[Array, A
     return sorted(((rows, columns[rows]) for rows in kept), key=lambda block: int(np.min(block[1])))
 
 
-def _determinants(at: Configurations, goal: Goal, blocks: list[tuple[Array, Array]]) -> Array:
+def _determinants(configs: Configurations, goal: Goal, blocks: list[tuple[Array, Array]]) -> Array:
     """Compute the determinants (n, blocks) of the blocks of the Jacobian."""
-    matrix = _matrix(at, goal)
+    matrix = _matrix(configs, goal)
     determinants = [np.linalg.det(matrix[:, rows[:, None], columns]) for rows, columns in blocks]
-    return np.stack(determinants, axis=1) if determinants else np.zeros((len(at), 0))
+    return np.stack(determinants, axis=1) if determinants else np.zeros((len(configs), 0))
 
 
 def _joints(chain: Chain, columns: Array) -> tuple[str, ...]:

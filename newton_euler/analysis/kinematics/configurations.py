@@ -247,9 +247,9 @@ class Chain:
         results[~np.isfinite(results).all(axis=1)] = INVALID_RESULT
         return Configurations(self, results)
 
-    def goal_at(self, at: Configurations) -> Goal:
+    def goal_at(self, configs: Configurations) -> Goal:
         """Return the goals that given configurations meet exactly."""
-        return Goal(at.coordinates[:, : self.goal_count], at.direction[:, : 3 * self.has_axis_goal])
+        return Goal(configs.coordinates[:, : self.goal_count], configs.direction[:, : 3 * self.has_axis_goal])
 
     def difference(self, goal: Goal, other: Goal) -> tuple[Array, Array]:
         """Compute goal - other: coordinates (n, m), and the rotation vectors (n, 3) from other to goal."""

@@ -72,22 +72,23 @@ PATH_STEPS = 20
 """Number of steps along each random path."""
 
 
-def newton(at: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Configurations, Array]:
+def newton(configs: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Configurations, Array]:
     """Move n configurations to goals by Newton steps of least length.
 
     A step has two parts: the shortest step that closes the loops in first order; and the shortest step in the
     tangent space of the loops that then meets the goals in first order.
 
     Args:
-        at: configurations to begin with.
+        configs: configurations to begin with.
         goal: one goal for each configuration.
         steps: largest number of steps.
 
     Returns:
         The configurations, and True (n,) for those that meet their goals with closed loops.
     """
-    values, error = at.values.copy(), np.full(len(at), np.inf)
-    active, here = np.arange(len(at)), at  # numbers of the configurations that still move, and these
+    values, error = configs.values.copy(), np.full(len(configs), np.inf)
+    # the configurations that still move, and their numbers
+    active, here = np.arange(len(configs)), configs
     for _ in range(steps):
         # store the configurations; select those that need another step
         goal_errors, rows = here.goal_errors(goal[active])
@@ -105,7 +106,7 @@ def newton(at: Configurations, goal: Goal, steps: int = GOAL_STEPS) -> tuple[Con
         remaining = -goal_errors - products(rows, closing_step)
         along = products(np.linalg.pinv(reduced, RANK_TOLERANCE), remaining)
         here = here.step_by(closing_step + products(np.swapaxes(here.tangent, 1, 2), along))
-    return Configurations(at.chain, values), error < MAX_RESIDUAL
+    return Configurations(configs.chain, values), error < MAX_RESIDUAL
 
 
 def largest(*residuals: Array) -> Array:
@@ -128,7 +129,7 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
     # bases of the tangent spaces before and after may have different orientations
     orientation = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
     # Jacobians before and after: of the goals, and of all chosen coordinates if these are not the same
-    goal_before, goal_after = (at.goal_errors(chain.goal_at(at))[1] for at in (before, after))
+    goal_before, goal_after = (each.goal_errors(chain.goal_at(each))[1] for each in (before, after))
     pairs = [(goal_before, goal_after)]
     if chain.has_axis_goal or chain.goal_count < len(chain.keys):
         pairs.append((before.driving, after.driving))
@@ -217,11 +218,11 @@ def sample_branch(start: Configurations) -> Configurations:
     return Configurations(chain, np.concatenate(visited))
 
 
-def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Configurations, Array]:
+def approach(configs: Configurations, others: Configurations, goal: Goal) -> tuple[Configurations, Array]:
     """Minimize the distances of closed configurations to goals that are out of reach.
 
     Args:
-        at: (n) configurations to start from.
+        configs: (n) configurations to start from.
         others: configurations of the branch; the nearest to a goal replaces a start that is farther away.
         goal: (n) goals.
 
@@ -232,12 +233,12 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
     from scipy.spatial import cKDTree
 
     # start at a nearer configuration of the branch if there is one
-    chain = at.chain
+    chain = configs.chain
     _, nearest = cKDTree(chain.embed(chain.goal_at(others))).query(chain.embed(goal))
     other = others[nearest]
-    nearer = half_square(other, goal) < half_square(at, goal)
-    values, signs = np.where(nearer[:, None], other.values, at.values), np.ones((len(at), 2))
-    active = np.arange(len(at))  # numbers of the configurations that still come nearer
+    nearer = half_square(other, goal) < half_square(configs, goal)
+    values, signs = np.where(nearer[:, None], other.values, configs.values), np.ones((len(configs), 2))
+    active = np.arange(len(configs))  # numbers of the configurations that still come nearer
     for _ in range(MAX_APPROACH_STEPS):
         # a Newton step of the distance in the tangent space
         if not active.size or not chain.freedoms:
@@ -262,32 +263,32 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
     return Configurations(chain, values), signs
 
 
-def half_square(at: Configurations, goal: Goal) -> Array:
+def half_square(configs: Configurations, goal: Goal) -> Array:
     """Compute half the squared dimensionless distances (n,) to goals."""
-    return 0.5 * np.sum(at.goal_errors(goal)[0] ** 2, axis=1)
+    return 0.5 * np.sum(configs.goal_errors(goal)[0] ** 2, axis=1)
 
 
-def gradient(at: Configurations, goal: Goal) -> Array:
+def gradient(configs: Configurations, goal: Goal) -> Array:
     """Compute the gradients (n, nv) of half the squared distances to goals, dimensionless."""
-    goal_errors, rows = at.goal_errors(goal)
+    goal_errors, rows = configs.goal_errors(goal)
     return products(np.swapaxes(rows, 1, 2), goal_errors)
 
 
-def _newton_step(at: Configurations, goal: Goal) -> Array:
+def _newton_step(configs: Configurations, goal: Goal) -> Array:
     """Compute the Newton step (n, f) that minimizes half the squared distance in the tangent space.
 
     The Hessian of the Lagrange function (half the squared distance plus multipliers times loop residuals) is
     a central difference of gradients. The step divides by the absolute values of its eigenvalues, so that the
     step goes downhill in every direction.
     """
-    distance_gradient = gradient(at, goal)
-    multipliers = -products(np.swapaxes(at.loop_inverse, 1, 2), distance_gradient)
-    tangent = at.tangent
+    distance_gradient = gradient(configs, goal)
+    multipliers = -products(np.swapaxes(configs.loop_inverse, 1, 2), distance_gradient)
+    tangent = configs.tangent
     columns = []
     for k in range(tangent.shape[1]):
         gradients = []  # of the Lagrange function, on both sides
         for sign in (1.0, -1.0):
-            other = at.step_by(sign * DIFFERENCE_STEP * tangent[:, k])
+            other = configs.step_by(sign * DIFFERENCE_STEP * tangent[:, k])
             constraint_part = products(np.swapaxes(other.loops, 1, 2), multipliers)
             gradients.append(gradient(other, goal) + constraint_part)
         columns.append(products(tangent, gradients[0] - gradients[1]) / (2.0 * DIFFERENCE_STEP))
@@ -297,13 +298,13 @@ def _newton_step(at: Configurations, goal: Goal) -> Array:
     return -products(directions, slopes / np.maximum(np.abs(curvature), MIN_CURVATURE))
 
 
-def moved_closed(at: Configurations, step: Array) -> Configurations:
+def moved_closed(configs: Configurations, step: Array) -> Configurations:
     """Move configurations by dimensionless steps (n, nv) and close the loops by the chord method."""
-    after = at.step_by(step)
+    after = configs.step_by(step)
     for _ in range(MAX_CHORD_STEPS):
         if np.all(largest(after.phi) < RESIDUAL_ROUND_OFF):
             break
-        after = after.step_by(products(at.loop_inverse, -after.phi))
+        after = after.step_by(products(configs.loop_inverse, -after.phi))
     return after
 
 
@@ -314,7 +315,7 @@ def _is_better(after: Configurations, before: Configurations, goal: Goal) -> Arr
     distance is better.
     """
     new, old = half_square(after, goal), half_square(before, goal)
-    new_slope, old_slope = (largest(products(at.tangent, gradient(at, goal))) for at in (after, before))
+    new_slope, old_slope = (largest(products(each.tangent, gradient(each, goal))) for each in (after, before))
     same = np.abs(new - old) <= DISTANCE_ROUND_OFF * old
     closed = largest(after.phi) < np.maximum(MAX_RESIDUAL, 0.5 * largest(before.phi))
     return closed & np.where(same, new_slope < 0.5 * old_slope, new < old)

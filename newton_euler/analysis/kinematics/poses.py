@@ -89,7 +89,7 @@ class Poses:
     slope: Array
     closed: Array
     _names: tuple[str | Key, ...]
-    _at: Configurations
+    _configs: Configurations
 
     def __len__(self) -> int:
         return len(self.position)
@@ -99,7 +99,7 @@ class Poses:
 
     def report(self) -> list[str]:
         """Return a line for each pose that does not meet its goals on the branch of the start."""
-        lines, mechanism = [], self._at.chain.driven.mechanism
+        lines, mechanism = [], self._configs.chain.driven.mechanism
         keys = {name: mechanism.coordinate(name) for name in self.missing}
         units = {name: "m" if mechanism.is_slide(*key) else "rad" for name, key in keys.items()}
         for k in np.flatnonzero(~self.reached):
@@ -131,16 +131,17 @@ class Poses:
         Chosen angles have the revolutions of their goals. Couplings and prescribed motions determine the
         revolutions of others.
         """
-        system, names = self._at.chain.system, dict(zip(self._at.chain.keys, self._names, strict=True))
+        chain = self._configs.chain
+        system, names = chain.system, dict(zip(chain.keys, self._names, strict=True))
         return {
-            key: np.asarray(self.coordinates[names[key]]) if key in names else self._at.q[:, place]
+            key: np.asarray(self.coordinates[names[key]]) if key in names else self._configs.q[:, place]
             for key, place in system.angles.items()
         }
 
     @property
     def tree_coordinates(self) -> Array:
         """Coordinates (n, nq) of the spanning tree of the mechanism."""
-        return self._at.q[:, : self._at.chain.system.tree.nq]
+        return self._configs.q[:, : self._configs.chain.system.tree.nq]
 
     @checked
     def jacobian(self, of: Sequence[str | Key | Axis], by: Sequence[str | Key | Axis]) -> Array:
@@ -175,19 +176,20 @@ class Poses:
         """Compute the dimensionless Jacobian (n, r, f) in the tangent space, and units (r,) of its rows."""
         if not len(quantities):
             raise OptionError("quantities", quantities, "one or more")
-        chain, rows, units = self._at.chain, [], []
+        chain, rows, units = self._configs.chain, [], []
         for each in quantities:
             if isinstance(each, Axis) and chain.axis is each:  # d axis/dt = omega x axis
-                rows.append(np.cross(self._at.axis_jacobian, self._at.direction[:, :, None], axis=1))
+                direction = self._configs.direction[:, :, None]
+                rows.append(np.cross(self._configs.axis_jacobian, direction, axis=1))
                 units += [1.0, 1.0, 1.0]
             elif not isinstance(each, Axis) and each in self._names:
                 k = self._names.index(each)
-                rows.append(self._at.driving[:, [k]])
+                rows.append(self._configs.driving[:, [k]])
                 units.append(chain.units[k])
             else:
                 known = listed(map(repr, self._names))
                 raise OptionError("quantity", each, f"one of {known}, or the axis, as given")
-        return np.concatenate(rows, axis=1) @ np.swapaxes(self._at.tangent, 1, 2), np.array(units)
+        return np.concatenate(rows, axis=1) @ np.swapaxes(self._configs.tangent, 1, 2), np.array(units)
 
 
 @checked
@@ -233,7 +235,7 @@ def solve_poses(
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
     # continuation from the start
     begin = chain.at(chain.start[None])
-    at, reached = follow(begin, goal)
+    configs, reached = follow(begin, goal)
     # goals that are not reached: the nearest pose, searched from the last one or from random poses of the
     # branch
     missed = np.flatnonzero(~reached)
@@ -241,50 +243,50 @@ def solve_poses(
     if missed.size:
         # signs (n, 2) are -1 if a singular configuration was passed: of the Jacobian of the goals, and of all
         # chosen coordinates
-        near, signs = approach(at[missed], sample_branch(begin), goal[missed])
+        near, signs = approach(configs[missed], sample_branch(begin), goal[missed])
         met = largest(near.phi, near.goal_errors(goal[missed])[0]) < MAX_RESIDUAL
         # a goal at the limit of reach is met without a change of sign
         reached[missed] = met & np.all(signs > 0.0, axis=1)
         beyond[missed] = (signs[:, 1] < 0.0) | (met & (signs[:, 0] < 0.0))
-        values = at.values.copy()
+        values = configs.values.copy()
         values[missed] = near.values
-        at = Configurations(chain, values)
-    return poses_of(at, goal, names, reached, beyond)
+        configs = Configurations(chain, values)
+    return poses_of(configs, goal, names, reached, beyond)
 
 
 def poses_of(
-    at: Configurations, goal: Goal, names: tuple[str | Key, ...], reached: Array, beyond: Array
+    configs: Configurations, goal: Goal, names: tuple[str | Key, ...], reached: Array, beyond: Array
 ) -> Poses:
     """Return solved configurations as poses.
 
     Args:
-        at: the configurations.
+        configs: the configurations.
         goal: one goal for each configuration.
         names: names of the chosen and measured joint coordinates.
         reached, beyond: see the attributes of `Poses`.
     """
-    chain = at.chain
-    missing, turn = chain.difference(chain.goal_at(at), goal)
-    coordinates = at.coordinates.copy()
+    chain = configs.chain
+    missing, turn = chain.difference(chain.goal_at(configs), goal)
+    coordinates = configs.coordinates.copy()
     coordinates[:, chain.is_periodic] = within_revolution(coordinates[:, chain.is_periodic])
     coordinates[:, : chain.goal_count] = goal.coordinates + missing
-    distance = np.sqrt(2.0 * half_square(at, goal))
-    slope = np.linalg.norm(products(at.tangent, gradient(at, goal)), axis=1) / np.maximum(
+    distance = np.sqrt(2.0 * half_square(configs, goal))
+    slope = np.linalg.norm(products(configs.tangent, gradient(configs, goal)), axis=1) / np.maximum(
         distance, MAX_RESIDUAL
     )
     return Poses(
-        position=at.position,
-        quaternion=at.quaternion,
+        position=configs.position,
+        quaternion=configs.quaternion,
         coordinates=dict(zip(names, coordinates.T, strict=True)),
-        direction=None if chain.axis is None else at.direction,
+        direction=None if chain.axis is None else configs.direction,
         reached=reached,
         beyond=beyond,
         missing=dict(zip(names, missing.T, strict=False)),
         angle=np.linalg.norm(turn, axis=1),
         slope=np.where(distance < MAX_RESIDUAL, 0.0, slope),
-        closed=largest(at.phi) < MAX_RESIDUAL,
+        closed=largest(configs.phi) < MAX_RESIDUAL,
         _names=names,
-        _at=at,
+        _configs=configs,
     )
 
 

@@ -114,9 +114,9 @@ def workspace(
     chain, names, goal = goals_of(scene, coordinates, axis, towards=None, measure=(), start=start)
     _check_count(chain)
     # poses of the reachable points
-    at, reached = follow(chain.at(chain.start[None]), goal)
+    configs, reached = follow(chain.at(chain.start[None]), goal)
     every = np.ones(int(np.sum(reached)), dtype=bool)
-    poses = poses_of(at[reached], goal[reached], names, reached=every, beyond=~every)
+    poses = poses_of(configs[reached], goal[reached], names, reached=every, beyond=~every)
 
     def on_grid(values: Array) -> Array:
         """Put values of the reachable points on the grid; NaN elsewhere."""
@@ -175,17 +175,17 @@ def singular_poses(
     _check_count(chain)
     # random closed configurations
     q = random_coordinates(chain, count, np.random.default_rng(0))
-    at, closed = newton(chain.at(q), _no_goals(count), RANDOM_STEPS)
-    at, singular_results = at[closed], [np.zeros((0, chain.function.outputs))]
+    configs, closed = newton(chain.at(q), _no_goals(count), RANDOM_STEPS)
+    configs, singular_results = configs[closed], [np.zeros((0, chain.function.outputs))]
     # Newton's steps to a determinant of zero
     for _ in range(SINGULAR_STEPS):
-        determinant, slope = _determinant(at)
-        is_singular = (np.abs(determinant) < MAX_RESIDUAL) & (largest(at.phi) < MAX_RESIDUAL)
-        singular_results.append(at.values[is_singular])
-        at, determinant, slope = at[~is_singular], determinant[~is_singular], slope[~is_singular]
+        determinant, slope = _determinant(configs)
+        is_singular = (np.abs(determinant) < MAX_RESIDUAL) & (largest(configs.phi) < MAX_RESIDUAL)
+        singular_results.append(configs.values[is_singular])
+        configs, determinant, slope = configs[~is_singular], determinant[~is_singular], slope[~is_singular]
         squared_slope = np.maximum(np.sum(slope**2, axis=1, keepdims=True), MIN_CURVATURE)
         along = -determinant[:, None] * slope / squared_slope
-        at = moved_closed(at, products(np.swapaxes(at.tangent, 1, 2), along))
+        configs = moved_closed(configs, products(np.swapaxes(configs.tangent, 1, 2), along))
     singular = Configurations(chain, np.concatenate(singular_results))
     every = np.ones(len(singular), dtype=bool)
     return poses_of(singular, _no_goals(len(singular)), tuple(coordinates), reached=every, beyond=~every)
@@ -203,18 +203,18 @@ def _no_goals(count: int) -> Goal:
     return Goal(np.zeros((count, 0)), np.zeros((count, 0)))
 
 
-def _determinant(at: Configurations) -> tuple[Array, Array]:
+def _determinant(configs: Configurations) -> tuple[Array, Array]:
     """Compute the determinant (n,) of the chosen coordinates' Jacobian in the tangent space, and its slope.
 
     The slope (n, f) along the basis vectors of the tangent space is a central difference. The basis of
     another configuration may have the other orientation, which changes the sign of the determinant.
     """
-    determinant, columns = np.linalg.det(at.driving @ np.swapaxes(at.tangent, 1, 2)), []
-    for k in range(at.chain.freedoms):
+    determinant, columns = np.linalg.det(configs.driving @ np.swapaxes(configs.tangent, 1, 2)), []
+    for k in range(configs.chain.freedoms):
         ends = []  # determinants on both sides
         for sign in (1.0, -1.0):
-            other = at.step_by(sign * DIFFERENCE_STEP * at.tangent[:, k])
-            orientation = np.sign(np.linalg.det(other.tangent @ np.swapaxes(at.tangent, 1, 2)))
+            other = configs.step_by(sign * DIFFERENCE_STEP * configs.tangent[:, k])
+            orientation = np.sign(np.linalg.det(other.tangent @ np.swapaxes(configs.tangent, 1, 2)))
             ends.append(orientation * np.linalg.det(other.driving @ np.swapaxes(other.tangent, 1, 2)))
         columns.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
     return determinant, np.stack(columns, axis=1)
