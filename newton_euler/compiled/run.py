@@ -204,7 +204,7 @@ class Integrator:
         Raises:
             OptionError: if the option `rest` ends runs at rest although functions of time may move the scene.
         """
-        functions = (f for functions in code.scene.functions.values() for f in functions)
+        functions = (f for of_element in code.scene.functions.values() for f in of_element)
         if options.rest and not all(f.is_constant for f in functions):
             raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
         self._code, self._options, self._stopped = code, options, stopped
