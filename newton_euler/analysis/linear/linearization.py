@@ -1,15 +1,15 @@
 """Linear models of a scene in independent coordinates, by exact derivatives of its equations.
 
-Let z be d independent joint coordinates with J T = 0 and J_z T = I. Motions of the mechanism are qdot = T
-zdot, and zddot = J_z vdot - gamma_z follows from the equations of motion. A change of z_i at constant zdot
-changes the velocities by dv_i,
+Let z be d independent joint coordinates with J T = 0 and J_z T = I. Motions of the mechanism are v = T zdot.
+The equations of motion give vdot and zddot = J_z vdot - gamma_z, with gamma_z = -(dJ_z/dt) v. A change of
+z_i at constant zdot changes the velocities by dv_i,
 
     dv_i = -[J; J_z]^-1 (d[J; J_z]/dz_i) v
     d zddot / dz_i = (d zddot / dq) qdot(T_i) + (d zddot / dv) dv_i,    d zddot / dzdot_i = (d zddot / dv) T_i
 
 Here q and v are the coordinates and velocities of the spanning tree, the mechanism without the joints that
-close loops. J is the Jacobian of the constraints of these joints, [J; J_z] are its rows and those of J_z.
-J_z has the rates of z as rows, and the columns of T are motions that leave loops closed. Joint coordinates
+close loops. J is the Jacobian of the constraints of these joints, J_z the Jacobian of z with respect to v,
+and [J; J_z] has the rows of both. The columns of T are motions that leave loops closed. Joint coordinates
 have keys (joint, number).
 
 The partial derivatives are exact: the equations are traced and differentiated in compiled code, with one
