@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, assert_never
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.model.balls import ends, spin_rate
+from newton_euler.model.balls import joint_bodies, spin_rate
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import PD, ComputedTorque, DeclaredLaw, TimeDependentPD
 from newton_euler.model.digital_control import HeldLaw, Law
@@ -384,7 +384,7 @@ class Rotors:
             if isinstance(armature, BallArmature):
                 joint, place = scene.mechanism.joint_index(armature.joint), tree.ball_place(armature.joint)
                 assert place is not None
-                self._balls.append((joint, ends(scene.mechanism, armature.joint), armature.inertia))
+                self._balls.append((joint, joint_bodies(scene.mechanism, armature.joint), armature.inertia))
                 of_balls[place] = armature.inertia
             else:
                 indices = tree.place(*armature.key)

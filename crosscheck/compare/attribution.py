@@ -30,7 +30,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.system import Evaluation
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.projection import project_position
-from newton_euler.model.balls import SPIN, ends
+from newton_euler.model.balls import SPIN, joint_bodies
 from newton_euler.model.digital_control import Law
 from newton_euler.model.elements import OnBall, OnCoordinate, Surroundings
 from newton_euler.model.forces import BallSpring, JointSpring
@@ -365,7 +365,7 @@ def _unit_loads(equations: Cartesian, force: ForceAtJoint, state: State) -> Arra
     frames = state.frames()
     # The loads are the Jacobian of the coordinate with respect to motions of its two bodies (virtual work)
     if force.on_ball:
-        first, second = ends(equations.mechanism, force.joint)  # numbers of the bodies
+        first, second = joint_bodies(equations.mechanism, force.joint)  # numbers of the bodies
         jacobian = SPIN  # of the relative angular velocity
     else:
         coordinate = equations.between[force.key]  # a joint coordinate, with the numbers of its two bodies

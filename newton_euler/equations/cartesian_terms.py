@@ -258,7 +258,7 @@ class CartesianTerms(Formulation):
         for armature in self.scene.armatures:
             if armature.on_ball:
                 # rates x: components of the relative angular velocity, world frame
-                first, second = balls.ends(self.mechanism, armature.joint)
+                first, second = balls.joint_bodies(self.mechanism, armature.joint)
                 jacobian, gammas = balls.SPIN, balls.spin_gamma(frames[first], frames[second])
             else:
                 first, second = self.between[armature.key].first, self.between[armature.key].second

@@ -143,7 +143,7 @@ class Relative(TreeKinematics):
         place = self.tree.ball_place(joint)
         if place is not None:
             return [({k: 1.0}, 0.0) for k in range(place.start, place.stop)]
-        first, second = (links[k] for k in balls.ends(self.mechanism, joint))
+        first, second = (links[k] for k in balls.joint_bodies(self.mechanism, joint))
         gamma = balls.spin_gamma(first.frame, second.frame) - drift(balls.SPIN, first, second)
         return list(zip(self.project(balls.SPIN, first, second), gamma, strict=True))
 
@@ -348,7 +348,7 @@ class Relative(TreeKinematics):
         couples = []
         for armature in self.scene.armatures:
             if armature.on_ball:
-                ends = balls.ends(self.mechanism, armature.joint)
+                ends = balls.joint_bodies(self.mechanism, armature.joint)
                 couples.append((ends, -armature.inertia * balls.spin_rate(frames, angular, ends)))
             else:
                 coordinate = measured[armature.key]

@@ -35,7 +35,7 @@ SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))
 frame."""
 
 
-def ends(mechanism: Mechanism, joint: str) -> tuple[int, int]:
+def joint_bodies(mechanism: Mechanism, joint: str) -> tuple[int, int]:
     """Return the indices of the first and the second body of a joint in `Mechanism.bodies`."""
     equations = mechanism.joint_equations(joint)
     return equations.first, equations.second
@@ -80,7 +80,7 @@ def spin_rate(frames: Sequence[Frame], angular: Array, bodies: tuple[int, int]) 
     Args:
         frames: present frames of all b bodies.
         angular: (b, 3) angular accelerations of all bodies, rad/s^2, world frame.
-        bodies: indices of the first and the second body, see `ends`.
+        bodies: indices of the first and the second body, see `joint_bodies`.
     """
     i, j = bodies
     return np.asarray(angular[j] - angular[i] - spin_gamma(frames[i], frames[j]))

@@ -207,7 +207,7 @@ class Digital(HeldLaw):
         "slew_limit": NumberField("N/s", unit_about="N m/s", shape=None),
         "stroke": NumberField(shape=None, allowed="constructor"),
     }
-    constant: ClassVar = HeldLaw.constant | {"delay": "a whole number of samples"}
+    constant: ClassVar = HeldLaw.constant | {"delay": "a whole number of samples"}  # cannot vary
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, DeclaredLaw):
@@ -233,6 +233,7 @@ class Digital(HeldLaw):
 
     @property
     def variables(self) -> tuple[str, ...]:
+        """Names of all numbers that may vary: those of this class, then those of the declared law."""
         return (*self.number_fields, *self.law.variables)
 
     def field_of(self, name: str) -> NumberField:

@@ -238,7 +238,7 @@ class OnBall(OnJoint):
 
     def spin(self, at: Surroundings) -> Array:
         """Compute the angular velocity (3,) of the second body relative to the first, rad/s, world frame."""
-        i, j = balls.ends(at.mechanism, self.joint)
+        i, j = balls.joint_bodies(at.mechanism, self.joint)
         return balls.spin(at.frames[i], at.frames[j])
 
 

@@ -161,14 +161,14 @@ class BallSpring(OnBall, Spring):
         self.set_numbers(self.element)
 
     def described_after(self, change: PoseChange) -> Self:
-        i, j = balls.ends(change.mechanism, self.joint)  # indices of the two bodies
+        i, j = balls.joint_bodies(change.mechanism, self.joint)  # indices of the two bodies
         rest = change.moves[i].turn @ balls.rotation_by(self.rest) @ change.moves[j].turn.T
         return replace(self, rest=balls.rotation_vector(rest))
 
     def theta(self, at: Surroundings) -> Array:
         """Compute the rotation vector theta (3,), rad, of the second body relative to the first, counted from
         the rest orientation, world frame."""
-        i, j = balls.ends(at.mechanism, self.joint)
+        i, j = balls.joint_bodies(at.mechanism, self.joint)
         return balls.rotation_from_rest(at.poses[i], at.poses[j], self.rest, (at.frames[i], at.frames[j]))
 
     def at_joint(self, at: Surroundings) -> Array:
@@ -182,7 +182,7 @@ class BallSpring(OnBall, Spring):
         return np.zeros(4) if self.stiffness == 0.0 else balls.quaternion_by(self.theta(at))
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
-        i, j = balls.ends(at.mechanism, self.joint)
+        i, j = balls.joint_bodies(at.mechanism, self.joint)
         couple = np.concatenate([np.zeros(3), self.at_joint(at)])
         yield i, -couple
         yield j, couple

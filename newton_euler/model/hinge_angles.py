@@ -68,10 +68,10 @@ class Axis(NamedTuple):
 
     value: Array
     """(3,) unit vector a."""
-    on_first: Array
-    """(3, 3) derivative of a by the virtual rotation theta_i of body i."""
-    on_second: Array
-    """(3, 3) derivative of a by the virtual rotation theta_j of body j."""
+    by_first: Array
+    """(3, 3) derivative of a with respect to the virtual rotation theta_i of body i."""
+    by_second: Array
+    """(3, 3) derivative of a with respect to the virtual rotation theta_j of body j."""
     rate: Array
     """(3,) first derivative da/dt, 1/s."""
     drift: Array
@@ -87,8 +87,8 @@ def _body_fixed(axis: Array, omega: Array, in_first: bool) -> Axis:
         in_first: True if the axis is fixed in the first body, False for the second body.
     """
     rate, by_rotation, none = cross(omega, axis), -tilde(axis), np.zeros((3, 3))
-    on_first, on_second = (by_rotation, none) if in_first else (none, by_rotation)
-    return Axis(axis, on_first, on_second, rate, cross(omega, rate))
+    by_first, by_second = (by_rotation, none) if in_first else (none, by_rotation)
+    return Axis(axis, by_first, by_second, rate, drift=cross(omega, rate))
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +144,14 @@ class HingeRow:
 
         # The middle axis b is fixed in the first link, of angular velocity omega = omega_i + x_1' a
         a, b, _ = values
+        # `first_share` (3, 3) takes omega_j - omega_i to the rotation x_1' a of the first link
         omega, first_share = wi + rates[0] * a, np.outer(a, duals[0])
         rate = cross(omega, b)
         axis_drift = rates[0] * axes[0].rate + rates[1] * rate + rates[2] * axes[1].rate
-        # angular acceleration of the first link if both bodies have zero acceleration
+        # Angular acceleration of the first link if both bodies have zero acceleration
         alpha = rates[0] * axes[0].rate - (duals[0] @ axis_drift) * a
-        on_first, on_second = -tilde(b) @ (np.eye(3) - first_share), -tilde(b) @ first_share
-        middle = Axis(b, on_first, on_second, rate, cross(alpha, b) + cross(omega, rate))
+        by_first, by_second = -tilde(b) @ (np.eye(3) - first_share), -tilde(b) @ first_share
+        middle = Axis(b, by_first, by_second, rate, drift=cross(alpha, b) + cross(omega, rate))
         return RowMotion([axes[0], middle, axes[1]], duals, axis_drift)
 
 
@@ -241,12 +242,13 @@ class Separation:
         theta_i, theta_j = tilde(span.s_i), -tilde(span.s_j)
         value, drift = span.d, span.drift(first, second)
         for (u, v, w), a, b in zip(self.offsets, axes[:-1], axes[1:], strict=True):
-            # Matrices of the derivatives of -o_k = -(u a + v b + w a x b): on_a by a, and -on_b by b
-            on_a, on_b = w * tilde(b.value) - u * np.eye(3), w * tilde(a.value) + v * np.eye(3)
-            value = value + on_a @ a.value - v * b.value
-            theta_i = theta_i + on_a @ a.on_first - on_b @ b.on_first
-            theta_j = theta_j + on_a @ a.on_second - on_b @ b.on_second
-            drift = drift + on_a @ a.drift - on_b @ b.drift - 2.0 * w * cross(a.rate, b.rate)
+            # The derivatives of -o_k = -(u a + v b + w a x b) are the matrices by_a with respect to a, and
+            # -by_b with respect to b
+            by_a, by_b = w * tilde(b.value) - u * np.eye(3), w * tilde(a.value) + v * np.eye(3)
+            value = value + by_a @ a.value - v * b.value
+            theta_i = theta_i + by_a @ a.by_first - by_b @ b.by_first
+            theta_j = theta_j + by_a @ a.by_second - by_b @ b.by_second
+            drift = drift + by_a @ a.drift - by_b @ b.drift - 2.0 * w * cross(a.rate, b.rate)
         return SeparationVector(value, Jacobian(-np.eye(3), theta_i, np.eye(3), theta_j), drift)
 
 

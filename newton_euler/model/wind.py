@@ -28,13 +28,18 @@ NORMAL_COEFFICIENT = 1.98
 """Normal force coefficient C_N of a plate of infinite span perpendicular to the wind (sources in
 `WindLoad`)."""
 
-HOERNER_CONSTANT, HOERNER_SLOPE = 0.56, 0.44
-"""Coefficients of Hoerner's formula C_N = 1.98 sin a / (0.56 + 0.44 sin a) for infinite span (sources in
-`WindLoad`)."""
+HOERNER_CONSTANT = 0.56
+"""Constant term of the denominator in Hoerner's formula C_N = 1.98 sin a / (0.56 + 0.44 sin a) for infinite
+span."""
 
-END_LOSS, END_RATE = 0.41, 17.0
-"""Coefficients of Lindenburg's term 0.41 (1 - exp(-17 / R)) for a plate of aspect ratio R (sources in
-`WindLoad`)."""
+HOERNER_SLOPE = 0.44
+"""Factor of sin a in the denominator of Hoerner's formula."""
+
+END_LOSS = 0.41
+"""Factor of Lindenburg's term 0.41 (1 - exp(-17 / R)) for a plate of aspect ratio R."""
+
+END_RATE = 17.0
+"""Factor of 1 / R in the exponent of Lindenburg's term."""
 
 PRESSURE_LEAD = 0.175
 """Distance of the center of pressure ahead of the plate's center for wind along the plate, in plate lengths

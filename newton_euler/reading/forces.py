@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from newton_euler.equations.dense import least_squares
-from newton_euler.model.balls import SPIN, ends
+from newton_euler.model.balls import SPIN, joint_bodies
 from newton_euler.model.forces import Spring
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
@@ -322,7 +322,7 @@ def _armature_speeds(placed: ScenePlacement, place: SamplePlacement) -> Array:
     found = [np.zeros((0, len(frames), 6))]
     for armature in placed.scene.armatures:
         if armature.on_ball:
-            first, second = ends(mechanism, armature.joint)
+            first, second = joint_bodies(mechanism, armature.joint)
             rows = SPIN
         else:
             joint, coordinate = armature.key
