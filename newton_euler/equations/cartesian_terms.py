@@ -274,7 +274,7 @@ class CartesianTerms(Formulation):
     def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
         """Measure the joint coordinates that forces, couplings and armatures depend on, by key.
 
-        A key is (joint, number). Their Jacobians are blocks (1, 3) between two bodies.
+        A key is (joint, number). The Jacobians of the coordinates have blocks (1, 3) between two bodies.
         """
         frames = self.frames(q, v)
         return {key: coordinate.measure(q, frames) for key, coordinate in self.between.items()}

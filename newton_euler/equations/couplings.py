@@ -77,7 +77,7 @@ class Coordinate:
     def measure(self, q: Array, frames: Sequence[Frame]) -> Measured:
         """Measure the coordinate and its derivatives at q (nq,) and the frames of all bodies.
 
-        Their `jacobian` is a `Jacobian` between the two bodies, blocks (1, 3).
+        The `jacobian` of the result is a `Jacobian` between the two bodies, blocks (1, 3).
         """
         first, second = frames[self.first], frames[self.second]
         jacobian = self.constraint.jacobian(first, second)
@@ -356,8 +356,8 @@ def _add_followers(couplings: Sequence[Coupling], wanted: dict[Key, Any]) -> Non
 def _first_to_turn(couplings: Sequence[Coupling], wanted: Mapping[Key, float], among: Collection[Key]) -> Key:
     """Choose the angle whose revolutions are searched first: the one that determines most other angles.
 
-    Only angles with a polynomial of degree 2 or higher are compared, because other coordinates do
-    not determine them. Without such angles, the first key in alphabetical order is chosen.
+    Only angles with a polynomial of degree 2 or higher are compared, because other coordinates do not
+    determine them. Without such angles, the first key in alphabetical order is chosen.
 
     Args:
         couplings: couplings without a function of time.

@@ -12,6 +12,8 @@ Masses that differ by large factors make pivots small, too. A singular configura
 constraint Jacobian, so `evaluate` compares small pivots with the pivots of the constraints alone
 (`newton_euler.integrators.constraint_ratio`). An open chain without couplings has no singular configuration.
 
+The measures are:
+
 1. `evaluate`: if the pivot ratio is not positive, accelerations come from the dense form of the equations,
    which determines the rank by singular values.
 2. A run may begin in a singular configuration if its velocities determine the branch, or if the mechanism
@@ -31,7 +33,9 @@ constraint Jacobian, so `evaluate` compares small pivots with the pivots of the 
    run ends.
 
 Equations that Python evaluates have no sparse form, so measure 1 changes nothing. Their pivot ratio is
-defined in `newton_euler.compiled.evaluated`.
+defined in `newton_euler.compiled.evaluated`. A *state with time and parameters* is one vector (inputs,) with
+the n coordinates and velocities, the time, flags of constraint rows, and parameters of the scene
+(`newton_euler.integrators.stepper`); *rates* are the time derivatives of coordinates and velocities.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -93,7 +97,7 @@ starts there at a speed v with v^2 < d a, accelerations move it more than its sp
 rest."""
 
 REST_DISPLACEMENT = 1e-9
-"""rad or m, by which a run may move from its start and still count as staying there."""
+"""Largest displacement from its start, rad or m, of a mechanism that counts as staying at rest."""
 
 MAX_CONTRADICTION = 1e-3
 """Largest contradiction between the accelerations within a step of RK4, as a fraction of the velocities.

@@ -61,7 +61,8 @@ class Tangents(Record):
         floor: smallest pivot ratio (distance to a singular configuration) at which tangents are accurate.
         rates: writes (2 n + 1, lanes): rates of the state, rates of the tangents, and the pivot ratio.
         project: writes the tangents (n, wide) projected onto the linearized constraints.
-        pause: asks every `STEPS_PER_PAUSE` substeps whether the user wants to stop.
+        pause: sets `TangentCount.STOP_REQUEST` if the user wants to stop; called every
+            `newton_euler.integrators.stepper.STEPS_PER_PAUSE` substeps.
         steps: (count, known + 1) state, time and flags at the start of each step, and its size, s.
         times: (rows,) output times, s.
         states: (rows, n) states of the run at the output times.
