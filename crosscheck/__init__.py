@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from crosscheck.compare.outcome import Outcome
-    from crosscheck.own_run.log import Log
+    from crosscheck.logs.judge import Log
     from crosscheck.support.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.verdict import Verdict, check
@@ -28,7 +28,7 @@ else:
         elif name == "CrosscheckError":
             from crosscheck.support import errors as module
         elif name == "Log":
-            from crosscheck.own_run import log as module
+            from crosscheck.logs import judge as module
         elif name == "Outcome":
             from crosscheck.compare import outcome as module
         else:

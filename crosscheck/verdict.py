@@ -23,10 +23,10 @@ from crosscheck.compare.logs import judge_logs
 from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.loading.load import load_scene, with_excitation
+from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.errors import ACCURATE_BELOW
 from crosscheck.own_run.judge import Judgement
-from crosscheck.own_run.log import LogJudgement
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped
@@ -146,6 +146,7 @@ class Verdict:
         position: float | None = None,
         rotation: float | None = None,
         opening: float | None = None,
+        loop_angle: float | None = None,
         energy: float | None = None,
         allow_reduced: bool = False,
     ) -> None:
@@ -158,7 +159,8 @@ class Verdict:
             max_error: largest relative error, a fraction of the motion; None for no limit.
             position: largest error of a center of mass, m.
             rotation: largest error of an orientation, rad.
-            opening: largest error of the loop constraints, m or rad.
+            opening: largest distance between the ends of a loop constraint, m.
+            loop_angle: largest violation of a loop constraint of angles, rad.
             energy: largest error of the total energy, a fraction of the energy that the motion exchanges.
             allow_reduced: True to accept a model of which some elements (contacts, joint limits, dry
                 friction) act but are not simulated by the reference. The run is judged without these.
@@ -172,6 +174,7 @@ class Verdict:
             ErrorKind.POSITION: position,
             ErrorKind.ROTATION: rotation,
             ErrorKind.OPENING: opening,
+            ErrorKind.LOOP_ANGLE: loop_angle,
             ErrorKind.ENERGY: energy,
         }
         allowed = [AllowedError(kind, limit) for kind, limit in limits.items() if limit is not None]

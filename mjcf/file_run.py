@@ -35,6 +35,7 @@ from newton_euler.reading.file_run import (
     Event,
     FileRun,
     FileSimulation,
+    LoopErrors,
     evaluations_per_step,
 )
 from newton_euler.reading.import_report import ImportReport
@@ -247,6 +248,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         # bodies of the scene, and the rigid groups of MuJoCo's bodies that each of them represents
         self._names = reference.names
         self._groups = reference.groups
+        self._prepared_models: dict[bool, tuple[Any, Array]] = {}
         # qvel from the initial velocities of the scene's bodies
         state = initial_state(scene)
         bodies = [scene.mechanism.body_names.index(name) for name in self._names]
@@ -263,6 +265,9 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         if self._model.neq:
             time_constants = np.unique(self._model.eq_solref[:, 0])
             words.append(f"solref {' and '.join(f'{value:g}' for value in time_constants)}")
+            is_raised = not self._model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
+            if is_raised and np.any((time_constants > 0.0) & (time_constants < 2.0 * settings.timestep)):
+                words.append(f"raised by MuJoCo to two steps, {2.0 * settings.timestep:g}")
             impedances = np.unique(self._model.eq_solimp[:, :3], axis=0)
             if np.any(impedances != DEFAULT_SOLIMP):
                 texts = [" ".join(f"{x:g}" for x in row) for row in impedances]
@@ -317,7 +322,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             Initial "qpos", "qvel", "act" and "eq_active"; "ctrl", see `Inputs.terms`; and "model", the
             numbers and arrays of the compiled file that the run changes, such as "opt.disableflags".
         """
-        model, active = self._prepared(reduced)
+        model, active = self._model_of_run(reduced)
         return {
             "qpos": self._start.tolist(),
             "qvel": self._velocity.tolist(),
@@ -411,7 +416,8 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             for _ in range(steps // every):
                 for _ in range(every // steps_per_call):
                     if not self._inputs.are_constant:
-                        data.ctrl[:] = self._inputs.at(data.time)
+                        # held during the step: its middle, as an earlier time would delay the input
+                        data.ctrl[:] = self._inputs.at(data.time + 0.5 * settings.timestep)
                     start = time.thread_time()
                     mujoco.mj_step(model, data, steps_per_call)
                     thread_time += time.thread_time() - start
@@ -426,14 +432,26 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         stopped = next((f"{text} at {now:.4g} s" for text, now in warnings.items()), "")
         return FileRun(
             trajectory=recorder.trajectory(self.engine, self.scene, self._names, vars(settings), thread_time),
-            opening=np.array(recorder.opening),
+            loop_errors=recorder.loop_errors(),
             events=tuple(events.events) if events else (),
             stopped=stopped,
             states=tuple(recorder.states),
         )
 
     def _prepared(self, reduced: bool) -> tuple[Any, Array]:
-        """Return a copy of the model for a complete or reduced run, and (neq,) 1 for equalities that act."""
+        """Return a model and the equalities (neq,) that act, of a reduced run or of the file's run.
+
+        The model has the softness of the file. It is the same object at each call, as copies of models with
+        meshes take more time than runs.
+        """
+        if reduced not in self._prepared_models:
+            self._prepared_models[reduced] = self._model_of_run(reduced)
+        model, active = self._prepared_models[reduced]
+        model.eq_solref[:], model.eq_solimp[:] = self._model.eq_solref, self._model.eq_solimp
+        return model, active
+
+    def _model_of_run(self, reduced: bool) -> tuple[Any, Array]:
+        """Return a new copy of the model with the settings of the file, see `_prepared`."""
         model = copy.copy(self._model)
         active = model.eq_active0.copy()
         if reduced:
@@ -465,9 +483,25 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             change: function that changes its argument, a compiled model.
         """
         other = copy.copy(self)
-        other._model = copy.copy(self._model)
+        other._model, other._prepared_models = copy.copy(self._model), {}
         change(other._model)
         return other
+
+
+def _is_angle(model: Any, equality: int) -> bool:
+    """Return whether an equality constrains an angle: of a hinge, or of a tendon over hinges."""
+    hinges = mujoco.mjtJoint.mjJNT_HINGE
+    first = int(model.eq_obj1id[equality])
+    match mujoco.mjtEq(model.eq_type[equality]):
+        case mujoco.mjtEq.mjEQ_JOINT:
+            return bool(model.jnt_type[first] == hinges)
+        case mujoco.mjtEq.mjEQ_TENDON:
+            start, count = int(model.tendon_adr[first]), int(model.tendon_num[first])
+            wraps = slice(start, start + count)
+            joints = model.wrap_objid[wraps][model.wrap_type[wraps] == mujoco.mjtWrap.mjWRAP_JOINT]
+            return bool(len(joints) == count and np.all(model.jnt_type[joints] == hinges))
+        case _:
+            return False
 
 
 class _Recorder:
@@ -490,8 +524,11 @@ class _Recorder:
         self.positions: list[Array] = []
         self.quaternions: list[Array] = []
         self.energies: list[Array] = []
-        self.opening: list[float] = []
+        self._openings: list[Array] = []
+        self._angles: list[Array] = []
         self.states: list[tuple[Array, Array, Array]] = []
+        self._is_weld = model.eq_type == mujoco.mjtEq.mjEQ_WELD
+        self._is_angle = np.array([_is_angle(model, k) for k in range(model.neq)], dtype=bool)
 
     def record(self) -> None:
         """Add the present state as an output."""
@@ -510,8 +547,26 @@ class _Recorder:
         )
         self.quaternions.append(np.array([output.xquat[root] for root, _ in self._groups]))
         self.energies.append(np.array(output.energy))
-        of_equalities = output.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        self.opening.append(float(np.max(np.abs(output.efc_pos[of_equalities]), initial=0.0)))
+        self._record_loops()
+
+    def _record_loops(self) -> None:
+        """Add the violations of all equalities: the rows of each one follow each other."""
+        model, output = self._model, self._output_data
+        rows = np.flatnonzero(output.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        equality, residual = output.efc_id[rows], output.efc_pos[rows]
+        # of a weld, the last three rows are half of a small rotation, times the torque scale
+        number_in_equality = np.arange(len(rows)) - np.searchsorted(equality, equality)
+        turns = self._is_weld[equality] & (number_in_equality >= 3)
+        residual = np.where(turns, 2.0 * residual / np.maximum(model.eq_data[equality, 10], 1e-300), residual)
+        is_angle = turns | self._is_angle[equality]
+        for kept, into in ((~is_angle, self._openings), (is_angle, self._angles)):
+            squares = np.bincount(equality, weights=kept * residual**2, minlength=model.neq)
+            into.append(np.sqrt(squares))
+
+    def loop_errors(self) -> LoopErrors:
+        """Return the violations of all equalities at the recorded times."""
+        names = tuple(element_name(self._model, "equality", k) for k in range(self._model.neq))
+        return LoopErrors(names, np.array(self._openings), np.array(self._angles))
 
     def trajectory(
         self,

@@ -159,9 +159,15 @@ class MujocoSmallMotions(SmallMotions[Any]):
             times: (k,) time of each state, s.
             states: configuration (nq,), velocities (nv,), activations (na,) and controls (nu,) of each state.
         """
-        self._settings, self._model, self._active = settings, model, active
+        self._settings, self._active = settings, active
         self.times, self._states = times, states
         self._removable = tuple(_removable_elements(model))
+        # a model with meshes is large: one copy is changed, and restored before the next change
+        self._model, self._original_options = copy.copy(model), copy.copy(model.opt)
+        arrays = {array for each in self._removable for array, _ in each.entries if array != "opt"}
+        self._original_arrays = {
+            array: getattr(model, array).copy() for array in {*arrays, "eq_solref", "eq_solimp"}
+        }
         self.elements = tuple(each.element for each in self._removable)
         self.velocities = slice(model.nv, 2 * model.nv)
 
@@ -221,8 +227,14 @@ class MujocoSmallMotions(SmallMotions[Any]):
         return self._differences(data, evaluate)
 
     def _prepared(self, state: int, settings: Any, without: Collection[int]) -> tuple[Any, Any]:
-        """Return a model with settings and without the elements `without`, and its data at a state."""
-        model = copy.copy(self._model)
+        """Return the model with these settings and without some elements, and its data at a state.
+
+        The model keeps the settings, and lacks the elements, until the next call.
+        """
+        model = self._model
+        model.opt = self._original_options
+        for array, values in self._original_arrays.items():
+            getattr(model, array)[:] = values
         # an exact solution of the constraints, and no reset of states that diverge
         replace(settings, solver="Newton", iterations=CONVERGED_ITERATIONS, tolerance=0.0).apply(model)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

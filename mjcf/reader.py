@@ -52,7 +52,7 @@ from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
 from newton_euler.reading import plausibility
 from newton_euler.reading.activity import REST_SPEED
-from newton_euler.reading.excitation import MAX_FREQUENCY, MIN_FREQUENCY, with_start_velocities
+from newton_euler.reading.excitation import with_start_velocities
 from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileInput, FileNames
 from newton_euler.reading.import_report import ChangedVelocities, ImportReport, unique_name
 from newton_euler.reading.reference import ReferenceModel
@@ -227,8 +227,13 @@ def _excite(
     names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
     phrases = []
     if excitation.sines:
+        sines = excitation.sines.values()
+        frequencies = [sine.angular_frequency / (2.0 * np.pi) for sine in sines]
+        least, most = f"{min(frequencies):.2g}", f"{max(frequencies):.2g}"
+        range_of_frequencies = least if least == most else f"{least} to {most}"
+        amplitude = max(abs(sine.amplitude) for sine in sines)
         driven = _count(excitation.sines, "actuator")
-        phrases.append(f"{driven} driven at {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} Hz")
+        phrases.append(f"{driven} driven at {range_of_frequencies} Hz, amplitudes up to {amplitude:.2g}")
     if excitation.moved:
         moves = [f"{names[k]} from {old:g} to {new:g}" for k, (old, new) in excitation.moved.items()]
         phrases.append(

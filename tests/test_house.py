@@ -42,9 +42,10 @@ CORE: dict[str, set[str]] = {
     "loading": {"support", "library"},
     "engines": {"support", "library"},
     "own_run": {"support", "engines"},
-    "compare": {"support", "library", "loading", "engines", "own_run"},
+    "logs": {"support", "engines", "own_run"},
+    "compare": {"support", "library", "loading", "engines", "own_run", "logs"},
     "recording": {"support", "own_run", "compare"},
-    "report": {"support", "library", "loading", "engines", "own_run", "compare", "recording"},
+    "report": {"support", "library", "loading", "engines", "own_run", "logs", "compare", "recording"},
     "regress": {"support", "library", "loading", "engines", "own_run", "compare", "report", "recording"},
 }
 """Rooms of crosscheck that `crosscheck run` and `regress` need, and the rooms that each may import."""

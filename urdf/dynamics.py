@@ -170,6 +170,7 @@ class PinocchioSystem:
         self._eliminates = needs_elimination or analysis.residual > 0.0
         # state and result of the latest elimination
         self._latest_solution: tuple[Any, Solution] | None = None
+        self._latest_jacobian: tuple[bytes, Array] = b"", np.zeros((0, 0))
         if not self._eliminates:
             q, _ = self.coordinates(initial_state(scene))
             self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, self._rank)
@@ -396,12 +397,19 @@ class PinocchioSystem:
 
         For a motion, d phi/dt = J v + phi_t.
         """
-        self._compute_jacobians(q)
-        return self._jacobian(q)
+        if self._latest_jacobian[0] != q.tobytes():
+            self._compute_jacobians(q)
+            self._jacobian(q)
+        return self._latest_jacobian[1]
 
     def _jacobian(self, q: Array) -> Array:
-        """Return the constraint Jacobian (k, nv) at q, where frames and joint Jacobians are computed."""
-        return np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data, q)])
+        """Return the constraint Jacobian (k, nv) at q, where frames and joint Jacobians are computed.
+
+        The latest one is kept, since integrators ask for it after the accelerations at the same q.
+        """
+        jacobian = np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data, q)])
+        self._latest_jacobian = q.tobytes(), jacobian
+        return jacobian
 
     def _compute_jacobians(self, q: Array) -> None:
         """Compute joint Jacobians and frame placements at q."""

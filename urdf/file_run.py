@@ -25,7 +25,7 @@ from newton_euler.equations.dense import least_squares
 from newton_euler.model.euler_parameters import angle_between, conjugate, continuous, product, rotations
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import Cause, FileRun, FileSimulation, evaluations_per_step
+from newton_euler.reading.file_run import Cause, FileRun, FileSimulation, LoopErrors, evaluations_per_step
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 from urdf.loops import REVOLUTE
@@ -128,7 +128,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             gains: Baumgarte's gains kp, 1/s^2, and kd, 1/s, of each closure of a model in memory.
         """
         self.scene, self.settings = scene, settings
-        self._reference, self._are_assumed, self._gains = reference, are_assumed, gains
+        self._reference, self.are_assumed, self._gains = reference, are_assumed, gains
         self._start = np.array(reference.start)
         self._has_dampers = bool(np.any(reference.damping))
         # basis (nv, k) of the velocities that mimics and couplings allow
@@ -157,7 +157,7 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
             words.append(f"mu {settings.mu:g}")
         if settings.damping != EXPLICIT_DAMPING:
             words.append(f"{settings.damping} damping")
-        if self._are_assumed:
+        if self.are_assumed:
             words.append("assumed from Pinocchio's examples; give yours by --set own_run=FILE")
         return ", ".join(words)
 
@@ -476,14 +476,13 @@ class _Recorder:
             potential_energy=potential,
             mechanism=scene.mechanism,
         )
-        # largest error of any closure at each output, m or rad
-        opening = np.zeros(len(poses))
+        openings, angles = np.zeros((2, len(poses), len(reference.closures)))
         for k, closure in enumerate(reference.closures):
             first, second = count + 2 * k, count + 2 * k + 1
-            distances = np.linalg.norm(translations[:, first] - translations[:, second], axis=1)
-            angles = _angular_errors(closure.kind, quaternions[:, first], quaternions[:, second])
-            opening = np.max([opening, distances, angles], axis=0)
-        return FileRun(trajectory, opening, events=(), stopped=stopped)
+            openings[:, k] = np.linalg.norm(translations[:, first] - translations[:, second], axis=1)
+            angles[:, k] = _angular_errors(closure.kind, quaternions[:, first], quaternions[:, second])
+        names = tuple(closure.element for closure in reference.closures)
+        return FileRun(trajectory, LoopErrors(names, openings, angles), events=(), stopped=stopped)
 
 
 def _products(p: Array, q: Array) -> Array:

@@ -7,12 +7,12 @@ steps for both kinds: check the output files, compute, write, print.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.abc import MetaPathFinder
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from crosscheck.compare.crosscheck import Progress
     from crosscheck.compare.result import ComparisonResult
     from crosscheck.compare.two_models.unsimulated import Model
-    from crosscheck.own_run.log import Log
+    from crosscheck.logs.judge import Log
 
 OUTPUT = Path("output")
 """Default parent of the folders of results."""
@@ -111,22 +111,7 @@ OUTPUT = Path("output")
 @click.option(
     "--save", type=click.Path(path_type=Path), help="File of the Rerun recording.  [default: OUTPUT/NAME.rrd]"
 )
-def run_command(
-    scene: str | None,
-    library: bool,
-    engines: list[str] | None,
-    settings: tuple[str, ...],
-    against: str | None,
-    against_settings: tuple[str, ...],
-    advice: bool,
-    logs: tuple[Path, ...],
-    log_settings: tuple[str, ...],
-    log_columns: tuple[str, ...],
-    allow_reduced: bool,
-    max_errors: tuple[str, ...],
-    output: Path | None,
-    save: Path | None,
-) -> int:
+def run_command(**options: Any) -> int:
     """Simulate a model in all engines and compare the results.
 
     With --against, compare two models instead.
@@ -134,49 +119,81 @@ def run_command(
     SCENE is the name of a library scene (default: tracker), a scene file (YAML, JSON), an MJCF file or a
     URDF file. `crosscheck list` prints the scenes and their options.
     """
-    from crosscheck.engines.engine import ENGINES
-
-    if library:
-        alone = scene is None and against is None and not (settings or advice or save)
-        if not alone or allow_reduced or max_errors or logs:
-            raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
-        return _run_library(engines or list(ENGINES), output)
-    if against is None and against_settings:
-        raise CrosscheckError("--against-set is for the model of --against")
-    if against is not None and engines is not None:
-        raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
-    if against is not None and allow_reduced:
-        raise CrosscheckError("--allow-reduced is on the runs of engines, without --against")
-    if against is not None and advice:
-        raise CrosscheckError("--advice is on one model, without --against")
-    if against is not None and max_errors:
-        raise CrosscheckError("--max-error is on the run with the settings of SCENE, without --against")
-    if against is not None and logs:
-        raise CrosscheckError("--log is compared with the reference of one model, without --against")
-    if not logs and (log_settings or log_columns):
-        raise CrosscheckError("--log-set and --log-map are statements on the columns of --log")
-    if save is not None and save.suffix != ".rrd":
-        raise CrosscheckError(f"--save {save}: a recording's name ends in .rrd")
-    chosen = "tracker" if scene is None else scene
-    if against is None:
-        of_logs = _logs(logs, log_settings, log_columns)
-        comparison = _engine_comparison(
-            chosen, engines or list(ENGINES), settings, output, advice, max_errors, of_logs
-        )
+    asked = _Options(**options)
+    asked.check()
+    if asked.library:
+        return _run_library(asked.engines, asked.output)
+    if asked.against is None:
+        comparison = _engine_comparison(asked)
     else:
-        models = _load_two_models((chosen, settings), (against, against_settings))
-        comparison = _model_comparison(models, output)
-    return _run(comparison, save, allow_reduced)
+        models = _load_two_models((asked.model, asked.settings), (asked.against, asked.against_settings))
+        comparison = _model_comparison(models, asked.output)
+    return _run(comparison, asked.save, asked.allow_reduced)
 
 
-def _run_library(engines: list[str], output: Path | None) -> int:
+@dataclass(frozen=True)
+class _Options:
+    """Options of the command line, as Click parses them; the help of each option explains it."""
+
+    scene: str | None
+    library: bool
+    engines: list[str] | None
+    settings: tuple[str, ...]
+    against: str | None
+    against_settings: tuple[str, ...]
+    advice: bool
+    logs: tuple[Path, ...]
+    log_settings: tuple[str, ...]
+    log_columns: tuple[str, ...]
+    allow_reduced: bool
+    max_errors: tuple[str, ...]
+    output: Path | None
+    save: Path | None
+
+    @property
+    def model(self) -> str:
+        """Name or file of the model."""
+        return self.scene or "tracker"
+
+    def check(self) -> None:
+        """Check that the options can be combined.
+
+        Raises:
+            CrosscheckError: for an option that does not apply together with another one.
+        """
+        of_one_model = {
+            "--engines": self.engines,
+            "--advice": self.advice,
+            "--log": self.logs,
+            "--allow-reduced": self.allow_reduced,
+            "--max-error": self.max_errors,
+        }
+        alone = {"SCENE": self.scene, "--against": self.against, "--set": self.settings, "--save": self.save}
+        if self.library:
+            for name, value in {**alone, **of_one_model}.items():
+                if value and name != "--engines":
+                    raise CrosscheckError(f"--all runs all scenes at their defaults, without {name}")
+        if self.against is not None:
+            for name, value in of_one_model.items():
+                if value:
+                    raise CrosscheckError(f"{name} is for one model, without --against")
+        if self.against_settings and self.against is None:
+            raise CrosscheckError("--against-set is for the model of --against")
+        if (self.log_settings or self.log_columns) and not self.logs:
+            raise CrosscheckError("--log-set and --log-map are statements on the columns of --log")
+        if self.save is not None and self.save.suffix != ".rrd":
+            raise CrosscheckError(f"--save {self.save}: a recording's name ends in .rrd")
+
+
+def _run_library(engines: list[str] | None, output: Path | None) -> int:
     """Crosscheck all scenes of the library, print a table with a row per scene, and return the exit status.
 
     Args:
-        engines: names of the engines.
+        engines: names of the engines; None for all.
         output: parent of the scenes' result folders; `OUTPUT` if None.
     """
     from crosscheck.cli.run_all import outcome_lines, outcomes_table, run_all
+    from crosscheck.engines.engine import ENGINES
     from crosscheck.library import SCENES
     from crosscheck.report.output import check_own
 
@@ -184,7 +201,7 @@ def _run_library(engines: list[str], output: Path | None) -> int:
     for name in SCENES if output is None else ():
         check_own(folder / name, [name])
     with progress_shown() as progress:
-        outcomes = run_all(engines, folder, progress)
+        outcomes = run_all(engines or list(ENGINES), folder, progress)
     click.echo(terminal([outcomes_table(outcomes)]), nl=False)
     for line in outcome_lines(outcomes):
         say(line)
@@ -249,53 +266,35 @@ def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int
     return result.outcome.exit_status(allow_reduced)
 
 
-def _engine_comparison(
-    scene: str,
-    engines: list[str],
-    settings: tuple[str, ...],
-    output: Path | None,
-    advised: bool,
-    max_errors: Sequence[str],
-    logs: Mapping[str, Log],
-) -> _Comparison:
-    """Load a model, and prepare its comparison in several engines.
-
-    Args:
-        scene: name of a library scene, or a file.
-        engines: names of the engines.
-        settings: options of the scene, OPTION=VALUE.
-        output: folder for the results; None for the default.
-        advised: whether to compute advice on redundant constraints.
-        max_errors: largest errors of the run with the settings of the file, [ERROR=]VALUE[UNIT].
-        logs: runs of other simulators to judge, by name.
-    """
+def _engine_comparison(asked: _Options) -> _Comparison:
+    """Load a model, and prepare its comparison in several engines."""
     from crosscheck.compare.crosscheck import crosscheck
     from crosscheck.compare.logs import judge_logs
-    from crosscheck.engines.engine import choose
+    from crosscheck.engines.engine import ENGINES, choose
     from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.own_run.allowed import AllowedError
     from crosscheck.report.output import own_name, usual_folder
     from crosscheck.support.files import check_no_source
 
-    chosen = choose(engines)
-    allowed = [AllowedError.parse(text) for text in max_errors]
-    folder = output or usual_folder(OUTPUT, scene, "crosscheck")
-    sources = [scene, *(str(log.table) for log in logs.values())]
-    check_no_source([folder / "summary.json"], sources)
-    options = with_excitation(scene, scene_options(settings))
+    engines = choose(asked.engines or list(ENGINES))
+    allowed = [AllowedError.parse(text) for text in asked.max_errors]
+    folder = asked.output or usual_folder(OUTPUT, asked.model, "crosscheck")
+    logs = _logs(asked.logs, asked.log_settings, asked.log_columns)
+    check_no_source([folder / "summary.json"], [asked.model, *(str(log.table) for log in logs.values())])
+    options = with_excitation(asked.model, scene_options(asked.settings))
     # not verified here: the comparison has checks of the import, and reports all that fail
-    loaded, mapping = load_scene(scene, options, verified=False)
+    scene, mapping = load_scene(asked.model, options, verified=False)
     if allowed and (mapping is None or mapping.simulation is None):
         raise CrosscheckError(
-            f"--max-error: {scene} has no run of its own to judge; needed: an MJCF or URDF file"
+            f"--max-error: {asked.model} has no run of its own to judge; needed: an MJCF or URDF file"
         )
 
     def compute(progress: Progress) -> ComparisonResult:
-        judged = judge_logs(scene, scene_options(settings), logs, progress)
-        found = crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
+        judged = judge_logs(asked.model, scene_options(asked.settings), logs, progress)
+        found = crosscheck(scene, engines, progress, asked.model, options, mapping, asked.advice)
         return replace(found, logs=judged).with_allowed_errors(allowed)
 
-    return _Comparison(own_name(scene), [engine.name for engine in chosen], folder, compute)
+    return _Comparison(own_name(asked.model), [engine.name for engine in engines], folder, compute)
 
 
 def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]) -> dict[str, Log]:
@@ -308,8 +307,8 @@ def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]
     """
     if not files:
         return {}
-    from crosscheck.own_run.log import Log
-    from crosscheck.own_run.log_columns import LogOptions
+    from crosscheck.logs.judge import Log
+    from crosscheck.logs.options import LogOptions
 
     options = LogOptions.parsed(
         scene_options(tuple(settings), "--log-set"), scene_options(tuple(columns), "--log-map")

@@ -110,9 +110,10 @@ def folder_option(default: str) -> Callable[[Callable[..., int]], Callable[..., 
     """Add the option `--output`, the folder for results, to a command.
 
     Args:
-        default: default folder, for the help; the option is None by default if it contains "SCENE".
+        default: default folder, for the help. If its last name is in capitals, as in "output/SCENE", it
+            stands for the name of the model, and the option is None by default.
     """
-    fixed = None if "SCENE" in default else Path(default)
+    fixed = None if Path(default).name.isupper() else Path(default)
     folder = click.Path(path_type=Path)
     return click.option(
         "--output", type=folder, default=fixed, help=f"Folder for results.  [default: {default}]"

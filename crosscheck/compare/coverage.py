@@ -33,6 +33,7 @@ from crosscheck.compare.check import ERROR_PER_CHANGE, POSES, ROUND_OFF, Check, 
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR, native_method, native_refined, native_run
+from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError
@@ -162,7 +163,11 @@ class _ChangedRuns:
         self._elements, self._settings = all_elements, native_method(scene, refined=False)
         if "velocities" not in scene.outputs:
             scene = replace(scene, outputs=scene.outputs | {"velocities"})
-        run, finer = (_run_or_partial(simulation, scene) for simulation in (native_run, native_refined))
+        run = _run_or_partial(native_run, scene)
+        # reactions under redundant constraints take time in Python, and are not needed of the refined run
+        if mobility(scene).redundant:
+            scene = replace(scene, outputs=scene.outputs - {"reactions", "actuation"})
+        finer = _run_or_partial(native_refined, scene)
         self.run = run if end is None else run.first(end)
         # Keep the energy output if the scene has it, so that compiled code of the scene can be used again
         wanted = scene.outputs & {"velocities", "energy"}

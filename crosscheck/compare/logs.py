@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from crosscheck.compare.activity import watched, what_acted
 from crosscheck.loading.load import is_scene, load_scene
-from crosscheck.own_run.log import LogJudgement, judge_log
+from crosscheck.logs.judge import LogJudgement, judge_log
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import Event

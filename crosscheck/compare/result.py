@@ -28,9 +28,9 @@ from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
+from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import AllowedError
 from crosscheck.own_run.judge import Judgement
-from crosscheck.own_run.log import LogJudgement
 from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import Scene

@@ -12,7 +12,7 @@ measures the integration error.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -65,6 +65,15 @@ outputs is used instead if that is larger.
 At this limit, DOP853 costs about as much as Radau: on damped solar trackers and servo-driven arms, DOP853
 took 4 to 7 times as many steps as stability requires, with 13 evaluations each. Radau took 500 to 900 steps
 for a second of an arm's motion, with 7 evaluations each."""
+
+RADAU_SHARE = 0.25
+"""Largest number of evaluations of Radau in Python, as a fraction of those that DOP853 needs.
+
+Radau needs 0.11 to 0.24 of them on the governor and on servo-driven arms. It needs 4.6 times as many on a
+walker with stiff springs, whose oscillations both methods have to follow."""
+
+RADAU_EVALUATIONS = 7
+"""Number of evaluations per step of Radau in Python: two or three Newton iterations of three stages each."""
 
 NATIVE_MAX_STEPS, PYTHON_MAX_STEPS = 200_000, 10_000
 """Largest numbers of steps of adaptive runs in native code and in Python, so that none lasts for hours."""
@@ -122,29 +131,44 @@ def native_method(scene: Scene, refined: bool) -> dict[str, Any]:
         scene: the scene.
         refined: True for a refined run.
     """
-    return {"most_steps": NATIVE_MAX_STEPS} | _integrator_by_stiffness(scene, NATIVE_STEP_BUDGET, refined)
+    is_stiff = _needs_radau(scene, NATIVE_STEP_BUDGET)
+    return {"most_steps": NATIVE_MAX_STEPS} | (_radau(refined) if is_stiff else _dop853(refined))
 
 
-def python_method(scene: Scene, refined: bool) -> dict[str, Any]:
-    """Choose the same options as `native_method` for runs whose equations are evaluated in Python."""
-    steps = max(PYTHON_STEP_BUDGET, len(scene.times))
-    return {"most_steps": PYTHON_MAX_STEPS} | _integrator_by_stiffness(scene, steps, refined)
+def python_methods(scene: Scene, refined: bool) -> list[dict[str, Any]]:
+    """Choose the same options as `native_method` for runs whose equations are evaluated in Python.
 
-
-def _integrator_by_stiffness(scene: Scene, step_budget: int, refined: bool) -> dict[str, Any]:
-    """Choose integrator and tolerances: Radau if stability requires too many steps of DOP853, else DOP853.
-
-    Args:
-        scene: the scene.
-        step_budget: largest number of DOP853 steps that stability may require.
-        refined: True for a refined run.
+    Returns:
+        Options to try in order: later ones if a run with the earlier ones stops.
     """
+    explicit = {"most_steps": PYTHON_MAX_STEPS} | _dop853(refined)
+    if not _needs_radau(scene, max(PYTHON_STEP_BUDGET, len(scene.times))):
+        return [explicit]
+    # Radau first; DOP853 if Radau takes too many steps, and newton_euler shows that DOP853 does not
+    expected = _expected_run(scene)
+    settings = {} if expected is None else expected.settings
+    if settings.get("integrator") != "DOP853" or settings["steps"] > PYTHON_MAX_STEPS:
+        return [{"most_steps": PYTHON_MAX_STEPS} | _radau(refined)]
+    steps = int(RADAU_SHARE * settings["evaluations"] / RADAU_EVALUATIONS)
+    return [{"most_steps": min(PYTHON_MAX_STEPS, steps)} | _radau(refined), explicit]
+
+
+def _needs_radau(scene: Scene, max_steps: int) -> bool:
+    """Return True if DOP853 needs more steps for stability than `max_steps`."""
     from crosscheck.engines.stiffness import explicit_steps
 
-    if explicit_steps(scene) > step_budget:
-        factor = STIFF_REFINEMENT if refined else 1.0
-        return {"integrator": "Radau", "rtol": factor * STIFF_RTOL, "atol": factor * STIFF_ATOL}
-    return {"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {}  # {}: the default, DOP853
+    return explicit_steps(scene) > max_steps
+
+
+def _radau(refined: bool) -> dict[str, Any]:
+    """Return the options of a run with Radau."""
+    factor = STIFF_REFINEMENT if refined else 1.0
+    return {"integrator": "Radau", "rtol": factor * STIFF_RTOL, "atol": factor * STIFF_ATOL}
+
+
+def _dop853(refined: bool) -> dict[str, Any]:
+    """Return the options of a run with DOP853."""
+    return {"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {}
 
 
 @lru_cache(maxsize=1)
@@ -303,27 +327,24 @@ def _mujoco_soft(scene: Scene) -> Evaluation:
 
 def _pinocchio_run(scene: Scene) -> Trajectory:
     """Simulate a scene in Pinocchio with default settings."""
+    return _pinocchio(scene, python_methods(scene, refined=False))
+
+
+def _pinocchio(scene: Scene, methods: Sequence[dict[str, Any]]) -> Trajectory:
+    """Simulate a scene in Pinocchio with the first options with which the run does not stop."""
     import urdf
 
-    return urdf.simulate(scene, **python_method(scene, refined=False))
+    for method in methods[:-1]:
+        with suppress(StoppedError):
+            return urdf.simulate(scene, **method)
+    return urdf.simulate(scene, **methods[-1])
 
 
 def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
-    """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops.
-
-    Args:
-        scene: the scene.
-        in_full: True to compute all outputs of the scene; False to omit reactions and actuator forces.
-    """
-    import urdf
-
-    wanted = scene if in_full else _without_forces(scene)
-    method = python_method(scene, refined=True)
-    try:
-        return urdf.simulate(wanted, **method)
-    except StoppedError:
-        looser = {name: LOOSER_TOLERANCE_FACTOR * method[name] for name in ("rtol", "atol")}
-        return urdf.simulate(wanted, **(method | looser))
+    """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops."""
+    methods = python_methods(scene, refined=True)
+    looser = {name: LOOSER_TOLERANCE_FACTOR * methods[-1][name] for name in ("rtol", "atol")}
+    return _pinocchio(scene if in_full else _without_forces(scene), [*methods, methods[-1] | looser])
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:

@@ -29,7 +29,9 @@ class ErrorKind(StrEnum):
     ROTATION = "rotation"
     """Largest error of an orientation, rad."""
     OPENING = "opening"
-    """Largest error of the loop constraints, m or rad."""
+    """Largest distance between the ends of a loop constraint, m."""
+    LOOP_ANGLE = "loop_angle"
+    """Largest violation of a loop constraint of angles, rad."""
     ENERGY = "energy"
     """Largest error of the total energy, divided by the energy that the reference exchanges."""
 
@@ -42,7 +44,8 @@ class ErrorKind(StrEnum):
             ErrorKind.RELATIVE: error.relative,
             ErrorKind.POSITION: error.position,
             ErrorKind.ROTATION: error.rotation,
-            ErrorKind.OPENING: judgement.opening,
+            ErrorKind.OPENING: judgement.loop_error.opening,
+            ErrorKind.LOOP_ANGLE: judgement.loop_error.angle,
             ErrorKind.ENERGY: error.energy,
         }[self]
 
@@ -56,6 +59,7 @@ UNITS = {
     ErrorKind.POSITION: LENGTHS,
     ErrorKind.ROTATION: ANGLES,
     ErrorKind.OPENING: LENGTHS,
+    ErrorKind.LOOP_ANGLE: ANGLES,
     ErrorKind.ENERGY: RATIOS,
 }
 """Factors to SI units by the name of the unit, for each kind of error; no name means SI units."""
@@ -139,7 +143,7 @@ def in_unit(value: float, kind: ErrorKind) -> str:
             return f"{100.0 * value:.3g} %"
         case ErrorKind.POSITION | ErrorKind.OPENING:
             return length(value)
-        case ErrorKind.ROTATION:
+        case ErrorKind.ROTATION | ErrorKind.LOOP_ANGLE:
             return f"{math.degrees(value):.3g} deg"
         case _:
             assert_never(kind)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, assert_never
@@ -10,12 +11,12 @@ import numpy as np
 
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_run import LoopErrors
 from newton_euler.scalars import Array
 
 ACCURATE_BELOW, USABLE_BELOW = 1e-3, 1e-2
 """Relative errors that separate the bands. Parameters of real robots are known to about 1 %. A simulation
-with
-an error below 0.1 % adds nothing to that; with an error above 1 % the simulation is the largest error."""
+error below 0.1 % adds nothing to that; above 1 % the simulation is the largest error."""
 
 MIN_SCALE = 1e-3
 """Smallest motion, sizes or rad, that errors are divided by: the motion of a mechanism that nearly rests."""
@@ -23,11 +24,9 @@ MIN_SCALE = 1e-3
 MAX_ANGLE_SCALE = 1.0
 """Largest rotation, rad, that errors of rotations are divided by: many revolutions excuse no larger error."""
 
-
 MIN_DESCRIPTIVE = 0.5
-"""Smallest relative error of positions that describes a run, as a fraction of the relative error. People
-judge
-lengths more easily than angles."""
+"""Smallest relative error of positions that describes a run, as a fraction of the relative error: people
+judge lengths more easily than angles."""
 
 
 class Band(StrEnum):
@@ -99,6 +98,31 @@ class RunError:
 
 
 @dataclass(frozen=True)
+class LoopError:
+    """Largest violations of the loop constraints of a run.
+
+    Attributes:
+        opening: largest distance, m.
+        opening_at: constraint and time, s, of that distance.
+        angle: largest angle, rad.
+        angle_at: constraint and time, s, of that angle.
+    """
+
+    opening: float = 0.0
+    opening_at: tuple[str, float] = ("", 0.0)
+    angle: float = 0.0
+    angle_at: tuple[str, float] = ("", 0.0)
+
+    @classmethod
+    def of(cls, found: LoopErrors, times: Array) -> LoopError:
+        """Find the largest violations up to the last one of the given times, s."""
+        if not found.names:
+            return cls()
+        openings, angles = found.openings[: len(times)], found.angles[: len(times)]
+        return cls(*_worst(openings, found.names, times), *_worst(angles, found.names, times))
+
+
+@dataclass(frozen=True)
 class MotionScale:
     """Extent of a motion, by which errors are divided.
 
@@ -146,7 +170,7 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
         kinetic, potential = _energies(each.first(count))
         exchanged.append(kinetic + potential - kinetic[0] - potential[0])
     drift = float(np.max(np.abs(exchanged[0] - exchanged[1])))
-    worst_position, worst_rotation = (_worst(gaps, run) for gaps in (position, rotation))
+    worst_position, worst_rotation = (_worst(gaps, run.body_names, run.time) for gaps in (position, rotation))
     return RunError(
         *worst_position,
         *worst_rotation,
@@ -168,10 +192,10 @@ def errors_over_time(run: Trajectory, reference: Trajectory) -> tuple[Array, Arr
     return position, angle_between(run.quaternion[:count], reference.quaternion[:count])
 
 
-def _worst(gaps: Array, run: Trajectory) -> tuple[float, tuple[str, float]]:
-    """Return the largest of gaps (n, b), and its body and time, s."""
-    output, body = np.unravel_index(int(np.argmax(gaps)), gaps.shape)
-    return float(gaps[output, body]), (run.body_names[body], float(run.time[output]))
+def _worst(errors: Array, names: Sequence[str], times: Array) -> tuple[float, tuple[str, float]]:
+    """Return the largest of errors (n, k) of k named elements at n times, s, and its element and time."""
+    output, element = np.unravel_index(int(np.argmax(errors)), errors.shape)
+    return float(errors[output, element]), (names[int(element)], float(times[output]))
 
 
 def _energies(run: Trajectory) -> tuple[Array, Array]:

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from itertools import islice
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import Any
 
 import numpy as np
 
 from crosscheck.own_run.comparison import Comparison
-from crosscheck.own_run.errors import ACCURATE_BELOW, Band, MotionScale, RunError, errors_over_time
+from crosscheck.own_run.errors import Band, LoopError, MotionScale, RunError, errors_over_time
+from crosscheck.own_run.remedies import MeasuredRemedy, find_remedies
 from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import INTEGRATOR, TIME_STEP, Event, FileRun, FileSimulation
 
-TARGET = ACCURATE_BELOW
-"""Relative error that remedies aim at."""
-
-MIN_GAIN = 0.5
-"""Largest error of a remedy, as a fraction of the error of the file's settings."""
-
-KINDS_REFINED = 2
-"""Number of kinds of settings that are tried at smaller steps."""
-
 STATES = 8
 """Number of states of the run at which the fastest mode is sought."""
-
-MAX_REMEDY_COST = 40.0
-"""Largest number of evaluations of a remedy, as a multiple of those of the judged run."""
 
 
 @dataclass(frozen=True)
@@ -47,26 +35,6 @@ class MeasuredCause:
     brings_back: bool = False
 
 
-@dataclass(frozen=True)
-class MeasuredRemedy:
-    """Settings that were tried.
-
-    Attributes:
-        changes: settings that differ from those of the file, by name.
-        fragment: text that gives the file these settings.
-        error: error of the run.
-        evaluations: evaluations of the equations of motion, as a multiple of those of the file's settings.
-        run_time: measured run time, as a multiple of the run time of the file's settings; the multiple of
-            the evaluations if the run of the file diverged.
-    """
-
-    changes: Mapping[str, str]
-    fragment: str
-    error: RunError
-    evaluations: float
-    run_time: float
-
-
 @dataclass(frozen=True, eq=False)
 class Judgement:
     """Judgement of a file's run.
@@ -75,19 +43,21 @@ class Judgement:
         engine: name and version of the file's engine.
         settings: settings of the file in words.
         error: error of the judged run, up to the time at which it ended.
-        opening: largest error of the loop constraints, m or rad.
+        loop_error: largest violations of the loop constraints.
         stopped: reason why the run ended early; "" for a complete run.
         events: elements of the file that act and that the reference does not have, in the order of time. If
             there are any, the judged run is without them.
         until: time, s, at which the comparison ends because the motion is chaotic or unstable; None if the
             comparison ends with the run.
         causes: error by property of the settings, largest first; empty for an accurate run.
+        harmless: tested properties without which the run is no closer to the reference.
         remedies: settings with a smaller error, cheapest first; empty for an accurate run.
         stability: the fastest mode beside the stability limit; only if the run diverged, or the time step or
             the integrator is the largest cause of its error.
         changes: changes of the model with which the time step is stable; empty if it is stable.
         run: the judged run.
         reference: the reference solution at the same times.
+        are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
         stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
             judged run without them completes; "" otherwise.
         run_inputs: start, controls, changed numbers and output times of the judged run. With these,
@@ -97,7 +67,7 @@ class Judgement:
     engine: str
     settings: str
     error: RunError
-    opening: float
+    loop_error: LoopError
     stopped: str
     events: tuple[Event, ...]
     until: float | None
@@ -109,6 +79,8 @@ class Judgement:
     changes: tuple[ModelChange, ...] = ()
     stopped_as_it_stands: str = ""
     run_inputs: Mapping[str, Any] = field(default_factory=dict)
+    are_assumed: bool = False
+    harmless: tuple[str, ...] = ()
 
     @property
     def band(self) -> Band:
@@ -129,14 +101,14 @@ class Judgement:
                 "rotation": np.max(rotation, axis=1).tolist(),
             },
         }
-        return found | {
-            name: [asdict(each) for each in value]
-            if isinstance(value, tuple)
-            else asdict(value)
-            if isinstance(value, RunError | Stability)
-            else value
-            for name, value in fields.items()
-        }
+        return found | {name: _plain(value) for name, value in fields.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value for JSON: dataclasses as mappings, tuples as lists."""
+    if isinstance(value, tuple):
+        return [_plain(each) for each in value]
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
 def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judgement:
@@ -161,19 +133,22 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         run = compared.run_once(simulation.settings)
     error = compared.error(run)
     causes: tuple[MeasuredCause, ...] = ()
+    harmless: tuple[str, ...] = ()
     remedies: tuple[MeasuredRemedy, ...] = ()
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
     if run.stopped or error.band is not Band.ACCURATE:
         causes = tuple(_causes(compared, run, error.is_of_position))
-        remedies = tuple(_remedies(compared, run, error))
+        tested = dict.fromkeys(cause.name for cause in simulation.causes())
+        harmless = tuple(name for name in tested if name not in {cause.name for cause in causes})
+        remedies = tuple(find_remedies(compared, run, error))
         if run.stopped or (causes and causes[0].name in (TIME_STEP, INTEGRATOR)):
             stability, changes = _stability(compared, run)
     return Judgement(
         simulation.engine,
         simulation.words(),
         error,
-        float(np.max(run.opening, initial=0.0)),
+        LoopError.of(run.loop_errors, run.trajectory.time),
         run.stopped,
         events,
         compared.until,
@@ -185,6 +160,8 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         changes,
         "" if run.stopped else as_it_stands,
         {**simulation.run_inputs(reduced=bool(events)), "output_times": compared.reference.time.tolist()},
+        simulation.are_assumed,
+        harmless,
     )
 
 
@@ -194,12 +171,12 @@ class MeasuredError:
 
     Attributes:
         error: error of the run.
-        opening: largest error of the loop constraints, m or rad.
+        loop_error: largest violations of the loop constraints.
         scale: extent of the motion, by which errors are divided.
     """
 
     error: RunError
-    opening: float
+    loop_error: LoopError
     scale: MotionScale
 
 
@@ -225,9 +202,8 @@ def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | N
     run = compared.run(simulation.settings)
     if run.stopped:
         raise CrosscheckError(f"the run with the settings of the file diverges: {run.stopped}")
-    count = len(run.opening) if until is None else int(np.searchsorted(run.trajectory.time, until))
-    opening = float(np.max(run.opening[:count], initial=0.0))
-    return MeasuredError(compared.error(run), opening, compared.scale)
+    loop_error = LoopError.of(run.loop_errors, compared.until_end(run.trajectory).time)
+    return MeasuredError(compared.error(run), loop_error, compared.scale)
 
 
 def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[MeasuredCause]:
@@ -292,66 +268,3 @@ def _stability(compared: Comparison, run: FileRun) -> tuple[Stability | None, tu
         return compared.run(simulation.settings, simulation=changed)
 
     return mode.found, tuple(model_changes(mode, simulation, is_stable, changed_run, compared.error))
-
-
-def _remedies(compared: Comparison, run: FileRun, error: RunError) -> Iterator[MeasuredRemedy]:
-    """Try other settings: yield the best of similar cost, and the cheapest with an error below `TARGET`.
-
-    All kinds of settings are tried at the file's time step. The two best kinds are tried at smaller steps. If
-    the run of the file diverged and no settings of similar cost complete, the cheapest that do come first.
-    """
-    simulation = compared.simulation
-
-    def tried(settings: Any) -> MeasuredRemedy | None:
-        found = compared.run_once(settings)
-        if found.stopped:
-            return None
-        changes, fragment = simulation.changes(settings), simulation.fragment(settings)
-        evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
-        run_time = evaluations if run.stopped else found.trajectory.wall_time / run.trajectory.wall_time
-        return MeasuredRemedy(changes, fragment, compared.error(found), evaluations, run_time)
-
-    def completed(kinds: Iterable[tuple[int, Any]]) -> Iterator[tuple[int, Any, MeasuredRemedy]]:
-        """Yield divisor of the time step, settings and remedy of those whose run completes."""
-        for divisor, settings in kinds:
-            if (remedy := tried(settings)) is not None:
-                yield divisor, settings, remedy
-
-    measured = list(completed((1, settings) for settings in simulation.alternatives(1)))
-    if not measured:
-        # the first kinds that complete at smaller steps, in the order of their evaluations
-        divisors = [2**k for k in range(1, int(np.log2(MAX_REMEDY_COST)) + 1)]
-        smaller = [
-            (divisor, settings) for divisor in divisors for settings in simulation.alternatives(divisor)
-        ]
-        smaller = [pair for pair in smaller if compared.affords(pair[1])]
-        smaller.sort(key=lambda pair: simulation.evaluations(pair[1]))
-        measured = list(islice(completed(smaller), KINDS_REFINED))
-    measured.sort(key=lambda each: each[2].error.relative)
-    found = [remedy for _, _, remedy in measured]
-    for first_divisor, settings, remedy in measured[:KINDS_REFINED]:
-        last, divisor = remedy, 2 * first_divisor
-        while (
-            last.error.relative > TARGET and divisor / first_divisor * remedy.evaluations <= MAX_REMEDY_COST
-        ):
-            divided = simulation.at_divisor(settings, divisor)
-            if not compared.affords(divided):
-                break
-            finer = tried(divided)
-            divisor *= 2
-            if finer is not None:
-                found.append(finer)
-                last = finer
-    better = [each for each in found if each.error.relative < MIN_GAIN * error.relative or run.stopped]
-    similar = [each for each in better if each.evaluations <= 1.0]
-    cheap = min(similar, key=lambda each: each.error.relative, default=None)
-    if cheap is None and run.stopped:
-        cheap = min(better, key=lambda each: (each.evaluations, each.error.relative), default=None)
-    good = [each for each in better if each.error.relative <= TARGET]
-    best = min(good, key=lambda each: (each.evaluations, each.error.relative), default=None)
-    if best is None:
-        best = min(better, key=lambda each: each.error.relative, default=None)
-    if cheap is not None:
-        yield cheap
-    if best is not None and best is not cheap:
-        yield best

@@ -581,7 +581,8 @@ def _measure_own_run(measurement: Measurement) -> Iterator[StoredQuantity]:
         ("relative error", "", error.relative, 1.0),
         ("error of position", "m", error.position, motion.length),
         ("error of rotation", "rad", error.rotation, motion.angle),
-        ("loop opening", "m or rad", measured.opening, motion.length),
+        ("loop opening", "m", measured.loop_error.opening, motion.length),
+        ("loop angle", "rad", measured.loop_error.angle, motion.angle),
         ("error of energy", "relative", error.energy, 1.0),
     ):
         allowed = max(MAX_ERROR_GROWTH * value, MIN_ERROR * extent)

@@ -6,13 +6,12 @@ reference is a run of the same model in newton_euler (this project's solver), fr
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
+from crosscheck.logs.judge import LogJudgement
+from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.allowed import length
-from crosscheck.own_run.log import LogJudgement
-from crosscheck.own_run.log_mistake import mistake_line
-from crosscheck.report.own_run import error_texts, headline, size
+from crosscheck.report.own_run import angle, error_texts, headline, size
 from crosscheck.report.table import Lines
 
 MAX_NAMES = 4
@@ -65,7 +64,7 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         gap = start.moved / judgement.scene.mechanism.size
         if max(gap, start.turned) > MIN_MOVED:
             yield (
-                f"the reference starts {length(start.moved)} and {math.degrees(start.turned):.2g} deg from "
+                f"the reference starts {length(start.moved)} and {angle(start.turned)} from "
                 f"the first row, most at {start.moved_at}: the loops of the row are open, or its coordinates "
                 "have another zero"
             )

@@ -8,14 +8,21 @@ and solver settings of the file. It is compared with a reference solution of hig
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from crosscheck.own_run.allowed import length
+from crosscheck.own_run.allowed import AllowedError, in_unit, length
 from crosscheck.own_run.errors import Band, RunError
-from crosscheck.own_run.judge import Judgement, MeasuredRemedy
+from crosscheck.own_run.judge import Judgement
+from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.table import Lines
 from newton_euler.reading.small_motions import MovingBody
+
+EXCITED = "excited"
+"""Beginning of the line of an import report on inputs and velocities that the file does not have."""
+
+OWN_MOTION = "yours: --set key=KEY --set excitation=off"
+"""How to judge another motion than the excited one."""
 
 MIN_CAUSE = 0.01
 """Smallest error by a cause that is listed, divided by the error of the largest cause."""
@@ -34,20 +41,33 @@ SAME_RUN_TIME = 1.25
 """Largest ratio of two run times that count as the same."""
 
 
-def own_run_lines(judgement: Judgement) -> Lines:
-    """Format a judgement, the result first."""
-    return Lines("", list(_lines(judgement)), verdict=judgement.band.verdict)
+def own_run_lines(
+    judgement: Judgement, start: Sequence[str] = (), allowed: Sequence[AllowedError] = ()
+) -> Lines:
+    """Word a judgement, the result first.
+
+    Args:
+        judgement: the judgement.
+        start: lines of the import report on the start and the inputs of the motion.
+        allowed: largest errors that the user allows.
+    """
+    return Lines("", list(_lines(judgement, start, allowed)), verdict=judgement.band.verdict)
 
 
-def _lines(judgement: Judgement) -> Iterator[str]:
+def _lines(judgement: Judgement, start: Sequence[str], allowed: Sequence[AllowedError]) -> Iterator[str]:
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
-    yield f"your settings  {headline(judgement)}"
+    yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
     yield f"  run     {judgement.settings} ({judgement.engine})"
+    if excited := next((line for line in start if line.startswith(EXCITED)), ""):
+        yield f"  motion  {excited}; {OWN_MOTION}"
     if judgement.stopped:
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
     if (error.position or error.rotation) and not judgement.stopped:
         yield f"  errors  {'; '.join(error_texts(judgement))}"
+    if met := [each for each in allowed if not each.is_exceeded_by(judgement)]:
+        limits = ", ".join(f"{each.kind} {in_unit(each.largest, each.kind)}" for each in met)
+        yield f"  allowed {limits}: met"
     if judgement.events:
         first = judgement.events[0]
         others = f" and {len(judgement.events) - 1} more" if judgement.events[1:] else ""
@@ -92,12 +112,13 @@ def _causes(judgement: Judgement) -> list[str]:
     by_position = judgement.error.is_of_position
     # causes are sorted, the largest first; `part` is the error of positions or of rotations
     causes = [each for each in judgement.causes if each.error.part(by_position) > 0.0]
-    smallest_listed = MIN_CAUSE * causes[0].error.part(by_position) if causes else 0.0
-    return [
-        f"{each.name}: {size(each.error, by_position)}"
-        for each in causes
-        if each.error.part(by_position) >= smallest_listed
-    ]
+    if not causes:
+        return []
+    least = MIN_CAUSE * causes[0].error.part(by_position)
+    listed = [each for each in causes if each.error.part(by_position) >= least]
+    small = [each.name for each in causes if each not in listed] + list(judgement.harmless)
+    words = [f"{each.name}: {size(each.error, by_position)}" for each in listed]
+    return words + ([f"little or nothing: {', '.join(small)}"] if small else [])
 
 
 def _stability(mode: Stability) -> Iterator[str]:
@@ -163,8 +184,14 @@ def headline(judgement: Judgement) -> str:
 
 
 def size(error: RunError, by_position: bool) -> str:
-    """Format the error of positions, a length, or the error of rotations, in degrees."""
-    return length(error.position) if by_position else f"{math.degrees(error.rotation):.2g} deg"
+    """Word the error of positions, or of rotations."""
+    return length(error.position) if by_position else angle(error.rotation)
+
+
+def angle(value: float) -> str:
+    """Word an angle, rad, in degrees with two or three digits."""
+    degrees = math.degrees(value)
+    return f"{degrees:.0f} deg" if degrees >= 10.0 else f"{degrees:.2g} deg"
 
 
 def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
@@ -180,9 +207,14 @@ def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
         yield f"position {length(error.position)} at {body}, {time:.3g} s"
     if error.rotation:
         body, time = error.rotation_at
-        yield f"rotation {math.degrees(error.rotation):.2g} deg at {body}, {time:.3g} s"
-    if judgement.opening:
-        yield f"loop opening {length(judgement.opening)}"
+        yield f"rotation {angle(error.rotation)} at {body}, {time:.3g} s"
+    loops = judgement.loop_error
+    if loops.opening:
+        constraint, time = loops.opening_at
+        yield f"loop opening {length(loops.opening)} at {constraint}, {time:.3g} s"
+    if loops.angle:
+        constraint, time = loops.angle_at
+        yield f"loop angle {angle(loops.angle)} at {constraint}, {time:.3g} s"
     if has_energy:
         yield f"energy {percent(error.energy)}"
 
@@ -193,7 +225,7 @@ def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
     if remedy.run_time > SAME_RUN_TIME and remedy.evaluations > 1.0:
         cost = f"{remedy.run_time:.1f} times the run time"
     changes = " ".join(f'{name}="{value}"' for name, value in remedy.changes.items())
-    return f"{changes}: {size(remedy.error, by_position)}, {cost}"
+    return f"{changes}: {size(remedy.error, by_position)} ({percent(remedy.error.relative)}), {cost}"
 
 
 def percent(value: float) -> str:

@@ -71,7 +71,9 @@ def report(result: ComparisonResult) -> Report:
     limits, other_notes = list(verdict_limits(result)), list(notes(result))
     # logs of other simulators, and the run with the settings of the model file
     parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
-    parts += [own_run_lines(result.own_run)] if result.own_run else []
+    if result.own_run:
+        start = result.mapping.start if result.mapping else ()
+        parts.append(own_run_lines(result.own_run, start, result.allowed_errors))
     parts.extend(tables(result))
     parts.append(Lines("", [*limits, *other_notes, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))

@@ -39,7 +39,9 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
     """
     # logs of other simulators, and the run with the settings of the model file
     parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
-    parts += [own_run_lines(result.own_run)] if result.own_run else []
+    if result.own_run:
+        start = result.mapping.start if result.mapping else ()
+        parts.append(own_run_lines(result.own_run, start, result.allowed_errors))
     parts.append(levels_table(result))
     if result.trajectories:
         parts.append(engines_table(result))

@@ -19,8 +19,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from crosscheck.own_run.allowed import length
-from crosscheck.own_run.errors import Band, RunError
-from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, SAME_RUN_TIME, percent, size
+from crosscheck.own_run.errors import Band, LoopError, RunError
+from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, SAME_RUN_TIME, angle, percent, size
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
 
@@ -90,7 +90,9 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
     repeated = _repeat(path, summary, script) if own_run["run_inputs"].get("qpos") is not None else []
     parts = [each for each in (True, False) if error.part(each) >= 0.1 * error.relative]
     sizes = " and ".join(size(error, each) for each in parts)
-    opening = f"; loops open by {length(own_run['opening'])}" if own_run["opening"] else ""
+    loops = LoopError(**own_run["loop_error"])
+    opening = f"; loops open by {length(loops.opening)}" if loops.opening else ""
+    opening += f"; loops turn by {angle(loops.angle)}" if loops.angle else ""
     return OwnRunResult(
         word=DIVERGED if stopped else BAND_WORDS[Band(own_run["band"])],
         settings=own_run["settings"],

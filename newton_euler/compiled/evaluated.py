@@ -216,12 +216,12 @@ class EvaluatedSystem(Callbacks):
 
     def _derivative(self, q: Array, v: Array) -> Array:
         """Compute dq/dt and dv/dt, followed by the pivot ratio, one vector (n + 1,)."""
-        ratio = 1.0
+        rates, ratio = self._rates(q, v), 1.0
         if self._usual_ratio > 0.0:
             # above `DENSE_PIVOT_RATIO`, by which the integrator knows a singular state: these equations have
             # no second form to evaluate there
             ratio = max(self._ratio(self._jacobian(q)) / self._usual_ratio, 2.0 * DENSE_PIVOT_RATIO)
-        return np.append(self._rates(q, v), ratio)
+        return np.append(rates, ratio)
 
     def jacobian(self, q: Array, v: Array) -> Array:
         """Compute the Jacobian of (dq/dt, dv/dt) with respect to (q, v) by one-sided differences.

@@ -17,6 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.small_motions import ModelChange, SmallMotions
+from newton_euler.scalars import Array
 
 
 class Settings(Protocol):
@@ -50,12 +51,27 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
+class LoopErrors:
+    """Violations of the k loop constraints of a file at the n outputs of a run.
+
+    Attributes:
+        names: the constraints, such as "equality 'loop'".
+        openings: (n, k) distances, m; 0 for constraints of angles.
+        angles: (n, k) angles, rad; 0 for constraints of lengths.
+    """
+
+    names: tuple[str, ...]
+    openings: Array
+    angles: Array
+
+
+@dataclass(frozen=True, eq=False)
 class FileRun:
     """Run of a model file by its own engine.
 
     Attributes:
         trajectory: motion of the scene's bodies up to the time at which the run ended.
-        opening: (n,) largest violation of the file's loop constraints at each of n output times, m or rad.
+        loop_errors: violations of the loop constraints at the output times.
         events: first action of each element that the reference does not simulate, in the order of time.
         stopped: reason why the run ended early, such as MuJoCo's warning; "" for a complete run.
         states: state of the engine at each output time, in the engine's own form, for
@@ -63,7 +79,7 @@ class FileRun:
     """
 
     trajectory: Trajectory
-    opening: Any
+    loop_errors: LoopErrors
     events: tuple[Event, ...] = ()
     stopped: str = ""
     states: Sequence[Any] = ()
@@ -99,10 +115,12 @@ class FileSimulation(ABC, Generic[SettingsT]):
         engine: name and version of the engine, such as "MuJoCo 4.0".
         scene: the imported scene.
         settings: settings of the file.
+        are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
         max_evaluations: largest number of evaluations of the equations of motion in a run, with the file's
             time step or a smaller one; lower for an engine whose time loop runs in Python.
     """
 
+    are_assumed: bool = False
     max_evaluations: float = math.inf
     engine: str
     scene: Scene

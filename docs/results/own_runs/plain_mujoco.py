@@ -52,7 +52,7 @@ def simulate(
     centers, orientations = [], []
     for k, now in enumerate(times):
         for _ in range(round((now - times[k - 1]) / model.opt.timestep) if k else 0):
-            phase = frequency * data.time
+            phase = frequency * (data.time + 0.5 * model.opt.timestep)  # controls of the middle of the step
             data.ctrl[:] = constant + sine * np.sin(phase) + cosine * np.cos(phase)
             mujoco.mj_step(model, data)
         if any(data.warning[kind].number for kind in DIVERGENCE):

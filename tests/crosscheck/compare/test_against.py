@@ -393,7 +393,7 @@ def test_models_are_named_by_what_tells_them_apart(path: str, other: str, name: 
         (("tracker", "--against-set", "gravity=off"), "--against-set is for the model of --against"),
         (
             ("tracker", "--against", "tracker", "--engines", "mujoco"),
-            "by newton_euler alone, without --engines",
+            "--engines is for one model, without --against",
         ),
         (
             ("tracker", "--against", "tracker", "--against-set", "loops=l.yaml"),

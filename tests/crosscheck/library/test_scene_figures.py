@@ -264,12 +264,11 @@ def test_exit_status_of_the_library(capsys, monkeypatch, outcomes, status):
 
 
 def test_all_takes_no_scene(capsys):
-    for arguments in (("pendulum",), ("--set", "N=3"), ("--save", "x.rrd")):
-        status, _, err = run(capsys, "run", "--all", *arguments)
-        assert (status, err) == (
-            2,
-            "crosscheck: error: --all runs all scenes at their defaults, without SCENE and its options\n",
-        )
+    for name, *values in (("pendulum",), ("--set", "N=3"), ("--save", "x.rrd"), ("--advice",)):
+        status, _, err = run(capsys, "run", "--all", name, *values)
+        assert status == 2
+        assert err.startswith("crosscheck: error: --all ")
+        assert err.endswith(f"without {name if name.startswith('--') else 'SCENE'}\n")
     assert run(capsys, "run", "--all", "--engines", "bullet")[0] == 2
 
 

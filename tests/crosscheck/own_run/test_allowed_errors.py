@@ -47,6 +47,7 @@ def swing(tmp_path):
         ("rotation=180deg", "rotation", math.pi),
         ("rotation=1mrad", "rotation", 1e-3),
         ("opening=0.1mm", "opening", 1e-4),
+        ("loop_angle=0.1deg", "loop_angle", math.radians(0.1)),
         ("energy=1%", "energy", 1e-2),
     ],
 )
@@ -60,7 +61,10 @@ def test_allowed_errors_have_units(text, kind, largest):
     [
         ("1mm", "no unit 'mm' of relative; choose from %"),
         ("position=3deg", "no unit 'deg' of position; choose from m, mm, um"),
-        ("positon=1", "unknown error 'positon'; choose from relative, position, rotation, opening, energy"),
+        (
+            "positon=1",
+            "unknown error 'positon'; choose from relative, position, rotation, opening, loop_angle, energy",
+        ),
         ("0", "needed: a number above 0"),
         ("-1", "needed: a number above 0"),
         ("position=", "'' is no number with a unit"),
@@ -152,7 +156,8 @@ def test_every_error_can_be_limited(swing):
         "relative": found.error.relative,
         "position": found.error.position,
         "rotation": found.error.rotation,
-        "opening": found.opening,
+        "opening": found.loop_error.opening,
+        "loop_angle": found.loop_error.angle,
         "energy": found.error.energy,
     }
 

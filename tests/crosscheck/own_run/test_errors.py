@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -117,3 +118,78 @@ def rotation(vector):
     x, y, z = vector / angle
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew
+
+
+DRIVEN = """<mujoco><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/><worldbody>
+  <body name="mass"><joint name="slide" type="slide" axis="1 0 0"/>
+    <inertial pos="0 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+  <actuator><motor name="push" joint="slide" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_inputs_are_not_delayed(tmp_path):
+    """The control at the start of each step would be late by half a step, 1e-2 of the motion here."""
+    path = tmp_path / "driven.xml"
+    path.write_text(DRIVEN.format(step=STEP, integrator="RK4"))
+    _, report = load_scene(str(path), {"duration": str(DURATION), "excitation": "on"})
+    assert any(line.startswith("excited: 1 actuator") for line in report.start)
+    assert judge(report.simulation).error.relative < 1e-4
+
+
+SOFT_LOOPS = """<mujoco><option timestep="0.004" integrator="Euler"/>
+  <default><equality solref="0.1 1"/></default>
+  <worldbody>
+    <body name="crank"><joint name="crank" axis="0 1 0"/>
+      <inertial pos="0.3 0 0" mass="2" diaginertia="0.01 0.02 0.02"/></body>
+    <body name="gear" pos="0 0 1"><joint name="gear" axis="0 1 0"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="0.05 0.05 0.05"/></body>
+    <body name="slider" pos="0 0 2"><joint name="slider" type="slide" axis="0 0 1"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="0.05 0.05 0.05"/></body>
+    <body name="lift" pos="1 0 2"><joint name="lift" type="slide" axis="0 0 1"/>
+      <inertial pos="0 0 0" mass="4" diaginertia="0.05 0.05 0.05"/></body>
+    <body name="arm" pos="2 0 0"><joint name="arm" axis="0 1 0"/>
+      <inertial pos="0.2 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body>
+    <body name="held" pos="2.5 0 0"><freejoint/>
+      <inertial pos="0.1 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body>
+  </worldbody>
+  <equality>
+    <joint name="mesh" joint1="gear" joint2="crank"/>
+    <joint name="rack" joint1="slider" joint2="crank" polycoef="0 0.5 0 0 0"/>
+    <joint name="chain" joint1="lift" joint2="slider"/>
+    <weld name="grasp" body1="arm" body2="held" torquescale="3"/>
+  </equality></mujoco>"""
+
+
+def test_loop_errors_are_those_of_plain_mujoco(tmp_path):
+    path = tmp_path / "loops.xml"
+    path.write_text(SOFT_LOOPS)
+    _, report = load_scene(str(path), {"duration": "0.5", "excitation": "off"})
+    found = judge(report.simulation)
+    # the same run by hand
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    outputs = np.round(found.run.time / model.opt.timestep).astype(int)
+    openings, angles = dict[str, list[float]](), dict[str, list[float]]()
+    for step in range(outputs[-1] + 1):
+        if step in outputs:
+            mujoco.mj_kinematics(model, data)
+            x = {name: float(data.joint(name).qpos[0]) for name in ("crank", "gear", "slider", "lift")}
+            angles.setdefault("mesh", []).append(abs(x["gear"] - x["crank"]))
+            openings.setdefault("rack", []).append(abs(x["slider"] - 0.5 * x["crank"]))
+            openings.setdefault("chain", []).append(abs(x["lift"] - x["slider"]))
+            arm, held = data.body("arm"), data.body("held")
+            turn = arm.xmat.reshape(3, 3)
+            gap = held.xpos - arm.xpos - turn @ [0.5, 0.0, 0.0]
+            openings.setdefault("grasp", []).append(float(np.linalg.norm(gap)))
+            both = turn.T @ held.xmat.reshape(3, 3)
+            angles.setdefault("grasp", []).append(float(np.arccos(np.clip((np.trace(both) - 1) / 2, -1, 1))))
+        mujoco.mj_step(model, data)
+    for largest, (name, time), by_hand in (
+        (found.loop_error.opening, found.loop_error.opening_at, openings),
+        (found.loop_error.angle, found.loop_error.angle_at, angles),
+    ):
+        worst = max(by_hand, key=lambda each: max(by_hand[each]))
+        assert name == f"equality {worst!r}"
+        assert largest == pytest.approx(
+            max(by_hand[worst]), rel=0.01
+        )  # of a weld's angle, twice the sine of half
+        assert time == found.run.time[int(np.argmax(by_hand[worst]))]

@@ -11,9 +11,9 @@ import pytest
 import crosscheck
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
+from crosscheck.logs.judge import Log, judge_log
+from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.errors import Band
-from crosscheck.own_run.log import Log, judge_log
-from crosscheck.own_run.log_mistake import mistake_line
 from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.source_file import SourceError

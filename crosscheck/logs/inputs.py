@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.own_run.log_columns import LogData
+from crosscheck.logs.columns import LogData
 from newton_euler.model.control import PD, DeclaredLaw
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism

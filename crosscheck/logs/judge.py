@@ -1,0 +1,236 @@
+"""Judge the log of another simulator or of a test bench against the reference solution from the log's start.
+
+`judge_log` reads a log, finds the state of its first row, simulates the reference from there with the log's
+own inputs, and measures the error of every logged body. A log that is read wrongly has a large error; other
+readings are then tried (`crosscheck.logs.mistakes`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from crosscheck.logs.mistakes import Mistake, find_mistakes, mistake_line
+from crosscheck.logs.names import Origin
+from crosscheck.logs.options import LogOptions
+from crosscheck.logs.poses import loop_errors
+from crosscheck.logs.reading import LogReading
+from crosscheck.logs.start import LogStart
+from crosscheck.logs.table import read_table
+from crosscheck.own_run.errors import LoopError, RunError, run_error
+from crosscheck.own_run.horizon import comparable_until
+from crosscheck.own_run.judge import Judgement
+from newton_euler.errors import NewtonEulerError, check_choices, quoted
+from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import SourceError
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.reading.file_names import FileNames
+from newton_euler.reading.file_run import Event
+from newton_euler.runs.assemble import initial_state
+from newton_euler.scalars import Array
+
+Stepper = Callable[[State, Array], Any]
+"""Function of a user that simulates: from a start state and times (n,), s, to the states at these times, as a
+sequence of `State`, a `Trajectory`, or a table like a log."""
+
+Watch = Callable[[Scene, Trajectory], Sequence[Event]]
+"""Function that finds elements of a file that act in a run of a scene and that the scene does not have."""
+
+_VELOCITIES = (("linear_velocity", "xyz"), ("angular_velocity", "xyz"))
+"""Arrays of velocities of a trajectory, with the names of their components."""
+
+
+class Log:
+    """Run of another simulator or of a test bench, with statements on its columns, for `crosscheck.check`.
+
+    Attributes:
+        table: path of a CSV or Parquet file, DataFrame, or mapping from names to columns.
+        options: statements on the columns.
+
+    Examples:
+        >>> run = simulate(load("pendulum"))
+        >>> angle = np.degrees(run.joint("pivot").coordinates[:, 0])
+        >>> log = Log({"time": run.time, "pivot": angle}, angle="deg")
+        >>> check("pendulum", ["newton_euler"], runs={"isaac": log}).logs["isaac"].error.relative < 1e-6
+        True
+    """
+
+    def __init__(self, table: Any, options: LogOptions | None = None, **statements: Any) -> None:
+        """Take a log and statements on its columns.
+
+        Args:
+            table: path of a CSV or Parquet file, DataFrame, or mapping from names to columns.
+            options: statements on the columns; None for none.
+            statements: `LogOptions` by name. `quaternion` is "wxyz" or "xyzw", the order of columns. `angle`,
+                `length` and `time` are units that the names of columns do not have, such as "deg".
+                `offset` is the time of the log, s, at which the scene starts. `position` is "center" or
+                "frame"; `zero` may be "start", `inputs` "scene". `columns` maps columns to quantities.
+
+        Raises:
+            UnknownNameError, OptionError: for an unknown statement or value.
+        """
+        check_choices("option of a log", statements, [each.name for each in fields(LogOptions)])
+        self.table = table
+        self.options = replace(options or LogOptions(), **statements)
+
+    def __repr__(self) -> str:
+        return f"<Log {quoted(self.table)}>" if isinstance(self.table, str | os.PathLike) else "<Log>"
+
+
+@dataclass(frozen=True, eq=False)
+class LogJudgement(Judgement):
+    """Judgement of a log.
+
+    Attributes:
+        name: name of the run.
+        start: start of the reference, next to the first row.
+        scene: scene that was simulated, from the start of the log.
+        solution: reference solution of all bodies, at its own output times.
+        missing: bodies that the log does not determine, with the joint coordinates that it lacks there.
+        compared: names of the compared bodies.
+        rows: number of compared rows.
+        points: point of the bodies that positions are of, "center" or "frame"; "" without positions.
+        has_energy: True if the log determines the energy.
+        has_inputs: True if the reference has inputs of the log.
+        start_error: error that another estimate of the start velocities causes; None if the log has
+            velocities.
+        unused: columns that belong to no quantity.
+        dropped: number of rows without some of the numbers.
+        mistakes: other readings with a much smaller error.
+    """
+
+    name: str = ""
+    start: LogStart | None = None
+    scene: Scene | None = None
+    solution: Trajectory | None = None
+    missing: tuple[str, ...] = ()
+    compared: tuple[str, ...] = ()
+    rows: int = 0
+    points: Origin = ""
+    has_energy: bool = False
+    has_inputs: bool = False
+    start_error: RunError | None = None
+    unused: tuple[str, ...] = ()
+    dropped: int = 0
+    mistakes: tuple[Mistake, ...] = ()
+
+    def summary(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        own: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(Judgement)}
+        result = Judgement(**own).summary()
+        if not self.has_energy:
+            result["error"]["energy"] = None
+        if (start := self.start) is not None:
+            result["start"] = {
+                "moved": start.moved,
+                "turned": start.turned,
+                "moved_at": start.moved_at,
+                "differences": list(start.differences),
+            }
+        result["start_error"] = asdict(self.start_error) if self.start_error else None
+        result["mistakes"] = [asdict(mistake) | {"text": mistake_line(mistake)} for mistake in self.mistakes]
+        names = ("name", "compared", "missing", "rows", "points", "has_inputs", "unused", "dropped")
+        return result | {name: getattr(self, name) for name in names}
+
+
+def judge_log(
+    scene: Scene,
+    names: FileNames | None,
+    name: str,
+    log: Log | Stepper | Any,
+    watch: Watch = lambda scene, run: (),
+) -> LogJudgement:
+    """Judge a log.
+
+    Args:
+        scene: the scene, whose start the log replaces.
+        names: names in the model file of the scene; None for other scenes.
+        name: name of the run, for messages and reports.
+        log: the log, a table like `Log.table`, or a function that simulates.
+        watch: finds elements of the file that act in a run and that the scene does not have. The comparison
+            ends when the first of them acts.
+
+    Raises:
+        SourceError: for a log that cannot be read, with the column and the remedy.
+        NewtonEulerError: if the scene has no reference solution from the start of the log.
+    """
+    if callable(log) and not isinstance(log, Log):
+        log = _simulated(scene, name, log)
+    if not isinstance(log, Log):
+        log = Log(log)
+    reading = LogReading(scene, names, read_table(log.table, name))
+    return _judged(reading, name, log.options, watch)
+
+
+def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -> LogJudgement:
+    """Judge a log as its options state, and search other readings if the error is large."""
+    data = reading.data(options)
+    try:
+        compared = reading.compared(options)
+    except NewtonEulerError as failure:
+        mistakes = find_mistakes(reading, options, data, None)
+        if not mistakes:
+            raise
+        raise reading.table.error("; ".join(map(mistake_line, mistakes))) from failure
+    mistakes = find_mistakes(reading, options, data, compared)
+    # the comparison ends when an element acts that the reference does not have, and in chaos
+    events = tuple(sorted(watch(compared.scene, compared.reference), key=lambda event: event.time))
+    until = comparable_until(compared.scene, compared.reference)
+    ends = [event.time for event in events if event.time > 0.0] + ([] if until is None else [until])
+    error, run, rows = compared.error, compared.run, len(compared.run.time)
+    if ends:
+        rows = max(2, int(np.searchsorted(run.time, min(ends))))
+        run = run.first(rows)
+        error = run_error(run, compared.reference_at(run.time), compared.scale)
+    return LogJudgement(
+        engine=reading.table.where,
+        settings="",
+        error=error,
+        loop_error=LoopError.of(loop_errors(reading.scene.mechanism, compared.poses), run.time),
+        stopped="",
+        events=events,
+        until=until,
+        causes=(),
+        remedies=(),
+        run=run,
+        reference=compared.reference_at(run.time),
+        name=name,
+        start=compared.start,
+        scene=compared.scene,
+        solution=compared.reference,
+        missing=reading.missing(compared),
+        compared=run.body_names,
+        rows=rows,
+        points=compared.points,
+        has_energy=compared.has_energy,
+        has_inputs=bool(data.inputs or data.forces),
+        start_error=reading.start_error(compared),
+        unused=data.unused,
+        dropped=data.dropped,
+        mistakes=mistakes,
+    )
+
+
+def _simulated(scene: Scene, name: str, step: Stepper) -> Log:
+    """Run a function of the user from the scene's start, and return its states as a log."""
+    found = step(initial_state(scene), scene.times)
+    if isinstance(found, Sequence) and found and all(isinstance(state, State) for state in found):
+        if len(found) != len(scene.times):
+            raise SourceError(name, f"returns {len(found)} states; needed: {len(scene.times)}, one per time")
+        names = ("position", "quaternion", "linear_velocity", "angular_velocity")
+        arrays: dict[str, Any] = {each: np.array([getattr(state, each) for state in found]) for each in names}
+        mechanism = scene.mechanism
+        found = Trajectory(name, {}, 0.0, scene.times, mechanism.body_names, mechanism.joint_names, **arrays)
+    if isinstance(found, Trajectory):
+        columns: dict[str, Array] = {"time": found.time}
+        for kind, letters in (("position", "xyz"), ("quaternion", "wxyz"), *_VELOCITIES):
+            if (array := getattr(found, kind)) is not None:
+                for k, body in enumerate(found.body_names[1:], start=1):
+                    columns |= {f"{kind}.{body}.{c}": array[:, k, i] for i, c in enumerate(letters)}
+        found = columns
+    return found if isinstance(found, Log) else Log(found)

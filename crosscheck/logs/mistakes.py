@@ -1,0 +1,237 @@
+"""Find out whether a log is read wrongly: other readings that reduce its error by a large factor.
+
+Other readings are orders of quaternions, units, points of bodies, zeros of coordinates, and times. They are
+tried one after the other. A `Mistake` names the columns and the option that selects the other reading.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from crosscheck.logs.columns import LogData
+from crosscheck.logs.inputs import is_time_dependent
+from crosscheck.logs.options import LogOptions
+from crosscheck.logs.reading import ComparedLog, LogReading
+from crosscheck.own_run.errors import USABLE_BELOW, RunError, run_error
+from crosscheck.own_run.interpolation import at_outputs, without_energies
+from newton_euler.errors import NewtonEulerError, quoted
+
+MISTAKE_FACTOR = 10.0
+"""Factor by which another reading of a log must reduce the error to be reported. Right readings of logs with
+a wrong order, unit or time reduce the error a hundred times and more."""
+
+MAX_SEARCH_S = 20.0
+"""Processor time, s, after which no further reading of a log is tried."""
+
+MAX_MISTAKES = 3
+"""Largest number of wrong readings of one log that are searched."""
+
+DELAYS = 81
+"""Number of delays that are tried at once in the search for an offset of times."""
+
+DELAY_ROUNDS = 4
+"""Number of times that the search for a delay is repeated around the best one."""
+
+MAX_DELAY = 0.25
+"""Largest delay that is searched, as a fraction of the duration of the log."""
+
+WHOLE_ROWS = 0.1
+"""Distance of a delay from a whole number of rows, in rows, below which the delay is that number of rows."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Another reading of a log with a much smaller error.
+
+    Attributes:
+        columns: columns that are read wrongly.
+        what: the other reading, such as "order x, y, z, w".
+        option: option that selects the other reading, such as "--log-set quaternion=xyzw"; "" for none.
+        before: error of the first reading; None if that reading fits no state of the model.
+        after: error of the other reading.
+    """
+
+    columns: tuple[str, ...]
+    what: str
+    option: str
+    before: RunError | None
+    after: RunError
+
+
+class OtherReading(NamedTuple):
+    """Another reading of a log.
+
+    Attributes:
+        options: options that select it.
+        columns: columns that it concerns.
+        what: the reading in words, such as "unit deg".
+        option: the option that differs, as on the command line.
+    """
+
+    options: LogOptions
+    columns: tuple[str, ...]
+    what: str
+    option: str
+
+
+def find_mistakes(
+    reading: LogReading, options: LogOptions, data: LogData, compared: ComparedLog | None
+) -> tuple[Mistake, ...]:
+    """Search readings that reduce the error by `MISTAKE_FACTOR`, one after the other.
+
+    Args:
+        reading: the log.
+        options: options of the user.
+        data: numbers of the log with these options.
+        compared: the log beside its reference with these options; None if the log fits no state.
+    """
+    found: list[Mistake] = []
+    end = time.process_time() + MAX_SEARCH_S
+    while len(found) < MAX_MISTAKES and (compared is None or compared.error.relative > USABLE_BELOW):
+        # the reading with the smallest error
+        best: tuple[ComparedLog, OtherReading] | None = None
+        for other in other_readings(reading, options, data):
+            if time.process_time() > end:
+                break
+            try:
+                tried = reading.compared(other.options)
+            except NewtonEulerError:
+                continue
+            if best is None or tried.error.relative < best[0].error.relative:
+                best = tried, other
+        if best is None:
+            break
+        before = None if compared is None else compared.error
+        if before is not None and best[0].error.relative * MISTAKE_FACTOR >= before.relative:
+            break
+        # further mistakes are searched beside this one
+        compared, other = best
+        found.append(Mistake(other.columns, other.what, other.option, before, compared.error))
+        options = other.options
+        data = reading.data(options)
+    if compared is not None and compared.error.relative > USABLE_BELOW:
+        found.extend(_delay(compared))
+    return tuple(found)
+
+
+def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> Iterator[OtherReading]:
+    """Yield readings that differ from the present one in one option.
+
+    Args:
+        reading: the log.
+        options: options of the present reading.
+        data: numbers of the log with these options.
+    """
+    # order of quaternions
+    quaternions = [frame.quaternion for frame in data.frames.values() if frame.quaternion is not None]
+    if quaternions:
+        columns = tuple(name for each in quaternions for name in each.columns)
+        for order in ("xyzw", "wxyz"):
+            if order != options.quaternion:
+                other = replace(options, quaternion=order)
+                what = f"order {', '.join(order)} of the columns"
+                yield OtherReading(other, columns, what, f"--log-set quaternion={order}")
+    # units of all angles, of all lengths, and of single angles
+    angles = data.without_unit.get("angle", [])
+    if angles:
+        unit = "deg" if options.angle == "rad" else "rad"
+        other = replace(options, angle=unit)  # type: ignore[arg-type]
+        yield OtherReading(other, tuple(angles), f"unit {unit}", f"--log-set angle={unit}")
+    for unit in ("mm", "cm", "m"):
+        if (lengths := data.without_unit.get("length", [])) and unit != options.length:
+            other = replace(options, length=unit)  # type: ignore[arg-type]
+            yield OtherReading(other, tuple(lengths), f"unit {unit}", f"--log-set length={unit}")
+    if len(angles) > 1 and options.angle == "rad":
+        for name, quantity in dict(_coordinate_columns(reading, data)).items():
+            if name in angles:
+                other = replace(options, columns={**options.columns, name: f"{quantity} [deg]"})
+                yield OtherReading(other, (name,), "unit deg", f"--log-map '{name}={quantity} [deg]'")
+    # points of bodies, and zeros of coordinates
+    positions = [frame.position for frame in data.frames.values() if frame.position is not None]
+    if positions:
+        columns = tuple(name for each in positions for name in each.columns)
+        for point, words in (("center", "centers of mass"), ("frame", "origins of body frames")):
+            if point != options.position:
+                other = replace(options, position=point)  # type: ignore[arg-type]
+                yield OtherReading(other, columns, words, f"--log-set position={point}")
+    if data.coordinates and reading.names is not None and options.zero == "file":
+        columns = tuple(name for each in data.coordinates.values() for name in each.columns)
+        other = replace(options, zero="start")
+        yield OtherReading(other, columns, "coordinates from the start of the file", "--log-set zero=start")
+    # unit of times, and time zero of the scene
+    if options.time == "s":
+        for unit in ("ms", "us", "ns"):
+            other = replace(options, time=unit)  # type: ignore[arg-type]
+            yield OtherReading(other, ("time",), f"unit {unit}", f"--log-set time={unit}")
+    first = float(data.time[0])
+    if options.offset == 0.0 and first != 0.0 and is_time_dependent(reading.scene):
+        other = replace(options, offset=first)
+        what = f"time {first:.6g} s as time zero"
+        yield OtherReading(other, ("time",), what, f"--log-set offset={first:.9g}")
+
+
+def _coordinate_columns(reading: LogReading, data: LogData) -> Iterator[tuple[str, str]]:
+    """Yield the column of each joint coordinate, and the quantity as `LogOptions.columns` names it."""
+    for key, measured in data.coordinates.items():
+        for name, (own_key, _) in reading.elements.coordinates.items():
+            if own_key == key:
+                yield measured.columns[0], f"coordinate.{name}"
+
+
+def _delay(compared: ComparedLog) -> Iterator[Mistake]:
+    """Yield the delay of a log behind its reference, if one reduces the error by `MISTAKE_FACTOR`."""
+    # grids of delays, each finer and around the best delay of the one before
+    run, duration = compared.run, float(compared.run.time[-1])
+    best, reach = 0.0, MAX_DELAY * duration
+    error = compared.error
+    for _ in range(DELAY_ROUNDS):
+        for delay in best + np.linspace(-reach, reach, DELAYS):
+            times = run.time - delay
+            inside = (times >= 0.0) & (times <= compared.reference.time[-1])
+            inside[0] = False  # the reference starts there, whatever its time is
+            if np.sum(inside) < 3:
+                continue
+            delayed = run_error(
+                without_energies(at_outputs(run, np.flatnonzero(inside))),
+                without_energies(compared.reference_at(times[inside])),
+                compared.scale,
+            )
+            if delayed.relative < error.relative:
+                error, best = delayed, float(delay)
+        reach *= 4.0 / DELAYS
+    if error.relative * MISTAKE_FACTOR >= compared.error.relative:
+        return
+    # a delay of nearly a whole number of rows is that number of rows
+    spacing = float(np.median(np.diff(run.time)))
+    if abs(best - spacing * round(best / spacing)) < WHOLE_ROWS * spacing:
+        best = spacing * round(best / spacing)
+    if best > 0.0:
+        option = f"--log-set offset={float(compared.data.time[0]) + best:.6g}"
+        yield Mistake(("time",), f"times {best:.4g} s earlier", option, compared.error, error)
+    else:
+        what = f"times {-best:.4g} s later, or without the first row"
+        yield Mistake(("time",), what, "", compared.error, error)
+
+
+def mistake_line(mistake: Mistake) -> str:
+    """Word a wrong reading in one line: columns, other reading, both errors, and the option to give."""
+    first, *others = mistake.columns
+    columns = f"column {quoted(first)}"
+    if others:
+        columns = f"columns {quoted(first)} and {len(others)} more"
+    after = f"an error of {_percent(mistake.after.relative)} of the motion"
+    instead = "while the log as read fits no state of the model"
+    if mistake.before is not None:
+        instead = f"instead of {_percent(mistake.before.relative)}"
+    remedy = f"; give {mistake.option}" if mistake.option else ""
+    return f"{columns}: {mistake.what}: {after} {instead}{remedy}"
+
+
+def _percent(value: float) -> str:
+    """Write a ratio in percent with two digits."""
+    return f"{100.0 * value:.0f} %" if value >= 0.1 else f"{100.0 * value:.2g} %"

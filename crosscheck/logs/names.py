@@ -1,0 +1,285 @@
+"""Find out from the name of a column which quantity of a scene the column has.
+
+A column belongs to the joint, body or actuator whose name it contains. Upper and lower case, and separators
+such as `/`, `.` and `_`, count as equal. The other words of the name select the quantity: `crank_velocity` is
+the rate of joint `crank`, `/poses/rod/orientation/w` the first number of the quaternion of body `rod`. A
+column whose name has other words, such as a prefix of a topic, is used if no column has fewer of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from newton_euler.model.joint import Key
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.reading.file_names import FileFrame, FileNames
+
+DEGREE = np.pi / 180.0
+
+UNITS: Mapping[str, tuple[str, float]] = {
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "ns": ("time", 1e-9),
+    "m": ("length", 1.0),
+    "mm": ("length", 1e-3),
+    "cm": ("length", 1e-2),
+    "m/s": ("length", 1.0),
+    "mm/s": ("length", 1e-3),
+    "rad": ("angle", 1.0),
+    "deg": ("angle", DEGREE),
+    "rad/s": ("angle", 1.0),
+    "deg/s": ("angle", DEGREE),
+    "N": ("force", 1.0),
+    "N m": ("force", 1.0),
+    "Nm": ("force", 1.0),
+    "1": ("number", 1.0),
+}
+"""Dimension and factor to SI of units in names of columns."""
+
+UNIT_WORDS = ("s", "ms", "us", "ns", "m", "mm", "cm", "rad", "deg")
+"""Units that the last word of a column's name can be, as in `crank_deg`; rates add the word `s`."""
+
+UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*")
+"""A column's name with a unit in brackets, as in `crank [deg]`."""
+
+
+def _words(text: str) -> frozenset[str]:
+    """Return the words of a text."""
+    return frozenset(text.split())
+
+
+RATE_WORDS = _words("rate rates vel velocity velocities qvel qd dq qdot speed omega v")
+
+FORCE_WORDS = _words("effort efforts force torque tau")
+
+INPUT_WORDS = _words("ctrl control controls u input action command cmd")
+
+COORDINATE_WORDS = _words("coordinate coordinates pos position positions qpos q angle angles joint joints")
+
+ANGULAR_WORDS = _words("angular omega gyro angvel")
+
+LINEAR_WORDS = _words("linear velocity vel linvel v twist speed")
+
+QUATERNION_WORDS = _words("quaternion quat orientation rotation rot xquat q")
+
+POSITION_WORDS = _words("position pos xpos xipos translation p pose com center cog origin body link frame")
+"""Words in names of columns that select a quantity of a joint or body."""
+
+UNUSED_WORDS = _words(
+    "acceleration acc accel qacc qdd ddq reaction violation energy power work target reference desired"
+    " setpoint des ref error temperature current voltage roll pitch yaw euler covariance"
+)
+"""Words in names of columns that are no measured joint coordinates, poses or inputs."""
+
+CENTER_WORDS, ORIGIN_WORDS = _words("com center cog xipos"), _words("origin xpos frame link")
+"""Words that state which point of a body a position is of: center of mass, or origin of the body frame."""
+
+COMPONENTS_OF = {
+    "position": "xyz",
+    "quaternion": "wxyz",
+    "linear_velocity": "xyz",
+    "angular_velocity": "xyz",
+}
+"""Quantities of bodies, with the names of their components."""
+
+COMPONENT = re.compile(r"(q|p|pos|t|v|w)?([wxyz]|[0-3])")
+"""Last word of a column of a vector or quaternion: a component, with a letter for the quantity in front."""
+
+Origin = Literal["", "center", "frame"]
+
+
+class Target(NamedTuple):
+    """Quantity that a column has.
+
+    Attributes:
+        kind: "time", "coordinate", "rate", "force", "input", or a key of `COMPONENTS_OF`.
+        element: name of the joint, body or actuator; "" for the time.
+        component: index of the component of a vector or quaternion.
+        point: point of the body that the name of the column states, see `LogOptions.position`.
+    """
+
+    kind: str
+    element: str
+    component: int = 0
+    point: Origin = ""
+
+
+class FoundColumn(NamedTuple):
+    """Quantity of a column, as its name shows.
+
+    Attributes:
+        name: name of the column.
+        target: the quantity.
+        unit: unit in the name; "" for none.
+        others: twice the number of words in the name that say nothing about the quantity; one more if upper
+            and lower case differ from the name of the element.
+    """
+
+    name: str
+    target: Target
+    unit: str
+    others: int
+
+
+class Elements:
+    """Names of a scene, and of the model file that it was read from, that columns can belong to.
+
+    Attributes:
+        coordinates: joint coordinate of the scene by name, and its value in the file at the scene's zero.
+        frames: body frames by name.
+        inputs: names of actuators.
+        mechanism: mechanism of the scene.
+    """
+
+    def __init__(self, mechanism: Mechanism, names: FileNames | None) -> None:
+        """Collect the names of a mechanism, and of a model file if the scene was read from one."""
+        self.mechanism = mechanism
+        self.coordinates: dict[str, tuple[Key, float]] = {}
+        for key, label in mechanism.coordinate_labels.items():
+            self.coordinates[label] = key, 0.0
+        self.frames: dict[str, FileFrame] = {
+            name: FileFrame(name, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+            for name in mechanism.body_names[1:]
+        }
+        self.inputs: tuple[str, ...] = ()
+        if names is not None:
+            moving = {name: frame for name, frame in names.frames.items() if frame.body in self.frames}
+            self.frames |= moving
+            known = {name: found for name, found in names.coordinates.items() if found.key in self._keys}
+            self.coordinates |= {name: (found.key, found.start) for name, found in known.items()}
+            self.inputs = tuple(names.inputs)
+
+    @property
+    def _keys(self) -> set[Key]:
+        return set(self.mechanism.coordinate_labels)
+
+
+def normalized(text: str) -> str:
+    """Return a name in lower case, with `_` for all other characters than letters and digits."""
+    return re.sub(r"[^0-9a-z]+", "_", text.lower()).strip("_")
+
+
+def identified(name: str, elements: Elements) -> FoundColumn | None:
+    """Find out from its name which quantity a column has; None for a column that has none."""
+    if (column := stated(name, name, elements)) is not None:
+        return column
+    _, unit, parts = split_unit(name)
+    text = f"_{'_'.join(parts)}_"
+    best: FoundColumn | None = None
+    longest = 0
+    kinds: tuple[tuple[Iterable[str], Callable[[str, list[str]], tuple[Target, int] | None]], ...] = (
+        (elements.inputs, _input_target),
+        (elements.coordinates, _joint_target),
+        (elements.frames, _body_target),
+    )
+    for known, find in kinds:
+        for element in known:
+            own = normalized(element)
+            before, match, after = text.rpartition(f"_{own}_")
+            rest = [part for part in f"{before}_{after}".split("_") if part]
+            if not own or not match or UNUSED_WORDS & set(rest):
+                continue
+            found = find(element, rest)
+            # the longest name counts, `left_leg` before `leg`; among equal ones that with equal case
+            length = 2 * len(own) + (element in name)
+            if found is not None and length > longest:
+                others = 2 * found[1] + (element not in name)
+                best, longest = FoundColumn(name, found[0], unit, others), length
+    return best
+
+
+def stated(text: str, name: str, elements: Elements) -> FoundColumn | None:
+    """Return the quantity that a text such as `quaternion.rod.w [deg]` names; None for another text.
+
+    Args:
+        text: kind, element and component, separated by dots, with an optional unit in brackets.
+        name: name of the column that has the quantity.
+        elements: names of joints, bodies and actuators.
+    """
+    core, unit, _ = split_unit(text, words=False)
+    kind, _, rest = core.partition(".")
+    known = {
+        "coordinate": elements.coordinates,
+        "rate": elements.coordinates,
+        "force": elements.coordinates,
+        "input": elements.inputs,
+    }
+    if kind in known and rest in known[kind]:
+        return FoundColumn(name, Target(kind, rest), unit, 0)
+    element, _, letter = rest.rpartition(".")
+    if kind in COMPONENTS_OF and element in elements.frames and letter and letter in COMPONENTS_OF[kind]:
+        # as in tables of trajectories, positions are those of centers of mass
+        point: Origin = "center" if kind == "position" and text == name else ""
+        return FoundColumn(name, Target(kind, element, COMPONENTS_OF[kind].index(letter), point), unit, 0)
+    return None
+
+
+def split_unit(name: str, words: bool = True) -> tuple[str, str, list[str]]:
+    """Split the unit from the name of a column.
+
+    Args:
+        name: name of the column.
+        words: True to find a unit that is the last word of the name, too.
+
+    Returns:
+        The name without a unit in brackets, the unit or "", and the words of the name without the unit.
+    """
+    match = UNIT_IN_BRACKETS.fullmatch(name)
+    if match and match[2].strip() in UNITS:
+        return match[1], match[2].strip(), normalized(match[1]).split("_")
+    parts = normalized(name).split("_")
+    if words and len(parts) > 2 and parts[-1] == "s" and f"{parts[-2]}/s" in UNITS:
+        return name, f"{parts[-2]}/s", parts[:-2]
+    if words and len(parts) > 1 and parts[-1] in UNIT_WORDS:
+        return name, parts[-1], parts[:-1]
+    return name, "", parts
+
+
+def _input_target(element: str, rest: list[str]) -> tuple[Target, int] | None:
+    """Return the control of an actuator, and the number of meaningless words; None without a fitting word."""
+    if rest and not INPUT_WORDS & set(rest):
+        return None
+    return Target("input", element), len(set(rest) - INPUT_WORDS)
+
+
+def _joint_target(element: str, rest: list[str]) -> tuple[Target, int] | None:
+    """Return a quantity of a joint coordinate, and the number of meaningless words; None for a vector."""
+    words = set(rest)
+    if INPUT_WORDS & words or (rest and COMPONENT.fullmatch(rest[-1])):
+        return None
+    for kind, of_kind in (("rate", RATE_WORDS), ("force", FORCE_WORDS)):
+        if words & of_kind:
+            return Target(kind, element), len(words - of_kind - COORDINATE_WORDS)
+    return Target("coordinate", element), len(words - COORDINATE_WORDS)
+
+
+def _body_target(element: str, rest: list[str]) -> tuple[Target, int] | None:
+    """Return a quantity of a body, and the number of meaningless words; None without a component."""
+    match = COMPONENT.fullmatch(rest[-1]) if rest else None
+    if match is None:
+        return None
+    prefix, letter = match[1] or "", match[2]
+    words = set(rest[:-1])
+    if FORCE_WORDS & words:
+        return None
+    if words & ANGULAR_WORDS or prefix == "w":
+        kind, of_kind = "angular_velocity", ANGULAR_WORDS | LINEAR_WORDS
+    elif words & LINEAR_WORDS or prefix == "v":
+        kind, of_kind = "linear_velocity", LINEAR_WORDS
+    elif words & QUATERNION_WORDS or prefix == "q" or letter == "w":
+        kind, of_kind = "quaternion", QUATERNION_WORDS | POSITION_WORDS
+    else:
+        kind, of_kind = "position", POSITION_WORDS
+    letters = COMPONENTS_OF[kind]
+    number = int(letter) if letter.isdecimal() else letters.find(letter)
+    if not 0 <= number < len(letters) or (letter.isdecimal() and not words & of_kind):
+        return None
+    point: Origin = ""
+    if kind == "position":
+        point = "center" if words & CENTER_WORDS else "frame" if words & ORIGIN_WORDS else ""
+    return Target(kind, element, number, point), len(words - of_kind)

@@ -1,0 +1,225 @@
+"""Poses of a mechanism's bodies from the quantities of a log.
+
+Logged poses of body frames give poses of the scene's bodies. From these, and from the ground, poses of other
+bodies follow along the joints whose coordinates are logged. Bodies that the log does not determine stay
+unknown and are not compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from crosscheck.logs.columns import LogData
+from crosscheck.logs.names import Elements, Origin
+from newton_euler.model.euler_parameters import conjugate, product, rotations
+from newton_euler.model.joint import Joint, Key
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.state import stacked_frames
+from newton_euler.reading.file_run import LoopErrors
+from newton_euler.scalars import Array, unstacked
+
+
+class BodyPose(NamedTuple):
+    """Poses of a body at n times: center of mass (n, 3), m, and orientation (n, 4); None if unknown."""
+
+    position: Array | None
+    quaternion: Array | None
+
+    @property
+    def is_complete(self) -> bool:
+        """True if position and orientation are known."""
+        return self.position is not None and self.quaternion is not None
+
+    @property
+    def is_known(self) -> bool:
+        """True if position or orientation is known."""
+        return self.position is not None or self.quaternion is not None
+
+
+Poses = dict[int, BodyPose]
+"""Known poses by the index of the body; the ground is always known."""
+
+
+class Sample(NamedTuple):
+    """Logged quantities at n times, SI units.
+
+    Attributes:
+        rows: number n of times.
+        coordinates: joint coordinates (n,) of the scene.
+        frames: positions (n, 3) and quaternions (n, 4) of body frames.
+        points: points of the bodies that the names of columns state, by name of the frame.
+    """
+
+    rows: int
+    coordinates: Mapping[Key, Array]
+    frames: Mapping[str, BodyPose]
+    points: Mapping[str, Origin]
+
+
+def all_rows(data: LogData) -> Sample:
+    """Return the logged quantities at all times."""
+    frames = {
+        name: BodyPose(
+            None if frame.position is None else frame.position.values,
+            None if frame.quaternion is None else frame.quaternion.values,
+        )
+        for name, frame in data.frames.items()
+    }
+    coordinates = {key: measured.values for key, measured in data.coordinates.items()}
+    points = {name: frame.point for name, frame in data.frames.items()}
+    return Sample(len(data.time), coordinates, frames, points)
+
+
+def first_rows(sample: Sample, count: int = 1) -> Sample:
+    """Return the quantities of the first rows."""
+    frames = {
+        name: BodyPose(*(None if each is None else each[:count] for each in pose))
+        for name, pose in sample.frames.items()
+    }
+    coordinates = {key: x[:count] for key, x in sample.coordinates.items()}
+    return Sample(count, coordinates, frames, sample.points)
+
+
+def body_poses(elements: Elements, sample: Sample, default: Origin) -> Poses:
+    """Compute the poses of all bodies that logged quantities determine.
+
+    Args:
+        elements: names of the scene and of the model file.
+        sample: logged quantities.
+        default: point of positions whose columns do not state a point.
+    """
+    mechanism, count = elements.mechanism, sample.rows
+    ground = mechanism.bodies[0]
+    poses: Poses = {
+        0: BodyPose(
+            np.broadcast_to(ground.center_of_mass, (count, 3)), np.broadcast_to(ground.quaternion, (count, 4))
+        )
+    }
+    # logged poses of frames
+    for name, logged in sample.frames.items():
+        frame = elements.frames[name]
+        body = mechanism.body_index(frame.body)
+        quaternion = position = None
+        if logged.quaternion is not None:
+            quaternion = quaternion_products(logged.quaternion, conjugate(frame.quaternion))
+        at_center = (sample.points[name] or default) == "center" and frame.body == name
+        if logged.position is not None and (at_center or not np.any(frame.point)):
+            position = logged.position
+        elif logged.position is not None and quaternion is not None:
+            position = logged.position - _rotated(quaternion, frame.point)
+        known = poses.get(body, BodyPose(None, None))
+        poses[body] = BodyPose(
+            position if known.position is None else known.position,
+            quaternion if known.quaternion is None else known.quaternion,
+        )
+    # along joints with logged coordinates, until no further body becomes known
+    waiting = list(mechanism.joints)
+    while waiting:
+        others = [joint for joint in waiting if not _pass_on(mechanism, joint, sample, poses)]
+        if len(others) == len(waiting):
+            break
+        waiting = others
+    return {body: pose for body, pose in poses.items() if pose.is_known}
+
+
+def _pass_on(mechanism: Mechanism, joint: Joint, sample: Sample, poses: Poses) -> bool:
+    """Compute the pose of one end of a joint from the other end; False if that is not possible (yet)."""
+    first, second = mechanism.body_index(joint.first), mechanism.body_index(joint.second)
+    ends = [poses.get(end, BodyPose(None, None)) for end in (first, second)]
+    keys = [(joint.name, k) for k in range(len(joint.coordinate_kinds))]
+    kinds = {motion.kind for motion in joint.motions}
+    if ends[0].is_complete == ends[1].is_complete or len(keys) != len(joint.motions) or "ball" in kinds:
+        return ends[0].is_complete and ends[1].is_complete
+    if len(keys) + _constraint_count(mechanism, joint) != 6 or not set(keys) <= sample.coordinates.keys():
+        return False
+    way, turn = _relative_pose(mechanism, joint, [sample.coordinates[key] for key in keys], sample.rows)
+    initial = [mechanism.bodies[end].quaternion for end in (first, second)]
+    # rotations since the initial pose: that of the second body is that of the first, times `turn`
+    if ends[0].is_complete:
+        rotation = quaternion_products(ends[0].quaternion, conjugate(initial[0]))
+        found, known, position = second, poses.get(second), ends[0].position + _rotated(rotation, way)
+        quaternion = quaternion_products(quaternion_products(rotation, turn), initial[1])
+    else:
+        rotation = quaternion_products(
+            quaternion_products(ends[1].quaternion, conjugate(initial[1])), conjugate(turn)
+        )
+        found, known, position = first, poses.get(first), ends[1].position - _rotated(rotation, way)
+        quaternion = quaternion_products(rotation, initial[0])
+    if known is not None:  # logged numbers count before computed ones
+        position = position if known.position is None else known.position
+        quaternion = quaternion if known.quaternion is None else known.quaternion
+    poses[found] = BodyPose(position, quaternion)
+    return True
+
+
+def _constraint_count(mechanism: Mechanism, joint: Joint) -> int:
+    """Return the number of constraint equations of a joint."""
+    equations = mechanism.joint_equations(joint.name)
+    return sum(constraint.count for constraint in equations.constraints)
+
+
+def _relative_pose(
+    mechanism: Mechanism, joint: Joint, coordinates: Sequence[Array], count: int
+) -> tuple[Array, Array]:
+    """Compute the pose of a joint's second body relative to the first body.
+
+    Args:
+        mechanism: bodies, at their initial poses.
+        joint: joint of hinges and slides.
+        coordinates: (n,) each, m or rad from the initial pose.
+        count: number n of times.
+
+    Returns:
+        The vector (n, 3) from the first to the second center of mass, m, and the rotation (n, 4) of the
+        second body since the initial pose. In both, the first body has its initial orientation.
+    """
+    centers = [mechanism.body(name).center_of_mass for name in (joint.first, joint.second)]
+    here = joint.motion_points[0] if joint.motions else joint.reaction_point
+    way = np.tile(here - joint.point_gap - centers[0], (count, 1))
+    turn = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    for motion, point, x in zip(joint.motions, joint.motion_points, coordinates, strict=True):
+        way, here = way + _rotated(turn, point - here), point
+        if motion.kind == "slide":
+            way = way + _rotated(turn, motion.axis) * x[:, None]
+        else:
+            half = 0.5 * x[:, None]
+            turn = quaternion_products(
+                turn, np.concatenate([np.cos(half), np.sin(half) * motion.axis], axis=1)
+            )
+    return way + _rotated(turn, centers[1] - here), turn
+
+
+def loop_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors:
+    """Return the violations of all joints between bodies with known poses."""
+    complete = {body: pose for body, pose in poses.items() if pose.is_complete}
+    places = list(complete)
+    position = np.stack([complete[k].position for k in places], axis=1)  # type: ignore[misc]
+    quaternion = np.stack([complete[k].quaternion for k in places], axis=1)  # type: ignore[misc]
+    rest = np.zeros_like(position)
+    frames = dict(zip(places, stacked_frames(position, quaternion, rest, rest), strict=True))
+    errors: dict[str, tuple[Array, Array]] = {}
+    for joint, equations in zip(mechanism.joints, mechanism.equations, strict=True):
+        if equations.first in complete and equations.second in complete:
+            phi = equations.phi(frames[equations.first], frames[equations.second])
+            residuals = np.abs(unstacked(phi, len(position)))  # (n, rows of the joint)
+            openings = np.linalg.norm(residuals * equations.is_length, axis=1)
+            errors[joint.name] = openings, np.max(residuals * ~equations.is_length, axis=1, initial=0.0)
+    if not errors:
+        return LoopErrors((), np.zeros((0, 0)), np.zeros((0, 0)))
+    openings, angles = (np.stack(each, axis=1) for each in zip(*errors.values(), strict=True))
+    return LoopErrors(tuple(errors), openings, angles)
+
+
+def quaternion_products(p: Any, q: Any) -> Array:
+    """Return quaternion products (n, 4); one of the factors may be (4,)."""
+    p, q = np.broadcast_arrays(p, q)
+    return np.moveaxis(product(np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)), 0, -1)
+
+
+def _rotated(quaternions: Any, vectors: Any) -> Array:
+    """Rotate vectors (3,) or (n, 3) by quaternions (n, 4)."""
+    vectors = np.broadcast_to(vectors, (len(quaternions), 3))
+    return np.einsum("nij,nj->ni", rotations(np.asarray(quaternions)), vectors)

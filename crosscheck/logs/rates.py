@@ -1,0 +1,170 @@
+"""Velocities and energies of a mechanism's bodies from the quantities of a log.
+
+Rates come from columns of the log, or else from differences of its first rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from crosscheck.logs.columns import LogData, Measured
+from crosscheck.logs.names import Elements, Origin
+from crosscheck.logs.poses import BodyPose, Poses, Sample, body_poses, quaternion_products
+from newton_euler.equations.applied_forces import energies, surroundings
+from newton_euler.equations.couplings import counted_angles
+from newton_euler.model.euler_parameters import conjugate, from_rotation_vector
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import stacked_frames
+from newton_euler.scalars import Array, unstacked
+
+RATE_ROWS = 5
+"""Number of first rows whose polynomial gives the rates at the start, if the log has no rates."""
+
+MAX_RATE_STEP = 1e-5
+"""Largest change of a coordinate, rad or m, by which rates of coordinates are converted to velocities."""
+
+
+class Rates(NamedTuple):
+    """Rates of logged quantities at one time or at n times: of coordinates, and of frames."""
+
+    coordinates: Mapping[Key, Array]
+    linear: Mapping[str, Array]
+    angular: Mapping[str, Array]
+
+
+def rates_at_start(data: LogData, rows: int = RATE_ROWS) -> tuple[Rates, list[str]]:
+    """Return rates (1,), (1, 3) at the first row, and the columns whose rates are differences of rows.
+
+    Args:
+        data: the log.
+        rows: number of rows for differences.
+    """
+    differences: list[str] = []
+
+    def rate(given: Measured | None, measured: Measured) -> Array:
+        """Return the logged rate of the first row, or else the difference of the first rows."""
+        if given is not None:
+            return given.values[:1]
+        differences.extend(measured.columns)
+        return derivative_at_start(data.time, measured.values, rows)[None]
+
+    coordinates = {key: rate(data.rates.get(key), x) for key, x in data.coordinates.items()}
+    linear, angular = dict[str, Array](), dict[str, Array]()
+    for name, frame in data.frames.items():
+        if frame.position is not None:
+            linear[name] = rate(frame.linear_velocity, frame.position)
+        if frame.quaternion is not None and frame.angular_velocity is not None:
+            angular[name] = frame.angular_velocity.values[:1]
+        elif frame.quaternion is not None:
+            slope = rate(None, frame.quaternion)
+            angular[name] = 2.0 * quaternion_products(slope, conjugate(frame.quaternion.values[:1]))[:, 1:]
+    return Rates(coordinates, linear, angular), differences
+
+
+def logged_rates(data: LogData) -> Rates | None:
+    """Return the rates at all times; None if the log does not have all of them."""
+    if not data.coordinates.keys() <= data.rates.keys():
+        return None
+    linear, angular = dict[str, Array](), dict[str, Array]()
+    for name, frame in data.frames.items():
+        if frame.position is not None:
+            if frame.linear_velocity is None:
+                return None
+            linear[name] = frame.linear_velocity.values
+        if frame.quaternion is not None:
+            if frame.angular_velocity is None:
+                return None
+            angular[name] = frame.angular_velocity.values
+    return Rates({key: data.rates[key].values for key in data.coordinates}, linear, angular)
+
+
+def derivative_at_start(time: Array, values: Array, rows: int) -> Array:
+    """Differentiate values (n, ...) at the first of n times by the polynomial through the first rows."""
+    rows = min(rows, len(time))
+    scale = time[rows - 1] - time[0]
+    powers = np.vander((time[:rows] - time[0]) / scale, rows, increasing=True)
+    # weights w of the rows: p'(0) = w . values
+    weights = np.linalg.solve(powers.T, np.eye(rows)[1]) / scale
+    return np.tensordot(weights, values[:rows], axes=1)
+
+
+def velocities(
+    elements: Elements, sample: Sample, rates: Rates, default: Origin
+) -> dict[int, tuple[Array, Array]]:
+    """Compute linear and angular velocities (n, 3) of all bodies with known poses.
+
+    The poses are computed a short time before and after each time, and subtracted.
+    """
+    numbers = [*rates.coordinates.values(), *rates.linear.values(), *rates.angular.values()]
+    step = MAX_RATE_STEP / max(1e-3, *(float(np.max(np.abs(each))) for each in numbers))
+    before, after = (
+        body_poses(elements, _advanced(sample, rates, sign * step), default) for sign in (-1.0, 1.0)
+    )
+    found: dict[int, tuple[Array, Array]] = {}
+    for body, pose in after.items():
+        if pose.is_complete:
+            linear = (pose.position - before[body].position) / (2.0 * step)  # type: ignore[operator]
+            turn = quaternion_products(pose.quaternion, conjugate(before[body].quaternion))  # type: ignore[arg-type]
+            turn = turn * np.where(turn[:, :1] < 0.0, -1.0, 1.0)
+            found[body] = linear, turn[:, 1:] / step  # twice the vector part, in twice the step
+    return found
+
+
+def _advanced(sample: Sample, rates: Rates, step: float) -> Sample:
+    """Return the quantities after a short time, s, which may be negative."""
+    coordinates = {key: x + step * rates.coordinates[key] for key, x in sample.coordinates.items()}
+    frames = {}
+    for name, (position, quaternion) in sample.frames.items():
+        if position is not None:
+            position = position + step * rates.linear[name]
+        if quaternion is not None:
+            turns = np.array([from_rotation_vector(step * omega) for omega in rates.angular[name]])
+            quaternion = quaternion_products(turns, quaternion)
+        frames[name] = BodyPose(position, quaternion)
+    return sample._replace(coordinates=coordinates, frames=frames)
+
+
+def energy(scene: Scene, data: LogData, poses: Poses, moving: Mapping[int, tuple[Array, Array]]) -> Any:
+    """Return kinetic and potential energy (n,), J, of logged motion; None if it is not known.
+
+    Args:
+        scene: the scene.
+        data: the log.
+        poses: poses of bodies.
+        moving: linear and angular velocities (n, 3) of bodies.
+    """
+    count = len(scene.mechanism.bodies)
+    if len(moving) < count:
+        return None
+    wound = [key for key in counted_angles(scene) if key in data.coordinates]
+    if any(np.max(np.abs(data.coordinates[key].values)) > np.pi for key in wound):
+        return None
+    arrays = [[*poses[k], *moving[k]] for k in range(count)]
+    stacked = [np.stack([np.asarray(each[i]) for each in arrays], axis=1) for i in range(4)]
+    frames = stacked_frames(*stacked)
+    rows = len(data.time)
+    inertias = [body.inertia for body in scene.mechanism.bodies]
+    kinetic, potential = energies(scene, frames, inertias)
+    at = surroundings(scene, _StackedState(frames))  # type: ignore[arg-type]
+    kinetic = kinetic + sum((armature.energy(at) for armature in scene.armatures), start=0.0)
+    potential = potential + sum((force.energy(at) for force in scene.forces), start=0.0)
+    return unstacked([kinetic, potential], rows).T
+
+
+class _StackedState:
+    """Frames of a state at n times, for `surroundings`."""
+
+    def __init__(self, frames: list[Any]) -> None:
+        self._frames = frames
+
+    def frames(self) -> list[Any]:
+        """Return the frames of all bodies."""
+        return self._frames
+
+    def revolutions(self, key: Key, x: Any) -> float:
+        """Return no revolutions: angles are within half a revolution."""
+        return 0.0

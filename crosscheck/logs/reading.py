@@ -1,0 +1,231 @@
+"""A log as its options read it, beside the reference solution from its start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from crosscheck.engines.engine import native_method
+from crosscheck.logs.columns import LogData, read_columns
+from crosscheck.logs.inputs import started_at, with_inputs
+from crosscheck.logs.names import Elements, Origin
+from crosscheck.logs.options import LogOptions
+from crosscheck.logs.poses import Poses, all_rows, body_poses, first_rows, loop_errors
+from crosscheck.logs.rates import energy, logged_rates, velocities
+from crosscheck.logs.start import LogStart, log_start
+from crosscheck.logs.table import LogTable
+from crosscheck.own_run.errors import MotionScale, RunError, run_error
+from crosscheck.own_run.interpolation import interpolated, of_bodies, without_energies
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import StoppedError, Trajectory
+from newton_euler.reading.file_names import FileNames
+from newton_euler.runs.simulate import simulate
+from newton_euler.scalars import Array
+
+MAX_ROWS = 4000
+"""Largest number of compared rows; of a longer log every second, third, ... row is compared."""
+
+MIN_PERIODS = 500
+"""Smallest number of outputs of the reference if the rows of a log are not equally spaced. The reference is
+interpolated between outputs by cubic polynomials."""
+
+EQUAL_SPACING = 1e-6
+"""Largest deviation of a row from equal spacing, relative to the spacing, that is round-off of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedLog:
+    """A log beside the reference solution from its start.
+
+    Attributes:
+        data: numbers of the log.
+        start: start of the reference.
+        scene: scene of the reference.
+        reference: reference solution, at its own output times.
+        scale: extent of the reference's motion.
+        run: logged motion of the known bodies at the compared times.
+        points: point of positions.
+        poses: poses of all known bodies.
+        has_energy: True if the log determines the energy.
+        error: error of the log.
+    """
+
+    data: LogData
+    start: LogStart
+    scene: Scene
+    reference: Trajectory
+    scale: MotionScale
+    run: Trajectory
+    points: Origin
+    poses: Poses
+    has_energy: bool
+    error: RunError
+
+    def reference_at(self, times: Array) -> Trajectory:
+        """Return the reference at some times, s since the start, for the bodies of the log."""
+        found = of_bodies(interpolated(self.reference, times), self.run.body_names)
+        return found if self.has_energy else without_energies(found)
+
+
+class LogReading:
+    """A log that can be read in different ways.
+
+    Attributes:
+        scene: the scene, whose start the log replaces.
+        names: names in the model file of the scene; None for other scenes.
+        table: the log.
+        elements: names that columns can belong to.
+    """
+
+    def __init__(self, scene: Scene, names: FileNames | None, table: LogTable) -> None:
+        """Take a scene, the names of its model file, and a log."""
+        self.scene, self.names, self.table = scene, names, table
+        self.elements = Elements(scene.mechanism, names)
+
+    def data(self, options: LogOptions) -> LogData:
+        """Return the numbers of the log as options read them.
+
+        Raises:
+            SourceError: for a log that cannot be read so, with the column and the remedy.
+        """
+        return read_columns(self.table, self.elements, options)
+
+    def compared(self, options: LogOptions) -> ComparedLog:
+        """Simulate the reference from the start of the log, and compare.
+
+        Raises:
+            SourceError: for a log that cannot be read so, or whose first row fits no state.
+            NewtonEulerError: if the reference stops.
+        """
+        data = _from_offset(self.data(options), options.offset)
+        points = options.position or self._point(data)
+        scene = started_at(self.scene, float(data.time[0]) - options.offset)
+        scene = with_inputs(scene, data, self.names)
+        start = log_start(scene, self.elements, data, points)
+        # rows to compare, and outputs of the reference at these or at closer times
+        stride = -(-len(data.time) // MAX_ROWS)
+        rows = data.at(np.arange(0, len(data.time), stride))
+        times = rows.time - rows.time[0]
+        scene = replace(
+            scene,
+            initial_state=start.state,
+            duration=float(times[-1]),
+            output_period=_output_period(times),
+            outputs=frozenset({"velocities", "energy"}),
+        )
+        reference = _reference(scene)
+        scale = MotionScale.of(reference, scene.mechanism.size)
+        run, poses, has_energy = self._run(scene, rows, points, reference, times)
+        expected = of_bodies(interpolated(reference, run.time), run.body_names)
+        error = run_error(run, expected if has_energy else without_energies(expected), scale)
+        return ComparedLog(
+            data, start, scene, reference, scale, run, points if data.frames else "", poses, has_energy, error
+        )
+
+    def _point(self, data: LogData) -> Origin:
+        """Choose the point of positions for which the joints of the first row fit better."""
+        if not any(np.any(self.elements.frames[name].point) for name in data.frames):
+            return "center"
+        sample = first_rows(all_rows(data))
+        gaps = dict[Origin, float]()
+        points: tuple[Origin, ...] = ("frame", "center")
+        for point in points:
+            poses = body_poses(self.elements, sample, point)
+            errors = loop_errors(self.scene.mechanism, poses)
+            gaps[point] = max(float(np.max(each, initial=0.0)) for each in (errors.openings, errors.angles))
+        return "center" if gaps["center"] < 0.5 * gaps["frame"] else "frame"
+
+    def _run(
+        self, scene: Scene, data: LogData, points: Origin, reference: Trajectory, times: Array
+    ) -> tuple[Trajectory, Poses, bool]:
+        """Return the logged motion of known bodies; unknown parts of a pose are those of the reference."""
+        times = times[times <= reference.time[-1] * (1.0 + 1e-9)]
+        sample = all_rows(data.at(np.arange(len(times))))
+        poses = body_poses(self.elements, sample, points)
+        bodies = [body for body in sorted(poses) if body]
+        if not bodies:
+            needed = (
+                "columns position.BODY.x, quaternion.BODY.w, or coordinates of all joints up to the ground"
+            )
+            raise self.table.error(f"determines the motion of no body; needed: {needed}")
+        at_times = interpolated(reference, times)
+        position, quaternion = (np.array(each) for each in (at_times.position, at_times.quaternion))
+        for body in bodies:
+            if (known := poses[body].position) is not None:
+                position[:, body] = known
+            if (known := poses[body].quaternion) is not None:
+                quaternion[:, body] = known
+        energies: Any = None
+        if (rates := logged_rates(data.at(np.arange(len(times))))) is not None:
+            moving = velocities(self.elements, sample, rates, points)
+            energies = energy(scene, data.at(np.arange(len(times))), poses, moving)
+        kinetic, potential = (None, None) if energies is None else energies
+        run = replace(
+            at_times,
+            engine=self.table.where,
+            position=position,
+            quaternion=quaternion,
+            kinetic_energy=kinetic,
+            potential_energy=potential,
+        )
+        names = [scene.mechanism.body_names[body] for body in bodies]
+        return of_bodies(run, names), poses, energies is not None
+
+    def start_error(self, compared: ComparedLog) -> RunError | None:
+        """Measure the error that another estimate of the start velocities causes; None if they are logged."""
+        if not compared.start.differences:
+            return None
+        try:
+            data = compared.data
+            start = log_start(compared.scene, self.elements, data, compared.points or "frame", rows=4)
+            other = _reference(replace(compared.scene, initial_state=start.state))
+        except NewtonEulerError:
+            return None
+        return run_error(without_energies(other), without_energies(compared.reference), compared.scale)
+
+    def missing(self, compared: ComparedLog) -> tuple[str, ...]:
+        """Name bodies that the log does not determine, with the coordinates that it lacks of their joints."""
+        mechanism, found = self.scene.mechanism, list[str]()
+        for name in set(mechanism.body_names[1:]) - set(compared.run.body_names):
+            keys = [
+                (joint.name, k)
+                for joint in mechanism.joints
+                if name in (joint.first, joint.second)
+                for k in range(len(joint.coordinate_kinds))
+            ]
+            labels = [
+                mechanism.coordinate_labels[key] for key in keys if key not in compared.data.coordinates
+            ]
+            columns = " or ".join(f"coordinate.{label}" for label in labels)
+            found.append(f"{name} ({columns or f'pose of {name}'} is missing)")
+        return tuple(sorted(found))
+
+
+def _from_offset(data: LogData, offset: float) -> LogData:
+    """Return a log without the rows before the time zero of the scene, if it has three rows after that."""
+    rows = np.flatnonzero(data.time >= offset)
+    if not offset or len(rows) < 3 or len(rows) == len(data.time):
+        return data
+    return data.at(rows)
+
+
+def _output_period(times: Array) -> float:
+    """Return the output period of a reference, s: the spacing of equally spaced rows, or a shorter period."""
+    duration, count = float(times[-1]), len(times) - 1
+    spacing = duration / count
+    if np.max(np.abs(times - spacing * np.arange(len(times)))) <= EQUAL_SPACING * spacing:
+        return spacing
+    return duration / min(MAX_ROWS, max(MIN_PERIODS, 4 * count))
+
+
+def _reference(scene: Scene) -> Trajectory:
+    """Simulate the reference; a run that stops early counts as far as it came."""
+    try:
+        return simulate(scene, **native_method(scene, refined=False))
+    except StoppedError as error:
+        if error.partial is None or len(error.partial.time) < 3:
+            raise
+        return error.partial

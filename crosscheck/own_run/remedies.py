@@ -1,0 +1,159 @@
+"""Find settings that reduce the error of a model file's run. Every remedy is measured by a run.
+
+In: the file beside its reference solution, and the judged run. Out: at most two remedies: the most accurate
+settings that cost no more than those of the file, and the cheapest settings that reach the error `TARGET`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from crosscheck.own_run.comparison import Comparison
+from crosscheck.own_run.errors import ACCURATE_BELOW, RunError
+from newton_euler.reading.file_run import FileRun
+
+TARGET = ACCURATE_BELOW
+"""Relative error that remedies aim at."""
+
+MIN_GAIN = 0.5
+"""Largest error of a remedy, as a fraction of the error of the file's settings."""
+
+KINDS_REFINED = 2
+"""Number of kinds of settings that are tried at smaller steps."""
+
+MAX_COST = 40.0
+"""Largest number of evaluations of a remedy, as a multiple of those of the judged run."""
+
+
+@dataclass(frozen=True)
+class MeasuredRemedy:
+    """Settings that were tried, with the error and the cost of their run.
+
+    Attributes:
+        changes: settings that differ from those of the file, by name.
+        fragment: text that gives the file these settings.
+        error: error of the run.
+        evaluations: evaluations of the equations of motion, as a multiple of those of the file's settings.
+        run_time: measured run time, as a multiple of the run time of the file's settings; the multiple of
+            the evaluations if the run of the file diverged.
+    """
+
+    changes: Mapping[str, str]
+    fragment: str
+    error: RunError
+    evaluations: float
+    run_time: float
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Settings of a completed run, and the divisor of the file's time step in them."""
+
+    divisor: float
+    settings: Any
+    remedy: MeasuredRemedy
+
+
+def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> list[MeasuredRemedy]:
+    """Try other settings than those of the file.
+
+    Args:
+        compared: the file beside its reference.
+        run: the judged run.
+        error: error of the judged run.
+
+    Returns:
+        Settings with at most `MIN_GAIN` of the error: the most accurate ones of similar cost, and the
+        cheapest ones that reach `TARGET`, or else the most accurate ones of all. If the judged run diverged
+        and no settings of similar cost complete, the cheapest settings that complete come first.
+    """
+    # every kind of settings at the time step of the file, or the first ones that complete at smaller steps
+    same_step = ((1.0, settings) for settings in compared.simulation.alternatives(1))
+    trials = list(_completed(compared, run, same_step))
+    if not trials:
+        trials = list(islice(_completed(compared, run, _smaller_steps(compared)), KINDS_REFINED))
+    # the most accurate kinds at smaller steps
+    trials.sort(key=lambda trial: trial.remedy.error.relative)
+    remedies = [trial.remedy for trial in trials]
+    for trial in trials[:KINDS_REFINED]:
+        remedies.extend(_refined(compared, run, trial))
+    better = [each for each in remedies if run.stopped or each.error.relative < MIN_GAIN * error.relative]
+    return list(_chosen(better, bool(run.stopped)))
+
+
+def _completed(compared: Comparison, run: FileRun, kinds: Iterable[tuple[float, Any]]) -> Iterator[_Trial]:
+    """Run settings and yield those that complete.
+
+    Args:
+        compared, run: see `find_remedies`.
+        kinds: divisors of the file's time step, and settings.
+    """
+    simulation = compared.simulation
+    for divisor, settings in kinds:
+        tried = compared.run_once(settings)
+        if tried.stopped:
+            continue
+        evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
+        run_time = evaluations if run.stopped else tried.trajectory.wall_time / run.trajectory.wall_time
+        remedy = MeasuredRemedy(
+            simulation.changes(settings),
+            simulation.fragment(settings),
+            compared.error(tried),
+            evaluations,
+            run_time,
+        )
+        yield _Trial(divisor, settings, remedy)
+
+
+def _smaller_steps(compared: Comparison) -> list[tuple[float, Any]]:
+    """List divisors of the time step and all kinds of settings at these, the fewest evaluations first."""
+    simulation = compared.simulation
+    divisors = [2**k for k in range(1, int(np.log2(MAX_COST)) + 1)]
+    kinds = [(float(n), settings) for n in divisors for settings in simulation.alternatives(n)]
+    affordable = [pair for pair in kinds if compared.affords(pair[1])]
+    return sorted(affordable, key=lambda pair: simulation.evaluations(pair[1]))
+
+
+def _refined(compared: Comparison, run: FileRun, trial: _Trial) -> Iterator[MeasuredRemedy]:
+    """Halve the time step of settings until they reach `TARGET` or cost too much; yield all that complete."""
+    error, factor = trial.remedy.error, 2.0
+    while error.relative > TARGET and factor * trial.remedy.evaluations <= MAX_COST:
+        divisor = factor * trial.divisor
+        settings = compared.simulation.at_divisor(trial.settings, divisor)
+        if not compared.affords(settings):
+            return
+        for finer in _completed(compared, run, [(divisor, settings)]):
+            yield finer.remedy
+            error = finer.remedy.error
+        factor *= 2.0
+
+
+def _chosen(better: Sequence[MeasuredRemedy], diverged: bool) -> Iterator[MeasuredRemedy]:
+    """Yield the remedies to report, see `find_remedies`.
+
+    Args:
+        better: remedies with a smaller error than the judged run.
+        diverged: whether the judged run diverged.
+    """
+
+    def by_error(remedy: MeasuredRemedy) -> float:
+        return remedy.error.relative
+
+    def by_cost(remedy: MeasuredRemedy) -> tuple[float, float]:
+        return remedy.evaluations, remedy.error.relative
+
+    cheap = min((each for each in better if each.evaluations <= 1.0), key=by_error, default=None)
+    if cheap is None and diverged:
+        cheap = min(better, key=by_cost, default=None)
+    accurate = min((each for each in better if each.error.relative <= TARGET), key=by_cost, default=None)
+    if accurate is None:
+        accurate = min(better, key=by_error, default=None)
+    if cheap is not None:
+        yield cheap
+    if accurate is not None and accurate is not cheap:
+        yield accurate
