@@ -312,4 +312,5 @@ def _divergence(warning: str, time: float, outputs: Sequence[Output]) -> Diverge
     last = outputs[-1]
     scene, state = last.system.scene, last.system.state(last.q, last.v)
     forces = surroundings(scene, state, time)
-    return DivergenceError(time, with_likely_causes(scene, state, warning.partition(". ")[0], forces))
+    first_sentence, _, _ = warning.partition(". ")
+    return DivergenceError(time, with_likely_causes(scene, state, first_sentence, forces))

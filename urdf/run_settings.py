@@ -37,8 +37,8 @@ EXPLICIT_DAMPING, IMPLICIT_DAMPING = "explicit", "implicit"
 DAMPINGS = (EXPLICIT_DAMPING, IMPLICIT_DAMPING)
 """Velocities at which a loop evaluates joint dampers: those before the step, or those after the step.
 
-For implicit damping, a loop adds `timestep * damping` to `model.armature` once. With step h, damping D and
-new velocities v + h a, the equation M a = f - D (v + h a) is (M + h D) a = f - D v."""
+For implicit damping, a loop adds `timestep * damping` to `model.armature` once. Let h be the step and D the
+damping. With the new velocities v + h a, M a = f - D (v + h a) becomes (M + h D) a = f - D v."""
 
 OwnRun = str | os.PathLike[str] | Mapping[str, object]
 """Settings of the user's own run: path of a YAML file, YAML text of a mapping in braces, or a mapping."""

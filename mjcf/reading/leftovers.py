@@ -42,7 +42,7 @@ PASSIVE_ELEMENTS = {
     "numeric": "numbers",
     "tuple": "tuples",
 }
-"""Kinds of elements that move nothing, as MuJoCo abbreviates them, and their plurals in reports."""
+"""Kinds of elements that move nothing, as in MuJoCo's counts (`ncam`, ...), and their plurals in reports."""
 
 MAX_LISTED_PAIRS = 3
 """Largest number of touching pairs of geoms that a report names."""
@@ -66,7 +66,7 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
     """
     model = start.model
     poses = Poses(start, bodies)
-    # gravity, springs and dampers that the file disables; contacts
+    # gravity, springs and dampers that the file disables; contacts; meshes
     _report_flags(start, report)
     _report_contacts(start, poses, report)
     mesh_count = int(np.sum(model.geom_dataid >= 0))
