@@ -172,7 +172,7 @@ class HingeAngle:
     """Joint coordinate: the angle, rad, in (-pi, pi], of one hinge of a row; zero at the initial pose.
 
     Attributes:
-        index: number of the hinge in the row, from 0.
+        index: index of the hinge in the row, from 0.
         row: the hinges.
     """
 

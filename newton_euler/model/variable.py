@@ -25,8 +25,8 @@ T = TypeVar("T")
 Change = Callable[..., Any]
 """Function that copies an object with other values of some fields, given as keywords.
 
-It is `altered`, which does not check the values, or `dataclasses.replace`, whose call of the constructor
-does.
+The function is either `altered`, which does not check the values, or `dataclasses.replace`, which calls the
+constructor and so checks them.
 """
 
 PART_UNITS = {"angular_frequency": "rad/s", "phase": "rad"}
@@ -211,7 +211,8 @@ class Variable:
 
     @property
     def constants(self) -> dict[str, str]:
-        """Reasons why numbers cannot vary, by the name of the number."""
+        """Reasons why numbers cannot vary, by name: ATTRIBUTE, or ATTRIBUTE.FIELD for a field of a function
+        of time."""
         of_functions = {
             f"{attribute}.{name}": reason
             for attribute, field in self.number_fields.items()
@@ -260,6 +261,7 @@ class Variable:
         """
         fields: dict[str, Any] = {}
         for name, value in values.items():
+            # Several variables may be parts of one attribute, so that an earlier one may have changed it
             attribute, _, part = name.partition(".")
             present = fields.get(attribute, getattr(self, attribute))
             if name in self.points:

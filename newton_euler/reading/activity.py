@@ -236,6 +236,8 @@ class Bounds:
 
     def judge(self, motion: SampledMotion) -> Activity:
         """Report whether the limit is passed at any time of a motion."""
+        # Sum the terms and their interpolation errors; the error of a rate is estimated as the error of the
+        # coordinate divided by the time between outputs
         x, rate = np.zeros((2, len(motion.time)))
         steps = np.diff(motion.run.time)
         errors = np.zeros(steps.shape)
@@ -261,7 +263,7 @@ class Bounds:
             values: (m,) values of the limited quantity.
             errors: (n - 1,) largest interpolation error of the values in each output interval.
         """
-        # distance from the nearer limit, negative outside
+        # Distance from the nearer limit, negative outside
         room = np.minimum(values - self.low, self.high - values)
         worst = int(np.argmin(room))
         if np.isinf(room[worst]):
