@@ -1,6 +1,8 @@
 """Compare the controllers of a scene: tracking error, actuator force and energy in each engine.
 
-`compared` runs a scene with each of its controllers in each engine and returns tables of their performance.
+`compared` runs a scene with each of its controllers in each engine (newton_euler, MuJoCo, Pinocchio) and
+returns tables of their performance. A controller is a set of control laws, one for each driven joint
+coordinate; a control law may follow a target, a number or a function of time.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ CONTROLLER_OPTION = "controller"
 """Name of the option by which a scene of the library chooses its controller."""
 
 MIN_OUTPUTS = 1000
-"""Smallest number of outputs of a run. Mean values and integrals over time are sums over the outputs."""
+"""Smallest number of outputs of a run, from which mean values and integrals over time are computed."""
 
 
 class Performance(NamedTuple):
@@ -39,8 +41,9 @@ class Performance(NamedTuple):
     Attributes:
         error_rms, error_peak: root mean square over time and coordinates, and largest magnitude, of the
             tracking error x - r (coordinate minus target).
-        force_rms, force_peak: the same of the actuator forces or torques.
-        energy: J, positive work of all actuators, see `work_and_energy`.
+        force_rms, force_peak: root mean square over time and coordinates, and largest magnitude, of the
+            actuator forces or torques.
+        energy: positive work of all actuators, J; braking recovers no energy.
     """
 
     error_rms: float
@@ -58,7 +61,7 @@ def controllers(scene: str, given: Mapping[str, str | float]) -> Iterator[tuple[
     Raises:
         CrosscheckError: if no control law of the scene follows a target.
     """
-    # a library scene with the option offers the names of its controllers as the option's values
+    # Names of the controllers: allowed values of the option of a library scene, unless the user chose one
     known = options_of(SCENES[scene]) if scene in SCENES else {}
     has_choice = CONTROLLER_OPTION in known and CONTROLLER_OPTION not in given
     values: object = known[CONTROLLER_OPTION].values if has_choice else ()
@@ -76,46 +79,52 @@ def performance(scene: Scene, run: Trajectory) -> dict[str, Performance]:
     Returns:
         The performance by kind of coordinate, "slides" or "hinges".
     """
-    found: dict[str, dict[int, float | TimeFunction]] = {}
+    targets_of_kinds: dict[str, dict[int, float | TimeFunction]] = {}
     for k, target in _targets(scene).items():
         law = scene.control[k]
         kind = "slides" if scene.mechanism.is_slide(law.joint, law.coordinate) else "hinges"
-        found.setdefault(kind, {})[k] = target
-    return {kind: _performance(scene, run, targets) for kind, targets in found.items()}
+        targets_of_kinds.setdefault(kind, {})[k] = target
+    return {kind: _performance(scene, run, targets) for kind, targets in targets_of_kinds.items()}
 
 
 def _performance(scene: Scene, run: Trajectory, targets: Mapping[int, float | TimeFunction]) -> Performance:
-    """Compute the performance of the control laws in `targets`, whose keys are places in `scene.control`."""
+    """Compute the performance of the control laws in `targets`, whose keys are indices in `scene.control`."""
     assert run.actuator_force is not None
     errors, energy = [], 0.0
     forces = run.actuator_force[:, list(targets)]
     for force, (k, target) in zip(forces.T, targets.items(), strict=True):
         law = scene.control[k]
         x = run.joint(law.joint).coordinates[:, law.coordinate]
-        energy += float(work_and_energy(force, x)[1][-1])
+        _, energy_until = work_and_energy(force, x)
+        energy += float(energy_until[-1])
         errors.append(x - [float(reference(target, float(t)).value) for t in run.time])
 
     def magnitudes(signals: Array) -> tuple[float, float]:
-        """Root mean square over time, and largest magnitude, of signals (a, n)."""
+        """Return root mean square over time and signals, and largest magnitude, of signals (laws, n)."""
         mean_square = float(np.trapezoid(signals**2, run.time).mean() / run.time[-1])
         return mean_square**0.5, float(np.max(np.abs(signals)))
 
-    return Performance(*magnitudes(np.array(errors)), *magnitudes(forces.T), energy)
+    error_rms, error_peak = magnitudes(np.array(errors))
+    force_rms, force_peak = magnitudes(forces.T)
+    return Performance(error_rms, error_peak, force_rms, force_peak, energy)
 
 
 def _targets(scene: Scene) -> dict[int, float | TimeFunction]:
-    """Return the targets of control laws by the law's place in `scene.control`."""
+    """Return the targets of the control laws that follow one, by the index of the law in `scene.control`."""
+    # a sampled (digital) law contains a law in continuous time
     declared = [law.law if isinstance(law, Digital) else law for law in scene.control]
     laws = {k: law for k, law in enumerate(declared) if isinstance(law, DeclaredLaw)}
     return {k: law.target for k, law in laws.items() if _follows(law)}
 
 
 def _follows(law: DeclaredLaw) -> bool:
-    """Return True if a gain of the law acts on its target, which motors of model files and dampers do not
-    have."""
-    moves = isinstance(law.target, TimeFunction)
+    """Return True if a gain of the law acts on its target.
+
+    Motors of model files have no gains; a damper has a gain K_d only, which acts on moving targets only.
+    """
+    target_moves = isinstance(law.target, TimeFunction)
     gains = law.feedback.values()
-    return isinstance(law, ComputedTorque) or any(k_p or (k_d and moves) for k_p, k_d in gains)
+    return isinstance(law, ComputedTorque) or any(k_p or (k_d and target_moves) for k_p, k_d in gains)
 
 
 def compared(
@@ -132,20 +141,23 @@ def compared(
     Returns:
         A table for slides if slides have targets, and one for hinges if hinges have targets.
     """
-    kinds: dict[str, Rows] = {}
+    rows_of_kinds: dict[str, Rows] = {}
     pairs = list(product(controllers(scene, given), engines))
     for (name, loaded), engine in with_progress(pairs, progress, "run"):
-        wanted = replace(
+        with_outputs = replace(
             loaded,
             output_period=min(loaded.output_period, loaded.duration / MIN_OUTPUTS),
             outputs=frozenset({"actuation"}),
         )
-        for kind, found in performance(loaded, ENGINES[engine].simulate(wanted)).items():
-            rows = kinds.setdefault(kind, [])
-            if name not in rows:
+        for kind, found in performance(loaded, ENGINES[engine].simulate(with_outputs)).items():
+            rows = rows_of_kinds.setdefault(kind, [])
+            if name not in rows:  # a heading above the rows of the engines
                 rows.append(name)
             rows.append([f"  {engine}", *(f"{value:.3g}" for value in found)])
-    return [Table(kind if len(kinds) > 1 else "", columns(kind), rows) for kind, rows in kinds.items()]
+    return [
+        Table(kind if len(rows_of_kinds) > 1 else "", columns(kind), rows)
+        for kind, rows in rows_of_kinds.items()
+    ]
 
 
 def columns(kind: str) -> list[Column]:

@@ -1,5 +1,10 @@
-"""Report on an identification (fit of model parameters to measured motion): parameters, residuals,
-correlations."""
+"""Report on an identification, a fit of model parameters to measured motion.
+
+The report has the fitted parameters with standard deviations, the residuals (measured minus computed values)
+of each measured column, and pairs of parameters that the data do not distinguish. A measured column is one
+quantity at many times, such as a coordinate of a body; a fit can use several runs. The noise of a column is
+the standard deviation of its measurement errors.
+"""
 
 from __future__ import annotations
 
@@ -31,6 +36,7 @@ MAX_REPORTED_PAIRS = 5
 
 def report(found: Identification) -> Report:
     """Make the report on a fit: a table of parameters, a table of measured columns, and notes."""
+    # a run has the residuals of its columns by name
     numbers = sum(len(column) for run in found.residuals for column in run.values())
     runs = f"{len(found.residuals)} run{'s' * (len(found.residuals) != 1)}"
     fitted = f"{len(found.parameters)} parameter{'s' * (len(found.parameters) != 1)}"
@@ -44,7 +50,7 @@ def report(found: Identification) -> Report:
 
 
 def _judged(found: Identification) -> Cell:
-    """Return the verdict of the fit as one word."""
+    """Return the verdict of the fit in one word; "fits" only if noise was given, so that misfits show."""
     if found.is_wrong:
         return Cell("wrong", "fails")
     if found.doubts:
@@ -53,11 +59,15 @@ def _judged(found: Identification) -> Cell:
 
 
 def _columns(found: Identification) -> Table:
-    """Tabulate the noise and the residuals of each measured column."""
+    """Tabulate the noise and the residuals of each measured column.
+
+    The columns are the noise in different runs, the root mean square of the residuals, the largest residual,
+    and the root mean square divided by the noise.
+    """
     rows: Rows = []
     for name, misfit in found.misfits.items():
-        levels = [run[name] for run in found.noise if name in run]
-        noise = " to ".join(dict.fromkeys(f"{level:.3g}" for level in (min(levels), max(levels))))
+        noises = [run[name] for run in found.noise if name in run]
+        noise = " to ".join(dict.fromkeys(f"{each:.3g}" for each in (min(noises), max(noises))))
         residuals = np.concatenate([run[name] for run in found.residuals if name in run])
         rms, peak = np.sqrt(np.mean(residuals**2)), np.abs(residuals).max()
         rows.append([name, noise, f"{rms:.3g}", f"{peak:.3g}", f"{misfit:.3g}"])
@@ -65,7 +75,7 @@ def _columns(found: Identification) -> Table:
 
 
 def _correlated(found: Identification) -> Iterator[str]:
-    """Name the pairs of parameters whose estimates are almost perfectly correlated."""
+    """Yield a line for each pair of parameters whose estimates are almost perfectly correlated."""
     correlation = found.correlation
     pairs = [
         (abs(correlation[a, b]), a, b)
@@ -78,7 +88,7 @@ def _correlated(found: Identification) -> Iterator[str]:
 
 
 def data(found: Identification) -> dict[str, Any]:
-    """Return the numbers of a fit for JSON."""
+    """Return the result of a fit for JSON; most entries are attributes of `Identification`."""
     rows = zip(
         found.units,
         found.before.tolist(),

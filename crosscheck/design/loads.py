@@ -1,7 +1,7 @@
 """Design loads: run the load cases of a scene, and write the largest loads of joints and actuators.
 
-A load case is a run of the scene with certain settings. The results are tables, a CSV, a plot and a
-recording.
+A load is a force or torque at a joint or of an actuator. A load case is a run of the scene with certain
+settings, or the scene held at rest. The results are tables, a CSV, a plot and a recording.
 """
 
 from __future__ import annotations
@@ -64,22 +64,24 @@ STANDARD_GRAVITY = 9.81
 """m/s^2, rounded acceleration of gravity on Earth, for the weight that scales `LOAD_ROUND_OFF`."""
 
 NOT_UNIQUE = "stiffness decides how these joints share loads: the tables show one solution of many"
-"""Note on joints whose reactions are not unique."""
+"""Note on joints whose reactions redundant constraints leave undetermined."""
 
 EXCITE = "; --set excitation=on moves joints of model files and drives their actuators"
-"""Next step if nothing moves."""
+"""Advice to the user if nothing moves."""
 
 GOVERNED_BY = Column("governed by", below=True)
-"""Column of the load case and time of the largest load."""
+"""Column of tables with the load case and time of the largest load."""
 
 LOAD_COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
-"""Components along and across the axis, of the loads of joints with one axis."""
+"""Components of forces and torques along and across the axis, for joints with one axis, by quantity."""
 
 
 def parse_cases(given: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Parse texts `NAME:OPTION=VALUE,OPTION=VALUE` into the settings of each case, by the case's name.
+    """Parse texts `NAME:OPTION=VALUE,OPTION=VALUE` of load cases.
 
-    Without texts there is one case, `UNNAMED_CASE`, without settings.
+    Returns:
+        The settings (`OPTION=VALUE`, ...) of each case, by the name of the case. Without texts there is one
+        case, `UNNAMED_CASE`, without settings.
 
     Raises:
         CrosscheckError: naming the case at fault.
@@ -143,13 +145,16 @@ def loads(
             # elements of the model file, such as contacts, that would have acted in the run
             if mapping and (found := watched(scene, mapping, runs[name]).acting):
                 acting[name] = found
+    # The envelope takes axes of joints from the mechanism, which is the same in all cases
     first_scene, _ = next(iter(models.values()))
     envelope = load_envelope(first_scene, runs)
-    still = [] if at_rest else [name for name, run in runs.items() if nothing_moves({name: run}, first_scene)]
-    report = _report(first_scene, envelope, at_rest, still, acting)
+    motionless = []
+    if not at_rest:
+        motionless = [name for name, run in runs.items() if nothing_moves({name: run}, first_scene)]
+    report = _report(first_scene, envelope, at_rest, motionless, acting)
     progress("plot and recording")
-    drawn = recorded(log_run, first_scene, runs, markdown(report), report.title)
-    shown = {plot: png(_figure(first_scene, runs)), recording: drawn}
+    recorded_runs = recorded(log_run, first_scene, runs, markdown(report), report.title)
+    shown = {plot: png(_figure(first_scene, runs)), recording: recorded_runs}
     data = {
         "scene": first_scene.name,
         "source": source,
@@ -165,7 +170,7 @@ def _report(
     scene: Scene,
     envelope: LoadEnvelope,
     at_rest: bool,
-    still: list[str],
+    motionless: list[str],
     acting: Mapping[str, Sequence[ImportedElement]],
 ) -> Report:
     """Make the report on design loads.
@@ -174,34 +179,37 @@ def _report(
         scene: scene of the first case.
         envelope: largest loads over all cases.
         at_rest: True if the mechanism is held at rest.
-        still: names of cases in which nothing moves.
+        motionless: names of cases in which nothing moves.
         acting: by case, elements that would have acted and are not simulated.
     """
+    # Title, and verdict with the largest force
     named = envelope.cases != (UNNAMED_CASE,)
     cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
     title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
-    most, least = max(_of(envelope, "force"), key=lambda each: each.peak), _negligible_force(scene, envelope)
-    verdict = f"largest force {most.peak:.3g} N at joint {most.element!r}, {_when(most)}"
-    if most.peak <= least:
+    largest = max(_loads_of(envelope, "force"), key=lambda each: each.peak)
+    negligible = _negligible_force(scene, envelope)
+    verdict = f"largest force {largest.peak:.3g} N at joint {largest.element!r}, {_when(largest)}"
+    if largest.peak <= negligible:
         verdict = "no joint carries a force"
-    for case, entries in acting.items():
+    for case, entries in acting.items():  # `reduction` names the elements and when they begin to act
         verdict += f"; {f'case {case}: ' if named else ''}{reduction(entries)}"
     if acting:
         verdict = f"REDUCED MODEL: {verdict}"
+    # Tables and notes
     parts: list[Part] = [
-        _of_joints(envelope, "force", "N", least),
-        _of_joints(envelope, "torque", "N m", least * scene.mechanism.size),
+        _joint_table(envelope, "force", "N", negligible),
+        _joint_table(envelope, "torque", "N m", negligible * scene.mechanism.size),
     ]
     if envelope.actuators:
-        parts.append(_of_actuators(envelope))
-    if still:
-        where = f"cases {', '.join(still)}" if named else "the run"
+        parts.append(_actuator_table(envelope))
+    if motionless:
+        where = f"cases {', '.join(motionless)}" if named else "the run"
         parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{EXCITE}"]))
     parts.extend(Lines("", [line, NOT_UNIQUE]) for line in undetermined_lines(scene))
     return Report(title, verdict, Cell("", "doubtful" if acting else ""), parts, summary=parts)
 
 
-def _of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:
+def _loads_of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:
     """Return the load ranges of a quantity, such as "force", for all joints and actuators that have it."""
     return [each for each in (*envelope.joints, *envelope.actuators) if each.quantity == quantity]
 
@@ -216,29 +224,33 @@ def _negligible_force(scene: Scene, envelope: LoadEnvelope) -> float:
     """Compute the force, N, below which a force is round-off."""
     size = scene.mechanism.size
     weight = STANDARD_GRAVITY * sum(body.mass for body in scene.mechanism.bodies[1:])
-    peaks = [each.peak for each in _of(envelope, "force")]
-    peaks += [each.peak / size for each in _of(envelope, "torque")]
+    peaks = [each.peak for each in _loads_of(envelope, "force")]
+    peaks += [each.peak / size for each in _loads_of(envelope, "torque")]
     return LOAD_ROUND_OFF * max(weight, *peaks)
 
 
-def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str, least: float) -> Table:
-    """Tabulate peak forces or torques of joints, and of their components along and across the axis.
+def _joint_table(envelope: LoadEnvelope, quantity: str, unit: str, negligible: float) -> Table:
+    """Tabulate peak forces or torques of joints, and the peaks of their components along and across the axis.
 
-    Values up to `least` are printed as 0.
+    Args:
+        envelope: largest loads over all cases.
+        quantity: "force" or "torque".
+        unit: unit of the quantity.
+        negligible: values up to this limit are printed as 0.
     """
     names = [part.removesuffix(f" {quantity}") for part in LOAD_COMPONENTS[quantity]]
     columns = [*text_columns("joint"), *number_columns(f"{quantity}, {unit}", *names, "rms"), GOVERNED_BY]
-    known, loads = {(each.element, each.quantity): each for each in envelope.joints}, _of(envelope, quantity)
+    known = {(each.element, each.quantity): each for each in envelope.joints}
     rows: Rows = []
-    for load in loads:
-        parts = [known.get((load.element, part)) for part in LOAD_COMPONENTS[quantity]]
-        values = [load.peak, *(part.peak if part else None for part in parts), load.rms]
-        cells = ["" if value is None else f"{value if value > least else 0.0:.3g}" for value in values]
-        rows.append([load.element, *cells, _when(load) if load.peak > least else ""])
+    for load in _loads_of(envelope, quantity):
+        components = [known.get((load.element, name)) for name in LOAD_COMPONENTS[quantity]]
+        values = [load.peak, *(each.peak if each else None for each in components), load.rms]
+        cells = ["" if value is None else f"{value if value > negligible else 0.0:.3g}" for value in values]
+        rows.append([load.element, *cells, _when(load) if load.peak > negligible else ""])
     return Table("", columns, rows)
 
 
-def _of_actuators(envelope: LoadEnvelope) -> Table:
+def _actuator_table(envelope: LoadEnvelope) -> Table:
     """Tabulate peak and rms forces of actuators, their peak speeds and powers, and their energies."""
     columns = [
         *text_columns("actuator"),
@@ -246,7 +258,7 @@ def _of_actuators(envelope: LoadEnvelope) -> Table:
         GOVERNED_BY,
     ]
     rows: Rows = []
-    for load in _of(envelope, "actuator force"):
+    for load in _loads_of(envelope, "actuator force"):
         speed, power, energy = (envelope.of(load.element, what) for what in ("speed", "power", "energy"))
         forces = [f"{value:.3g} {load.unit}" for value in (load.peak, load.rms)]
         motion = [f"{speed.peak:.3g} {speed.unit}", f"{power.peak:.3g}", f"{energy.peak:.3g}"]
@@ -256,22 +268,27 @@ def _of_actuators(envelope: LoadEnvelope) -> Table:
 
 @own_style()
 def _figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
-    """Plot forces and torques of joints over time, one line per case."""
+    """Plot forces and torques of joints over time, one line per case.
+
+    A case at rest has a single time, and is plotted as a dot.
+    """
     from matplotlib.figure import Figure
 
-    found = {case: joint_loads(scene, run) for case, run in runs.items()}
-    forces = {
-        joint: max(float(loads[Load(joint, "force", "N")].max()) for loads in found.values())
+    # The joints with the largest forces, in the order of the mechanism
+    loads_of_cases = {case: joint_loads(scene, run) for case, run in runs.items()}
+    largest_forces = {
+        joint: max(float(loads[Load(joint, "force", "N")].max()) for loads in loads_of_cases.values())
         for joint in scene.mechanism.joint_names
     }
-    chosen = sorted(forces, key=lambda joint: -forces[joint])[:MAX_PLOTTED_JOINTS]
-    joints = [joint for joint in forces if joint in chosen]
+    chosen = sorted(largest_forces, key=lambda joint: -largest_forces[joint])[:MAX_PLOTTED_JOINTS]
+    joints = [joint for joint in largest_forces if joint in chosen]
+    # One row of plots per joint: force and torque
     figure = Figure(figsize=(9.0, 0.8 + 1.3 * len(joints)), layout="constrained")
     axes = figure.subplots(len(joints), 2, sharex=True, squeeze=False)
     colors = palette(list(runs))
     for row, joint in zip(axes, joints, strict=True):
         for ax, quantity, unit in zip(row, ("force", "torque"), ("N", "N m"), strict=True):
-            for case, loads in found.items():
+            for case, loads in loads_of_cases.items():
                 mark = "." if len(runs[case].time) == 1 else ""
                 values = loads[Load(joint, quantity, unit)]
                 ax.plot(runs[case].time, values, color=colors[case], marker=mark, label=case)

@@ -1,7 +1,7 @@
 """Report of a modal analysis: pose, stability, eigenvalues and the table of vibration modes.
 
-A mode is an eigenvector of the equations of motion, linearized about a state, usually an equilibrium.
-`crosscheck.recording.modes` animates the modes.
+A mode is an eigenvector of the equations of motion, linearized about a state, usually an equilibrium. A mode
+with eigenvalue s = a + i w moves like exp(a t) cos(w t). `crosscheck.recording.modes` animates the modes.
 """
 
 from __future__ import annotations
@@ -52,12 +52,14 @@ def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
 
 
 def pose(scene: Scene, model: LinearModel) -> list[tuple[str, str, str]]:
-    """List the independent joint coordinates: name, displacement from the initial pose, and unit.
+    """List the independent joint coordinates of the model's state: name, displacement from the initial pose,
+    and unit.
 
     Ball joints are left out, since an orientation is not a coordinate.
     """
     mechanism, found = scene.mechanism, []
     for name in model.coordinates:
+        # other names are those of the components of the orientation of a ball joint
         if isinstance(name, str) and name not in mechanism.joint_names:
             continue
         key = mechanism.coordinate(name)
@@ -100,8 +102,9 @@ def _eigenvalues(modes: Modes) -> Table:
 def table(mechanism: Mechanism, modes: Modes) -> Table:
     """Tabulate modes, the slowest first: frequency, damping ratio, time constant and largest movement."""
     rows: Rows = []
-    figures = zip(modes.frequencies, modes.damping_ratios, modes.eigenvalues.real, modes.twists, strict=True)
-    for number, (frequency, damping, rate, twist) in enumerate(figures, start=1):
+    columns = zip(modes.frequencies, modes.damping_ratios, modes.eigenvalues.real, modes.twists, strict=True)
+    for number, (frequency, damping, rate, twist) in enumerate(columns, start=1):
+        # the time constant is 1 / |rate|: the rate is that of growth or decay, 1/s
         oscillates, is_damped = frequency > 0.0, abs(damping) > DAMPING_ROUND_OFF
         frequency_text = f"{frequency:.6g}"
         if not oscillates:
@@ -125,8 +128,9 @@ def largest_movement(mechanism: Mechanism, twist: Array) -> str:
         mechanism: the mechanism, with b bodies.
         twist: (b, 6) translation, m, and rotation, rad, of each body, world frame; complex amplitudes.
     """
-    moves = np.abs(twist) / np.repeat([mechanism.size, 1.0], 3)
-    # rounded, so that round-off does not decide between equal movements
-    body, k = np.unravel_index(np.argmax(moves.round(6)), moves.shape)
+    # translations in units of the mechanism's size, and rotations in rad; rounded, so that round-off does not
+    # decide between equal movements
+    movements = np.abs(twist) / np.repeat([mechanism.size, 1.0], 3)
+    body, k = np.unravel_index(np.argmax(movements.round(6)), movements.shape)
     kind = "shift along" if k < 3 else "rotation about"
     return f"{mechanism.body_names[body]}: {kind} {'xyz'[k % 3]}"

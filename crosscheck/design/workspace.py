@@ -1,8 +1,10 @@
 """Map the workspace of a scene over joint coordinates: reachable poses, singular poses and clearances.
 
 The input is a grid of values of some joint coordinates. `measure` solves the pose at each point of the grid;
-the results are a table, a CSV and, for two coordinates, a picture. In a singular pose the mechanism cannot be
-driven by these coordinates; the distance from singular poses is a dimensionless number, 0 at a singular pose.
+the results are a table, a CSV and, for two coordinates, a picture. A mechanism with loops can be assembled in
+several ways (branches) for the same coordinates; the grid is solved on the branch of the initial pose. In a
+singular pose the mechanism cannot be driven by these coordinates; the distance from singular poses is a
+dimensionless number, 0 at a singular pose. A clearance is the smallest distance between bodies.
 """
 
 from __future__ import annotations
@@ -73,7 +75,7 @@ def range_of(scene: Scene, text: str) -> tuple[str | Key, Array]:
     try:
         low, high, count = *map(plain_number, parts[:2]), int(parts[2]) if len(parts) == 3 else DEFAULT_POINTS
     except ValueError:
-        low, high, count = 0.0, 0.0, 0
+        low, high, count = 0.0, 0.0, 0  # an empty range, which is refused below
     if len(parts) not in (2, 3) or not low < high or not is_count(count) or not 2 <= count <= MAX_POINTS:
         raise CrosscheckError(f"--vary {text!r} is not of the form JOINT=LOW:HIGH[:POINTS], in m or rad")
     joint, _, number = name.rpartition(".")
@@ -122,21 +124,21 @@ def measure(
 def table(found: WorkspaceMap) -> Table:
     """Tabulate the ranges of all quantities over the reachable points, and over those without collision."""
     space = found.space
-    free = found.clearance > 0.0
-    rows: Rows = [_row(found, "reachable", np.ones(len(free), dtype=bool))]
+    without_collision = found.clearance > 0.0
+    rows: Rows = [_row(found, "reachable", np.ones(len(without_collision), dtype=bool))]
     has_shapes = bool(np.isfinite(found.clearance).any())
     if has_shapes:
-        rows.append(_row(found, "without collision", free))
+        rows.append(_row(found, "without collision", without_collision))
     columns = [
         Column("points"),
-        Column("number", "", True),
-        *(Column(f"{name}\n{_unit(found, name)}", "", True) for name in space.grid),
+        Column("number", numeric=True),
+        *(Column(f"{name}\n{_unit(found, name)}", numeric=True) for name in space.grid),
     ]
     if space.elevation is not None:
         columns += number_columns("elevation\ndeg", "azimuth\ndeg")
-    columns.append(Column("least to\nsingular", "", True))
+    columns += number_columns("least to\nsingular")
     if has_shapes:
-        columns.append(Column("clearance\nmm", "", True))
+        columns += number_columns("clearance\nmm")
     return Table("", columns, rows)
 
 
@@ -151,20 +153,29 @@ def statement(found: WorkspaceMap) -> str:
 
 
 def _row(found: WorkspaceMap, name: str, which: Array) -> list[str | Cell]:
-    """Make the row of the points (n,) that are True in `which`."""
+    """Make a row of `table`.
+
+    Args:
+        found: the workspace, with n reachable points.
+        name: text in the first column.
+        which: (n,) True for the points of the row.
+    """
+    # Ranges of the coordinates, and of elevation and azimuth of the axis in degrees
     space = found.space
     total = space.reachable.size
     row: list[str | Cell] = [name, f"{int(np.sum(which))} of {total}"]
     quantities = list(space.poses.coordinates.values())
     if space.elevation is not None and space.azimuth is not None:
         quantities += [np.degrees(values[space.reachable]) for values in (space.elevation, space.azimuth)]
-    digits = [4] * len(space.grid) + [1, 1]
-    for values, places in zip(quantities, digits, strict=False):
+    digits = [4] * len(space.grid) + [1, 1]  # after the decimal point
+    for values, count in zip(quantities, digits, strict=False):
         chosen = values[which]
         ends = [np.min(chosen), np.max(chosen)] if len(chosen) else []
-        row.append(" .. ".join(f"{round(float(end), places) + 0.0:.{places}f}" for end in ends) or "-")
-    driving = space.driving[space.reachable][which]
-    row.append(f"{np.min(driving):.3f}" if len(driving) else "-")
+        # + 0.0 avoids "-0"
+        row.append(" .. ".join(f"{round(float(end), count) + 0.0:.{count}f}" for end in ends) or "-")
+    # The smallest distance from singular poses, and the smallest clearance in mm
+    distances = space.driving[space.reachable][which]
+    row.append(f"{np.min(distances):.3f}" if len(distances) else "-")
     if np.isfinite(found.clearance).any():
         row.append(f"{1e3 * np.min(found.clearance[which]):.1f}" if which.any() else "-")
     return row
@@ -180,7 +191,7 @@ def write(found: WorkspaceMap, folder: Path, source: str, options: Mapping[str, 
 
     Args:
         found: the workspace.
-        folder: folder of the files; `workspace.json` there records the model.
+        folder: folder of the files. The file `workspace.json` is written there too, and records the model.
         source: name or file of the model.
         options: options of the model.
 
@@ -201,6 +212,8 @@ def _csv(found: WorkspaceMap) -> str:
     for name, values in (("elevation, deg", space.elevation), ("azimuth, deg", space.azimuth)):
         if values is not None:
             quantities[name] = np.degrees(values[space.reachable])
+    # `driving` is the distance from poses that the coordinates do not determine; `pointing` the distance from
+    # poses in which a motion of the coordinates does not turn the axis
     quantities["distance from singular"] = space.driving[space.reachable]
     if space.pointing is not None:
         quantities["distance from singular, axis"] = space.pointing[space.reachable]
@@ -215,7 +228,10 @@ def _csv(found: WorkspaceMap) -> str:
 
 @own_style()
 def _picture(found: WorkspaceMap) -> bytes:
-    """Draw a map of the distance from singular configurations, and one of the elevation of the axis."""
+    """Draw a map of the distance from singular configurations, and one of the elevation of the axis.
+
+    Dots mark singular configurations, and hatched regions collisions.
+    """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -227,17 +243,17 @@ def _picture(found: WorkspaceMap) -> bytes:
         maps.append(("elevation of the axis, deg", np.degrees(space.elevation)))
     figure = Figure(figsize=(5.2 * len(maps), 4.6), layout="constrained")
     # clearances over the whole grid, NaN at points that are not reachable
-    clear = np.full(space.reachable.shape, np.nan)
-    clear[space.reachable] = found.clearance
-    collide = bool(np.nanmin(clear, initial=np.inf) < 0.0)
+    clearance = np.full(space.reachable.shape, np.nan)
+    clearance[space.reachable] = found.clearance
+    collide = bool(np.nanmin(clearance, initial=np.inf) < 0.0)
     for k, (title, values) in enumerate(maps):
         ax = figure.add_subplot(1, len(maps), k + 1)
         figure.colorbar(ax.contourf(x, y, values.T, 16, cmap="cividis"), ax=ax)
         curves = (found.singular.coordinates[name] for name in (first, second))
         ax.plot(*curves, linestyle="", marker=".", markersize=2.0, color=ENGINE_COLORS["mujoco"])
         if collide:
-            ax.contourf(x, y, clear.T, [-np.inf, 0.0], colors="none", hatches=["////"])
-            ax.contour(x, y, clear.T, [0.0], colors=[ENGINE_COLORS["newton_euler"]], linewidths=2.0)
+            ax.contourf(x, y, clearance.T, [-np.inf, 0.0], colors="none", hatches=["////"])
+            ax.contour(x, y, clearance.T, [0.0], colors=[ENGINE_COLORS["newton_euler"]], linewidths=2.0)
         ax.set(title=title, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
         ax.set(xlabel=f"{first}, {_unit(found, first)}", ylabel=f"{second}, {_unit(found, second)}")
     dot, edge = ENGINE_COLORS["mujoco"], ENGINE_COLORS["newton_euler"]

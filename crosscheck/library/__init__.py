@@ -66,7 +66,8 @@ REFERENCE_QUANTITIES: dict[str, Quantities] = {
 }
 """Functions that measure quantities of a run for which reference values exist, by scene and quantity.
 
-The reference values are in `crosscheck.library.references`."""
+The reference values are in `crosscheck.library.references`; they do not come from simulations of the scene.
+"""
 
 
 @checked
@@ -122,12 +123,13 @@ def _read_options(name: str, given: dict[str, str | float]) -> dict[str, str | f
         if read is None:
             raise CrosscheckError(f"{option} of scene {name!r} is {quoted(value)}; {known[option].wanted}")
         options[option] = read
+    # conditions on the value of another option; None stands for any value but the default
     for option in options:
-        if needed := known[option].only_with:
-            default = known[needed.option].default
-            other = options.get(needed.option, default)
-            is_met = other != default if needed.value is None else other == needed.value
+        if condition := known[option].only_with:
+            default = known[condition.option].default
+            other = options.get(condition.option, default)
+            is_met = other != default if condition.value is None else other == condition.value
             if not is_met:
-                where = f"{option} of scene {name!r} has no effect with {needed.option}={other}"
-                raise CrosscheckError(f"{where}; needed: {needed}")
+                where = f"{option} of scene {name!r} has no effect with {condition.option}={other}"
+                raise CrosscheckError(f"{where}; needed: {condition}")
     return options

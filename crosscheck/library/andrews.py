@@ -43,7 +43,7 @@ MASSES = {
     "rod_EH": 0.00706,
     "lever_AH": 0.05498,
 }
-"""Masses of the bodies K1 to K7, kg."""
+"""Masses of the bodies, K1 to K7 in the Test Set, kg."""
 
 INERTIAS = (2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5)
 """Moments of inertia of K1 to K7 along z about their centers of mass, kg m^2. Moments about other axes
@@ -58,30 +58,33 @@ SPRING_STIFFNESS, SPRING_REST_LENGTH = 4530.0, 0.07785
 X, Y, Z = np.eye(3)
 
 
-def _along(turn: float, length: float, across: float = 0.0) -> Array:
-    """Return the vector (3,), m, `length` along x and `across` along y of a frame turned about z."""
-    c, s = np.cos(turn), np.sin(turn)
-    return np.array([length * c - across * s, length * s + across * c, 0.0])
+def _turned(angle: float, x: float, y: float = 0.0) -> Array:
+    """Return the vector (3,), m, with components x and y in a frame turned about z by an angle, rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([x * c - y * s, x * s + y * c, 0.0])
 
 
-F = _along(BETA, 0.007)
-E = B + _along(GAMMA, 0.0, -0.035)
-D = B + _along(GAMMA, 0.02, -0.018)
-G = A + _along(DELTA, 0.04)
-H = A + _along(EPSILON, 0.0, -0.04)
-"""Initial positions of moving points, m. Four bodies meet at E."""
+F = _turned(BETA, 0.007)
+E = B + _turned(GAMMA, 0.0, -0.035)
+D = B + _turned(GAMMA, 0.02, -0.018)
+G = A + _turned(DELTA, 0.04)
+H = A + _turned(EPSILON, 0.0, -0.04)
+"""Initial positions of the moving points D to H of the Test Set, m. Four bodies meet at E."""
+
+CRANK_CENTER = _turned(BETA, 0.00092)
+"""Initial center of mass of the crank, m."""
 
 
 def andrews() -> Scene:
     """Return the mechanism: 0.033 N m turn a crank of 7 mm from rest to over 1000 rad/s, 0.05 s."""
-    centers = (
-        _along(BETA, 0.00092),
-        F + _along(BETA + THETA, -0.0115),
-        B + _along(GAMMA, 0.01043, -0.01874),
-        G + _along(PHI + DELTA, 0.0, 0.01421 - 0.02),
-        A + _along(DELTA, 0.02308, 0.00916),
-        H + _along(OMEGA + EPSILON, 0.02 - 0.01421),
-        A + _along(EPSILON, -0.00449, -0.01228),
+    centers = (  # of mass, in the order of `MASSES`; lengths in m are those of the Test Set
+        CRANK_CENTER,
+        F + _turned(BETA + THETA, -0.0115),
+        B + _turned(GAMMA, 0.01043, -0.01874),
+        G + _turned(PHI + DELTA, 0.0, 0.01421 - 0.02),
+        A + _turned(DELTA, 0.02308, 0.00916),
+        H + _turned(OMEGA + EPSILON, 0.02 - 0.01421),
+        A + _turned(EPSILON, -0.00449, -0.01228),
     )
     bodies = [
         Body(name, mass, center, moment * np.eye(3))
@@ -144,7 +147,7 @@ def _rate(body: str, against: str) -> Quantity:
 
 def _crank_pin(run: Trajectory) -> Array:
     """Return the positions (n, 3) of the pin F at the end of the crank, m."""
-    return position(run, "crank", F - _along(BETA, 0.00092))
+    return position(run, "crank", F - CRANK_CENTER)
 
 
 REFERENCE_QUANTITIES: dict[str, Quantity] = {

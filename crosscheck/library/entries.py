@@ -101,7 +101,7 @@ class Entry(BaseModel):
         kind_name: value of the key `kind` in files; empty if entries of the class have no such key.
     """
 
-    model_config = ConfigDict(extra="forbid", defer_build=True)
+    model_config = ConfigDict(extra="forbid", defer_build=True)  # schemas are compiled when first used
     element_class: ClassVar[type]
     kind_name: ClassVar[str]
 
@@ -109,8 +109,9 @@ class Entry(BaseModel):
         """Build the element.
 
         Raises:
-            CrosscheckError: for an impossible part of the element, with the name of the element.
-            NewtonEulerError: for an impossible element.
+            CrosscheckError: for an impossible element inside this one, such as the shape of a body; the
+                message has the name of this element.
+            NewtonEulerError: if this element itself is impossible.
         """
         given = {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
         try:
@@ -140,8 +141,8 @@ def _declare_entry(element_class: type, kind: str = "", **field_types: Any) -> A
     Args:
         element_class: the dataclass.
         kind: value of the key `kind`, which distinguishes several entries at one place of a file.
-        field_types: types of fields by name, where `FIELD_TYPES` has none; None for an attribute that files
-            do not have.
+        field_types: types of fields by name, for annotations that `FIELD_TYPES` does not have; None for an
+            attribute that files do not have.
     """
     declared: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
     for field in fields(element_class):
@@ -164,16 +165,19 @@ def _one_of(entries: Iterable[Any]) -> Any:
     return Annotated[Union[tuple(entries)], Field(discriminator="kind")]  # noqa: UP007 (of any number)
 
 
-# Entries of all elements, from simple shapes to control laws; names in capitals are types of fields.
-QUATERNION: dict[str, Any] = {"quaternion": Quaternion}
-BARS = [
-    _declare_entry(Capsule, "capsule"),
-    _declare_entry(Cylinder, "cylinder"),
-    _declare_entry(Sphere, "sphere"),
-]
-SHAPE = _one_of([_declare_entry(Box, "box", **QUATERNION), *BARS])
+# Entries of all elements, from simple shapes to control laws. Names in capitals are types of fields that hold
+# such an entry, and (`..._FIELDS`) types of fields by name.
+QUATERNION_FIELDS: dict[str, Any] = {"quaternion": Quaternion}
+SHAPE = _one_of(
+    [
+        _declare_entry(Box, "box", **QUATERNION_FIELDS),
+        _declare_entry(Capsule, "capsule"),
+        _declare_entry(Cylinder, "cylinder"),
+        _declare_entry(Sphere, "sphere"),
+    ]
+)
 INERTIA_MATRIX = tuple[Vector, Vector, Vector]
-BODY = _declare_entry(Body, inertia=INERTIA_MATRIX, shapes=_list_of(SHAPE), meshes=None, **QUATERNION)
+BODY = _declare_entry(Body, inertia=INERTIA_MATRIX, shapes=_list_of(SHAPE), meshes=None, **QUATERNION_FIELDS)
 AXIS_FIELDS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
 JOINT = _one_of(_declare_entry(joint_class, kind, **AXIS_FIELDS) for kind, joint_class in JOINT_KINDS.items())
 COUPLING = _one_of(
@@ -185,20 +189,21 @@ COUPLING = _one_of(
 )
 # a sum has functions as its terms, which may be sums: its entry is completed once FUNCTION is defined
 SUM = _declare_entry(Sum, "sum", terms=_list_of(ForwardRef("FUNCTION")))
-SAMPLES: dict[str, Any] = dict.fromkeys(("times", "values"), list[Number])
+SAMPLES_FIELDS: dict[str, Any] = dict.fromkeys(("times", "values"), list[Number])
 FUNCTION = _one_of(
     [
         _declare_entry(Polynomial, "polynomial"),
         _declare_entry(Sine, "sine"),
-        _declare_entry(Spline, "spline", **SAMPLES),
-        _declare_entry(Steps, "steps", **SAMPLES),
+        _declare_entry(Spline, "spline", **SAMPLES_FIELDS),
+        _declare_entry(Steps, "steps", **SAMPLES_FIELDS),
         SUM,
     ]
 )
 SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
-VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
+VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007 (a number, or a function of time)
 FIELD_TYPES["float | TimeFunction"] = VALUE
 FORCE = _one_of(_declare_entry(force_class, force_class.kind) for force_class in get_args(Force))
+# gains K_p and K_d by joint; values of parameters of the mechanism in a controller's model, by name
 GAINS: Any = dict[str, tuple[Number, Number]]
 MODEL: Any = dict[str, Union[Number, list[Number], list[list[Number]]]]  # noqa: UP007
 CONTINUOUS_LAWS = {
@@ -227,7 +232,8 @@ Limit = Union[Number, Literal["inf", "-inf"]]  # noqa: UP007
 class DigitalEntry(Entry):
     """Entry of a digital controller: a control law that is sampled, with limits and delay.
 
-    Files write infinite limits as the texts "inf" and "-inf".
+    The fields are described at `newton_euler.model.digital_control.Digital`. Files write infinite limits as
+    the texts "inf" and "-inf".
     """
 
     kind: Literal["digital"]
@@ -242,8 +248,16 @@ class DigitalEntry(Entry):
     def build(self) -> Digital:
         """Build the digital controller."""
         law: Entry = self.law
-        force, slew, low, high = map(float, (self.force_limit, self.slew_limit, *self.stroke))
-        return Digital(law.build(), self.period, self.delay, self.resolution, force, slew, (low, high))
+        low, high = map(float, self.stroke)
+        return Digital(
+            law.build(),
+            self.period,
+            self.delay,
+            self.resolution,
+            force_limit=float(self.force_limit),
+            slew_limit=float(self.slew_limit),
+            stroke=(low, high),
+        )
 
 
 CONTROL = _one_of_laws(CONTINUOUS_LAWS | {"digital": DigitalEntry})
@@ -276,7 +290,8 @@ class ArmatureEntry(Entry):
 class StateEntry(Entry):
     """Entry of the initial state of one body, world frame, SI.
 
-    Fields that a file does not give are those of the initial pose at rest.
+    The initial pose is the pose in which bodies and joints are defined. Fields that a file does not give have
+    the values of the initial pose at rest.
     """
 
     position: Vector | None = None
@@ -289,14 +304,14 @@ class _Scene(Entry):
     """Base of `SCENE`, the entry of a whole scene file."""
 
     def build(self) -> Scene:
-        """Build the scene, after its size has been checked against the limits of `crosscheck.library.size`.
+        """Build the scene; check its size against the limits of `crosscheck.library.size` at each step.
 
         Raises:
             CrosscheckError: for a scene that is too large, and an impossible part of an element.
             NewtonEulerError: for an impossible element or mechanism.
         """
         given: Any = self
-        # each joint beyond one per body closes a loop
+        # each joint beyond one per body closes a loop, and a coupling counts as a loop
         loops = len(given.joints) - len(given.bodies) + len(given.couplings)
         forces = len(given.control) + len(given.forces) + len(given.armatures)
         check_counts("file", {"bodies": len(given.bodies), "closures": loops, "forces": forces})
@@ -351,8 +366,8 @@ def _state(mechanism: Mechanism, entries: dict[str, StateEntry], angles: dict[st
 
     Args:
         mechanism: the mechanism.
-        entries: states by name of the body; other bodies are as in the initial pose, at rest.
-        angles: rad with revolutions, by label of the joint coordinate.
+        entries: states by name of the body; other bodies are in the initial pose, at rest.
+        angles: angles of hinges with their full revolutions, rad, by label of the joint coordinate.
 
     Returns:
         The state; None if both dictionaries are empty.

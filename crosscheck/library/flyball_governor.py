@@ -62,6 +62,7 @@ def flyball_governor() -> Scene:
         Revolute("bearing", "ground", "shaft", np.zeros(3), axis=Z),
         Prismatic("guide", "shaft", "slider", HEIGHT * Z, axis=Z),
     ]
+    # Arms on hinges at the top of the shaft, and springs from the middle of the arms to the slider
     arms, springs = [], []
     for side, outwards in SIDES.items():
         hinge = HINGE_RADIUS * outwards + BAR_LENGTH * Z
@@ -81,6 +82,7 @@ def flyball_governor() -> Scene:
                 rest_length=SPRING_REST_LENGTH,
             )
         )
+    # All bodies turn about the axis of the shaft at first
     mechanism = Mechanism([Body.ground(), shaft, slider, *arms], joints)
     state = State.initial(mechanism)
     state.angular_velocity[1:] = SHAFT_SPEED * Z
@@ -100,10 +102,11 @@ def flyball_governor() -> Scene:
 def _arm(name: str, hinge: Array, along: Array) -> Body:
     """Return an arm with its ball; the arm extends from its hinge (3,), m, along a unit vector (3,)."""
     mass = BAR_MASS + BALL_MASS
-    lever = (0.5 * BAR_MASS + BALL_MASS) * BAR_LENGTH / mass  # of the center of mass
-    parts = BAR_MASS * (lever - 0.5 * BAR_LENGTH) ** 2 + BALL_MASS * (BAR_LENGTH - lever) ** 2
-    axial = np.outer(along, along)
-    inertia = AXIAL * axial + (ACROSS + parts) * (np.eye(3) - axial)
+    lever = (0.5 * BAR_MASS + BALL_MASS) * BAR_LENGTH / mass  # distance of the center of mass from the hinge
+    # parallel-axis terms of bar and ball about the common center of mass
+    steiner = BAR_MASS * (lever - 0.5 * BAR_LENGTH) ** 2 + BALL_MASS * (BAR_LENGTH - lever) ** 2
+    projector = np.outer(along, along)
+    inertia = AXIAL * projector + (ACROSS + steiner) * (np.eye(3) - projector)
     return Body(name, mass, hinge + lever * along, inertia)
 
 

@@ -26,8 +26,9 @@ def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
 
     A window is one parallelogram: two vertical bars on hinges at their feet, and a coupler between their
     tops. Problem A02 of the IFToMM library of computational benchmark problems. All bars stay parallel, so
-    one angle describes any number of windows, and elliptic functions give this angle. When all bars lie on
-    one line, the configuration is singular: each window can fold in its own way, with N + 1 freedoms.
+    one angle describes any number of windows, and elliptic functions give this angle. If all bars lie on one
+    line, the configuration is singular: each window can fold as a parallelogram or as an antiparallelogram,
+    and there are N + 1 degrees of freedom.
 
     A planar loop of hinges has three redundant constraints. The right end of each coupler is a ball joint,
     which leaves one redundant constraint per window, along z.
@@ -61,8 +62,12 @@ def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
 
 
 def _swinging(mechanism: Mechanism, bars: int) -> State:
-    """Return the initial state: the first `bars` moving bodies turn about their feet, the couplers
-    translate."""
+    """Return the initial state: bars turn about their feet, couplers translate.
+
+    Args:
+        mechanism: the mechanism, with the bars before the couplers.
+        bars: number of bars.
+    """
     state = State.initial(mechanism)
     state.linear_velocity[1 : 1 + bars] = 0.5 * COUPLER_SPEED * X
     state.angular_velocity[1 : 1 + bars] = -COUPLER_SPEED / ROD_LENGTH * Z

@@ -54,7 +54,7 @@ def spin(run: Trajectory, body: str) -> Array:
 
 
 def quaternion(run: Trajectory, body: str) -> Array:
-    """Return orientations (n, 4) of a body, (w, x, y, z), continuous in sign."""
+    """Return orientations (n, 4) of a body, (w, x, y, z); a run has signs that are continuous over time."""
     return run.quaternion[:, run.body_names.index(body)]
 
 
@@ -73,7 +73,12 @@ def angle(run: Trajectory, body: str, axis: Array) -> Array:
 
 
 def components(names: tuple[str, ...], vector: Quantity) -> dict[str, Quantity]:
-    """Split a measured array (n, len(names)) into one quantity for each of its columns."""
+    """Split the function of a vector into one quantity for each component.
+
+    Args:
+        names: names of the components.
+        vector: function that measures an array (n, len(names)) of a run.
+    """
 
     def component(k: int) -> Quantity:
         """Return the function that measures column k."""

@@ -1,7 +1,9 @@
-"""Read models of other tools as scenes, and print what became of each element.
+"""Read models of other tools as scenes, and report how each element was imported.
 
 Models are MJCF files (.xml, .mjcf), URDF files (.urdf) with an optional file of loop closures, and models of
 MuJoCo or Pinocchio in memory. This module parses their options; the packages `mjcf` and `urdf` read them.
+The fate of an element is the result of its import: "exactly", "inactive" (not simulated, and without effect
+in the run) or "left out".
 """
 
 from __future__ import annotations
@@ -73,7 +75,7 @@ def _switch(value: str) -> bool:
     return bool(("off", "on").index(value))
 
 
-# arguments `read` and `needed` of options of several tables
+# Arguments `read` and `needed` of `Option`, and an option, that several tables share
 _SECONDS = plain_number, "a positive number of seconds"
 _OWN_RUN = Option("FILE with the settings of your simulation loop", "those of Pinocchio's examples")
 _GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {MAX_MODEL_NUMBER:g}, or 0"
@@ -141,7 +143,8 @@ def read_model(
         model: a path that ends in one of `SUFFIXES`, an `MjSpec` or `MjModel`, or a `pinocchio.Model`, alone
             or paired with its constraints.
         options: values by the names of `MJCF_OPTIONS`, `URDF_OPTIONS` and so on.
-        verified: whether to raise if the scene differs from the model as MuJoCo or Pinocchio compiles it.
+        verified: True to raise an error if the scene differs from the model as MuJoCo or Pinocchio compiles
+            it.
 
     Returns:
         The scene, and the import report with the fate of every element.
@@ -172,22 +175,27 @@ def read_model(
 
 
 def _name_and_options(model: object) -> tuple[str, dict[str, Option]]:
-    """Return a model file's path, or the class name of a model in memory, and the options of such models."""
+    """Return a model file's path, or the class name of a model in memory, and the options of such models.
+
+    Raises:
+        CrosscheckError: for an object that is no model.
+    """
     if isinstance(model, str):
         return model, URDF_OPTIONS if is_urdf_file(model) else MJCF_OPTIONS
-    kind = type(model[0] if isinstance(model, tuple) and model else model)
-    of_package = {"mujoco": MUJOCO_OPTIONS, "pinocchio": PINOCCHIO_OPTIONS}
-    package = kind.__module__.partition(".")[0]
-    if package not in of_package:
+    model_class = type(model[0] if isinstance(model, tuple) and model else model)
+    options_of_package = {"mujoco": MUJOCO_OPTIONS, "pinocchio": PINOCCHIO_OPTIONS}
+    package = model_class.__module__.partition(".")[0]
+    if package not in options_of_package:
         needed = "a name, a path, a Scene, a mujoco.MjSpec or mujoco.MjModel, or a pinocchio.Model, alone or"
         raise CrosscheckError(f"{quoted(model)} cannot be read; needed: {needed} paired with its constraints")
-    return kind.__name__, of_package[package]
+    return model_class.__name__, options_of_package[package]
 
 
 def fates_line(report: ImportReport) -> str:
-    """Count the elements of a file by their fate (exact, inactive, left out), in one line.
+    """Count the elements of a file by their fate, in one line.
 
-    Elements that are not exact are also counted by kind, for example "2 left out (2 tendons)".
+    Elements that are not imported exactly are also counted by kind, for example "2 left out (2 tendons)".
+    Elements that are not exact and move nothing are not counted.
     """
     exact = len({entry.element for entry in report.of("exactly")})
     found = [f"{exact} element{'' if exact == 1 else 's'} read exactly"]
@@ -195,20 +203,25 @@ def fates_line(report: ImportReport) -> str:
         names = {entry.element for entry in report.of(fate) if not entry.moves_nothing}
         if names:
             found.append(f"{len(names)} {fate} ({_count_by_kind(names)})")
-    off = {entry.element for entry in report.entries if entry.is_off}
-    if off:
-        found.append(f"{len(off)} switched off by the file itself ({_count_by_kind(off)})")
+    switched_off = {entry.element for entry in report.entries if entry.is_off}
+    if switched_off:
+        found.append(f"{len(switched_off)} switched off by the file itself ({_count_by_kind(switched_off)})")
     if unknown := sorted({entry.element for entry in report.entries if not entry.is_understood}):
         found.append(f"not understood, and not simulated: {listed(unknown)}")
     return ", ".join(found)
 
 
 def _count_by_kind(names: set[str]) -> str:
-    """Count elements by kind, such as "2 tendons, 1 equality"; elements without a name are not counted."""
+    """Count elements by kind, such as "2 tendons, 1 equality".
+
+    Args:
+        names: kinds and names of elements, such as "tendon 'left'". An element without a name, such as
+            "option density", is listed instead of counted.
+    """
     kinds, plurals = Counter(name.partition(" '")[0] for name in sorted(names)), dict(ALWAYS_ACTING)
     found = []
     for kind, count in kinds.items():
-        if kind in names:
+        if kind in names:  # the whole text: an element without a name
             found.append(kind)
         else:
             found.append(f"{count} {kind if count == 1 else plurals.get(kind, f'{kind}s')}")
@@ -216,18 +229,19 @@ def _count_by_kind(names: set[str]) -> str:
 
 
 def report_lines(report: ImportReport, exact: bool = True) -> Iterator[str]:
-    """Yield the lines of an import report: counts, elements by fate, and the changes of the start.
+    """Yield the lines of an import report: counts, elements by fate, and changes of the initial state.
 
-    Elements of one kind with the same account share a line. An element of which one part is exact and another
-    part is left out appears under both fates.
+    Elements of one kind with the same account (text on how they were imported) share a line. An element of
+    which one part is exact and another part is left out appears under both fates.
 
     Args:
         report: import report of a model file.
-        exact: whether to list the elements that are imported exactly.
+        exact: True to list the elements that are imported exactly, too.
     """
     yield f"elements of the file: {fates_line(report)}"
 
     def kind_and_account(entry: ImportedElement) -> tuple[str, str]:
+        """Return what the elements of a line have in common."""
         return entry.element.split(" ")[0], entry.account
 
     for fate in FATES if exact else FATES[1:]:

@@ -30,7 +30,7 @@ def titled(name: str, options: Mapping[str, str]) -> str:
 
 
 class Between(NamedTuple):
-    """Allowed values: numbers from `least` to `most`, in a unit."""
+    """Allowed values of an option: numbers from `least` to `most`, in a unit."""
 
     least: float
     most: float
@@ -41,7 +41,7 @@ class Between(NamedTuple):
 
 
 class Text(NamedTuple):
-    """Allowed values: any text; `word` describes the text in listings and messages, such as "CSV"."""
+    """Allowed values of an option: any text; `word` describes it in listings and messages, such as "CSV"."""
 
     word: str
 
@@ -129,13 +129,13 @@ def options_of(scene: Callable[..., Any]) -> dict[str, Option]:
 
 
 def _option(hint: Any, default: str | float) -> Option:
-    """Make an option of the annotation and the default of an argument.
+    """Make an option from the annotation and the default of an argument.
 
     The annotation is a `Literal` of the allowed texts, or `Annotated` with a range of numbers or a `Text`
     and, in any order, an `OnlyWith` and a unit.
     """
     arguments = get_args(hint)
-    numbers = next((each for each in arguments if isinstance(each, range | Between | Text)), None)
+    values = next((each for each in arguments if isinstance(each, range | Between | Text)), None)
     only_with = next((each for each in arguments if isinstance(each, OnlyWith)), None)
-    units = [each for each in arguments if isinstance(each, str)] if numbers else []
-    return Option(numbers or arguments, default, only_with, "".join(units))
+    units = [each for each in arguments if isinstance(each, str)] if values else []
+    return Option(values or arguments, default, only_with, unit="".join(units))

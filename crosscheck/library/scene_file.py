@@ -37,7 +37,10 @@ from newton_euler.runs.assemble import initial_state
 
 
 def content(element: Any) -> dict[str, Any]:
-    """Convert an element to the content of its entry in a file: attributes by name, nested elements last."""
+    """Convert an element to the content of its entry in a file: attributes by name, nested elements last.
+
+    An element is a part of a scene such as a body, joint or force; its entry is the schema of that part.
+    """
     entry = ENTRIES[type(element)]
     found: dict[str, Any] = {"kind": entry.kind_name} if entry.kind_name else {}
     found |= {name: plain(getattr(element, name)) for name in entry.model_fields if name != "kind"}
@@ -60,7 +63,7 @@ def _law(law: Law) -> dict[str, Any]:
 
 
 def _limit(number: float) -> float | str:
-    """Return a number as files have it: an infinite one as text."""
+    """Return a number as files have it: a finite number unchanged, an infinite one as text."""
     return number if np.isfinite(number) else str(number)
 
 
@@ -72,19 +75,19 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {_name(place): plain(each) for place, each in value.items()}
+        return {_joint_name(key): plain(each) for key, each in value.items()}
     return content(value) if type(value) in ENTRIES else value
 
 
-def _name(place: str | Key) -> str:
-    """Return the name of a joint, or the name in a key (name of a joint, number of its coordinate).
+def _joint_name(key: str | Key) -> str:
+    """Return the name of the joint of a joint coordinate, which control laws give as (joint, number) or name.
 
     Raises:
         CrosscheckError: for a coordinate other than the first, which files cannot name.
     """
-    if isinstance(place, str):
-        return place
-    joint, number = place
+    if isinstance(key, str):
+        return key
+    joint, number = key
     if number:
         problem = f"coordinate {number} of joint {joint!r} is read by a control law"
         raise CrosscheckError(f"{problem}; scene files can only name the first coordinate of a joint")
@@ -238,18 +241,19 @@ def _joint(joint: Joint) -> dict[str, Any]:
 
 
 def _state_content(scene: Scene) -> dict[str, dict[str, list[float]]]:
-    """Convert the initial state: fields by body, where they differ from the initial pose at rest."""
+    """Convert the initial state: values by body and quantity that differ from the initial pose at rest."""
     rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
     state = rest if scene.initial_state is None else scene.initial_state
     for quantity in StateEntry.model_fields:
-        given, usual = getattr(state, quantity), getattr(rest, quantity)
-        for name, value, resting in zip(scene.mechanism.body_names, given, usual, strict=True):
-            if not np.array_equal(value, resting):
+        values, rest_values = getattr(state, quantity), getattr(rest, quantity)
+        for name, value, rest_value in zip(scene.mechanism.body_names, values, rest_values, strict=True):
+            if not np.array_equal(value, rest_value):
                 found.setdefault(name, {})[quantity] = value.tolist()
     return found
 
 
 def _angles_content(scene: Scene) -> dict[str, float]:
-    """Convert the angles of the initial state: rad with revolutions, by label of the joint coordinate."""
+    """Convert the hinge angles of the initial state: rad, with full revolutions, by label of the joint
+    coordinate."""
     labels, state = scene.mechanism.coordinate_labels, scene.initial_state
     return {} if state is None else {labels[key]: float(angle) for key, angle in state.angles.items()}

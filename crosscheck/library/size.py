@@ -1,6 +1,7 @@
 """Check the size of a scene against the limits within which all engines can run and be compared.
 
-The limits are in `newton_euler.limits.LIMITS`; the user can raise each with `--set NAME=VALUE`.
+The engines are newton_euler, MuJoCo and Pinocchio. The limits are in `newton_euler.limits.LIMITS`; the user
+can raise each with `--set NAME=VALUE`.
 """
 
 from __future__ import annotations
@@ -40,9 +41,10 @@ def check_scene(scene: Scene, file: str = "") -> None:
     if scene.duration < MIN_DURATION:
         least = f"{MIN_DURATION:g} s, in which bodies move by more than round-off"
         raise CrosscheckError(f"{where}: duration is {scene.duration!r} s; needed: at least {least}")
-    count = len(scene.control) + len(scene.forces) + len(scene.armatures)
+    # steps are those of MuJoCo with crosscheck's timestep, states are poses of bodies at output times
+    force_count = len(scene.control) + len(scene.forces) + len(scene.armatures)
     bodies = len(scene.mechanism.bodies)
-    check_counts(where, {"bodies": bodies, "forces": count})
+    check_counts(where, {"bodies": bodies, "forces": force_count})
     check_counts(where, {"steps": scene.duration / TIMESTEP, "states": bodies * len(scene.times)})
     check_mechanism(where, scene.mechanism)
     forces = (*scene.control, *scene.forces)
@@ -56,6 +58,7 @@ def check_mechanism(where: str, mechanism: Mechanism) -> None:
         where: file or scene that the error message names.
         mechanism: the mechanism.
     """
+    # joints outside the spanning tree (cuts) close loops
     tree = SpanningTree(mechanism)
     if tree.nv == 0:
         raise CrosscheckError(f"{where}: no body can move; needed: a joint that lets one")
@@ -76,8 +79,9 @@ def check_functions(
 ) -> None:
     """Raise `CrosscheckError` if functions of time have too many terms, knots or cycles.
 
-    Every term adds to the compiled equations. A run restarts at each knot, where a spline or a step function
-    begins a new piece, and its time steps are as short as the fastest function needs.
+    Every term adds to the compiled equations. A knot is a time at which a spline or a step function begins a
+    new piece; a run restarts there. Cycles are periods and revolutions of the fastest function, which
+    determines the time steps.
 
     Args:
         where: file or scene that the error message names.
@@ -89,7 +93,7 @@ def check_functions(
     terms = cycles = knots = 0.0
     for motion in motions:
         kinds = mechanism.joint(motion.joint).coordinate_kinds
-        # a slice, since an invalid number of the coordinate is reported elsewhere
+        # a slice, since an index out of range is reported elsewhere
         is_angle = kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",)
         per_cycle = 2.0 * math.pi if is_angle else math.inf
         terms, knots = terms + _count_terms(motion.function), knots + len(motion.function.knots)
@@ -115,7 +119,7 @@ def check_counts(where: str, counts: Mapping[str, float]) -> None:
 
 
 def _count_terms(function: TimeFunction) -> int:
-    """Count the sines and polynomial coefficients of a function of time; those of one piece of a spline."""
+    """Count the sines and polynomial coefficients of a function of time; of a spline, those of one piece."""
     if isinstance(function, Sum):
         return sum(map(_count_terms, function.terms))
     if isinstance(function, Polynomial):
@@ -139,7 +143,7 @@ def _max_cycles(function: TimeFunction, duration: float, per_cycle: float) -> fl
             changes = np.abs(function.coefficients) * powers
         return float(np.sum(np.where(np.equal(function.coefficients, 0.0), 0.0, changes))) / per_cycle
     if isinstance(function, Sine):
-        # in each period, the function goes up and down by twice its amplitude
+        # periods, and revolutions: in each period an angle goes up and down by twice the amplitude
         periods = abs(function.angular_frequency) * duration / (2.0 * math.pi)
         return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle
     if isinstance(function, Sum):

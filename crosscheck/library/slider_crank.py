@@ -40,7 +40,7 @@ CRANK_SPEED = 6.0
 """Initial angular velocity of the crank about x, rad/s."""
 
 ROD_SPIN = np.array([1.92, -0.96, 0.48])
-"""Initial angular velocity of the rod, rad/s."""
+"""Initial angular velocity of the rod, world frame, rad/s. It follows from the constraints."""
 
 X, Y, Z = np.eye(3)
 
@@ -51,6 +51,7 @@ def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
     Args:
         variant: moments of inertia of the rod, see `ROD_MOMENTS`.
     """
+    # principal axes of the rod: along the rod, the axis of the universal joint in the rod, across both
     along = (WRIST - PIN) / np.linalg.norm(WRIST - PIN)
     cardan = np.cross(along, X)
     cardan /= np.linalg.norm(cardan)
@@ -83,10 +84,11 @@ def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
 def _turning(mechanism: Mechanism) -> State:
     """Return the initial pose with the crank at `CRANK_SPEED` and the other bodies at matching velocities."""
     state = State.initial(mechanism)
-    pin = np.cross(CRANK_SPEED * X, PIN - PIVOT)
-    wrist = pin + np.cross(ROD_SPIN, WRIST - PIN)
+    pin_velocity = np.cross(CRANK_SPEED * X, PIN - PIVOT)
+    wrist_velocity = pin_velocity + np.cross(ROD_SPIN, WRIST - PIN)
     state.angular_velocity[1:3] = CRANK_SPEED * X, ROD_SPIN
-    state.linear_velocity[1:] = 0.5 * pin, 0.5 * (pin + wrist), wrist
+    # centers of mass of crank, rod and slider
+    state.linear_velocity[1:] = 0.5 * pin_velocity, 0.5 * (pin_velocity + wrist_velocity), wrist_velocity
     return state
 
 

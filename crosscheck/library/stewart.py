@@ -33,8 +33,10 @@ HOME = 2.0 * Z
 """Initial center of mass of the platform, m. It lies in the plane of the platform's joints."""
 
 BASE = _circle(3.0, (-2.5, 2.5, 117.5, 122.5, 237.5, 242.5), 0.0)
+"""Joint points (6, 3) of the legs at the base, m."""
+
 PLATFORM = _circle(1.0, (-50.0, 50.0, 70.0, 170.0, 190.0, 290.0), HOME[2])
-"""Initial joint points (6, 3) of the legs at the base and at the platform, m."""
+"""Initial joint points (6, 3) of the legs at the platform, m."""
 
 LEG_LENGTH = float(np.linalg.norm(PLATFORM[0] - BASE[0]))
 """Initial length of each leg, m."""
@@ -65,11 +67,12 @@ def stewart() -> Scene:
         Body.ground(),
         Body("platform", mass, HOME, np.diag([across, across, axial]), shapes=(plate,)),
     ]
+    # Legs: two parts on a cylindrical joint, with a universal joint at each end
     joints: list[Joint] = []
     for k, (low, high) in enumerate(zip(BASE, PLATFORM, strict=True), start=1):
         along = (high - low) / LEG_LENGTH
-        fixed = np.cross(along, Z)  # axis of both universal joints in the base and the platform
-        turning = np.cross(along, fixed)
+        fixed = np.cross(along, Z)  # axis of the universal joints in the base and in the platform
+        turning = np.cross(along, fixed)  # axis of the universal joints in the parts of the leg
         bodies += [
             _part(f"lower_{k}", low, along, LOWER_RADII),
             _part(f"upper_{k}", high, -along, UPPER_RADII),

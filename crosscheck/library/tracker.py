@@ -4,7 +4,8 @@ Two sliders on vertical rails move a panel by two legs; the panel also rests on 
 Ath, M. Yamakita, "Newton-Euler Based Dynamic Modeling and Control Simulation for Dual-Axis Parallel Mechanism
 Solar Tracker", Advances in Science, Technology and Engineering Systems Journal 5(5), 709-716, 2020,
 doi:10.25046/aj050587. The module has the tables of its Appendix C as printed, their corrections, and four
-scenes. Body k of the paper has index k - 1 in arrays. J_k is the inertia matrix of body k.
+scenes. Body k of the paper has index k - 1 in arrays. J_k is the inertia matrix of body k. Errata are errors
+of the paper, numbered as in docs/explanation/errata.md. Joint `slide_12` connects bodies 1 and 2.
 """
 
 from __future__ import annotations
@@ -124,13 +125,13 @@ TARGET_HEIGHT = 0.046
 """Target height of the centers of mass of both sliders, m (section 4)."""
 
 PANEL = (0.07, 0.055)
-"""Half the side lengths of the panel, m, for drawing and for wind loads."""
+"""Half the side lengths of the panel along its x and y axes, m, for drawing and for wind loads."""
 
 POSITION_GAIN = 50.0
 """Proportional gain K_p of both actuators, N/m (section 5)."""
 
 VELOCITY_GAINS = (20.0, 25.0)
-"""Derivative gains K_d of the actuators, N s/m (section 5)."""
+"""Derivative gains K_d of the actuators of sliders 2 and 3, N s/m (section 5)."""
 
 
 def joint_data() -> dict[str, Any]:
@@ -204,18 +205,20 @@ def tracker_on_boat(
         roll_period, pitch_period, heave_period: periods of the sines, which start at 0 and rise.
         poses: path of a CSV of the boat's poses to use instead, see `newton_euler.base_motion_from_csv`.
     """
-    waves = {"roll": (roll, roll_period), "pitch": (pitch, pitch_period), "heave": (heave, heave_period)}
+    # Functions of time by the names of the boat's motions
     motions: dict[str, TimeFunction] = {}
-    motions |= (
-        base_motion_from_csv(poses)
-        if poses
-        else {name: Sine(amplitude, 2.0 * np.pi / period) for name, (amplitude, period) in waves.items()}
-    )
+    if poses:
+        motions |= base_motion_from_csv(poses)
+    else:
+        waves = {"roll": (roll, roll_period), "pitch": (pitch, pitch_period), "heave": (heave, heave_period)}
+        for name, (amplitude, period) in waves.items():
+            motions[name] = Sine(amplitude, 2.0 * np.pi / period)
+    # The boat: a hull below the plate of the tracker, which turns about the middle of the hull
     scene = tracker_gravity()
     base = scene.mechanism.bodies[0]
     middle = base.center_of_mass * [1.0, 1.0, 0.0] - [0.0, 0.0, 0.016]
     hull = replace(base, shapes=(Box(np.array([0.2, 0.12, 0.01]), middle),), meshes=())
-    moving = on_moving_base(scene, motions, hull, middle)
+    moving = on_moving_base(scene, motions, hull, point=middle)
     description = "dual-axis solar tracker, PD control, under gravity, on a boat"
     return replace(moving, name="tracker_on_boat", description=description)
 
@@ -235,13 +238,17 @@ def _scene(
         aligned_legs: turn the inertias J4 to J6 along the links (erratum 10).
         gravity: (3,) m/s^2, world frame.
     """
+    # Joints, and inertias with their corrections
     tables = corrected_tables(literal_panel=literal_panel)
-    data = joint_data()
-    joints = [JOINT_KINDS[entry.pop("kind")](**entry) for entry in (dict(joint) for joint in data["joints"])]
+    joints = []
+    for entry in joint_data()["joints"]:
+        fields = {field: value for field, value in entry.items() if field != "kind"}
+        joints.append(JOINT_KINDS[entry["kind"]](**fields))
     if aligned_legs:
         for body in (3, 4, 5):  # column and legs
             turn = _rotation_from_z(_link_axis(BODY_NAMES[body], joints))
             tables.inertia[body] = turn @ tables.inertia[body] @ turn.T
+    # Bodies
     bodies = [
         Body(
             body,
@@ -255,13 +262,10 @@ def _scene(
         )
         for k, (body, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
     ]
-    sliders = (
-        ("slide_12", VELOCITY_GAINS[0], 1),
-        ("slide_13", VELOCITY_GAINS[1], 2),
-    )  # actuated joint, gain, index of the body
+    # Control of both sliders; a target is a displacement from the initial position
     control = tuple(
-        PD(joint, POSITION_GAIN, damping, TARGET_HEIGHT - float(tables.center_of_mass[slider, 2]))
-        for joint, damping, slider in sliders
+        PD(joint, POSITION_GAIN, damping, target=TARGET_HEIGHT - float(tables.center_of_mass[slider, 2]))
+        for joint, damping, slider in (("slide_12", VELOCITY_GAINS[0], 1), ("slide_13", VELOCITY_GAINS[1], 2))
     )
     return Scene(
         name,
@@ -285,6 +289,7 @@ def _link_axis(body: str, joints: list[Joint]) -> Array:
 def _rotation_from_z(axis: Array) -> Array:
     """Return the smallest rotation (3, 3) that turns the world's z axis to a unit vector (3,)."""
     z = np.array([0.0, 0.0, 1.0])
+    # the quaternion of the smallest rotation from a to b is proportional to (1 + a . b, a x b)
     p = np.array([1.0 + z @ axis, *np.cross(z, axis)])
     return rotation(p / np.linalg.norm(p))
 
@@ -292,6 +297,7 @@ def _rotation_from_z(axis: Array) -> Array:
 def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
     """Return the shapes of each body for drawing, as in the paper's Figure 2. Shapes have no effect on the
     motion."""
+    # A capsule has two end points and a radius, a box half its side lengths, a center and an orientation; m
     point = {joint.name: joint.point for joint in joints}
     centers = tables.center_of_mass
     base = centers[0] * [1.0, 1.0, 0.0]
@@ -324,6 +330,7 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
         block = Box(np.array([0.012, 0.012, 0.01]), centers[body])
         return (block, Capsule(centers[body], point[joint], 0.003))
 
+    # in the order of the bodies; column and legs are bars between their joints
     return [
         ground,
         slider(1, "hinge_26"),
@@ -337,11 +344,14 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
 
 def _cells(tables: Tables) -> Mesh:
     """Return the solar cells, six by four, as a dark mesh slightly above the panel."""
+    # Centers (24, 3) of the cells, and corners (4, 3) of a cell from its center, panel frame, m
     cells = (6, 4)
     x, y = ((2.0 * np.arange(n) + 1.0 - n) / n * half for n, half in zip(cells, PANEL, strict=True))
     centers = np.array([[a, b, 0.0025] for a in x for b in y])
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*np.divide(PANEL, cells), 0.0]
+    # Four vertices and two triangles per cell; a cell is drawn 10 % smaller, with a gap to the next one
     vertices = (centers[:, None] + 0.9 * corners).reshape(-1, 3) @ rotation(tables.euler_parameters[6]).T
-    first = 4 * np.arange(len(centers))[:, None]
-    triangles = np.concatenate([first + corner for corner in ([0, 1, 2], [0, 2, 3])])
-    return Mesh(tables.center_of_mass[6] + vertices, triangles, (0.03, 0.05, 0.12, 1.0))
+    first_vertex = 4 * np.arange(len(centers))[:, None]
+    triangles = np.concatenate([first_vertex + triangle for triangle in ([0, 1, 2], [0, 2, 3])])
+    dark_blue = (0.03, 0.05, 0.12, 1.0)
+    return Mesh(tables.center_of_mass[6] + vertices, triangles, dark_blue)

@@ -34,8 +34,8 @@ EFFECTIVE_MASSES = {"slide_12": 2.5, "slide_13": 0.7}
 PD controllers with gains multiplied by these masses are as fast as computed torque."""
 
 REFERENCES = {
-    "slide_12": Sine(-0.01, np.pi, 0.5 * np.pi, offset=0.01),
-    "slide_13": Sine(-0.0075, 2.0 * np.pi, 0.5 * np.pi, offset=0.0075),
+    "slide_12": Sine(-0.01, angular_frequency=np.pi, phase=0.5 * np.pi, offset=0.01),
+    "slide_13": Sine(-0.0075, angular_frequency=2.0 * np.pi, phase=0.5 * np.pi, offset=0.0075),
 }
 """Reference displacements of the sliders by joint, m, from rest in the initial pose.
 
@@ -71,7 +71,7 @@ def tracker_computed_torque(
     control: tuple[Law, ...] = laws
     if period:
         limit = force_limit or np.inf
-        control = tuple(Digital(law, period, delay, resolution, limit) for law in laws)
+        control = tuple(Digital(law, period, delay, resolution, force_limit=limit) for law in laws)
     description = f"dual-axis solar tracker, {controller} along a smooth motion, under gravity"
     return replace(scene, name="tracker_computed_torque", description=description, control=control)
 
@@ -81,6 +81,7 @@ def _laws(
 ) -> tuple[PD | ComputedTorque | StateFeedback, ...]:
     """Make the continuous control laws of both actuators; arguments as of `tracker_computed_torque`."""
     if controller == "lqr":
+        # the scene with both sliders at rest in the middle of their motions
         middle = start(scene, **{name: (reference.offset, 0.0) for name, reference in REFERENCES.items()})
         # weights of position and velocity errors: squares of the forces that the PD controllers would apply
         weights = [
@@ -89,7 +90,14 @@ def _laws(
             for name in REFERENCES
         ]
         targets: dict[str | Key, float | TimeFunction] = dict(REFERENCES.items())
-        return lqr(scene, weights, 1.0, middle.initial_state, list(REFERENCES), targets=targets)
+        return lqr(
+            scene,
+            Q=weights,
+            R=1.0,
+            state=middle.initial_state,
+            coordinates=list(REFERENCES),
+            targets=targets,
+        )
     if controller == "computed_torque":
         panel = scene.mechanism.body("panel_7")
         model = {"panel_7.mass": (1.0 + mass_error) * panel.mass} if mass_error else {}

@@ -64,7 +64,9 @@ PARAMETERS = (
     "place of leg 5's center of mass along the leg, share",
     "place of leg 6's center of mass along the leg, share",
 )
-"""Names of the unknowns of the fit: lengths in m, and two fractions of the length of a leg ("share")."""
+"""Names of the unknowns of the fit: lengths, m, and two fractions ("share") of the length of a leg.
+
+xi, eta and zeta are the x, y and z axis of the panel's frame."""
 
 GUESS = np.array([0.016, 0.018, 0.046, 0.09, -0.03, -0.015, 0.05, -0.01, 0.053, 0.5, 0.5])
 """Initial values (11,) of `PARAMETERS` for the fit."""
@@ -91,16 +93,18 @@ class Design:
     parameters: Array
 
     def points(self) -> tuple[Array, ...]:
-        """Return the joint points of the design, each (3,), m.
+        """Return the five joint points of the design, each (3,), m.
 
-        World frame: joint of slider 2 and leg 6; hinge of the column. Frame of the panel, from its center of
-        mass: universal joint; ball of leg 6; ball of leg 5.
+        The first two are in the world frame: joint of slider 2 and leg 6; hinge of the column. The others are
+        in the frame of the panel, from its center of mass: universal joint; ball of leg 6; ball of leg 5.
         """
-        offset, height, hinge, _, eta, zeta, a, c = self.parameters[:8]
+        offset, height, hinge, _, eta, zeta, a, c = self.parameters[:8]  # `_` is the length of the column
         slider = np.array([CENTERS[1, 0] + offset, CENTERS[1, 1], height])
         foot = np.array([CENTERS[2, 0], CENTERS[1, 1], hinge])
-        # leg 6 swings in the vertical plane of its slider, which fixes the balls' eta
-        return slider, foot, np.array([0.0, eta, zeta]), np.array([-a, a + eta, c]), np.array([a, a + eta, c])
+        universal = np.array([0.0, eta, zeta])
+        # leg 6 swings in the vertical plane of its slider, so that the eta of both balls is a + eta
+        ball_6, ball_5 = np.array([-a, a + eta, c]), np.array([a, a + eta, c])
+        return slider, foot, universal, ball_6, ball_5
 
     def panel(self, lean: float, pitch: float, roll: float) -> tuple[Array, Array]:
         """Return the center of mass (3,), m, and the rotation (3, 3) of the panel for given angles.
@@ -111,37 +115,40 @@ class Design:
         """
         _, foot, universal, _, _ = self.points()
         column = turn(HINGE_AXIS, lean)
-        top = foot + column @ [0.0, 0.0, self.parameters[3]]
+        column_length = self.parameters[3]
+        top = foot + column @ [0.0, 0.0, column_length]
         orientation = column @ turn(CROSS_AXIS, pitch) @ turn(HINGE_AXIS, roll) @ HORIZONTAL
         return top - orientation @ universal, orientation
 
     def predict(self) -> tuple[Array, Array]:
         """Return the initial centers of mass (4, 3) of bodies 4 to 7, m, and the rotation of body 7."""
+        # Length of both legs, from the pose with an upright column and a horizontal panel
         slider, foot, _, ball_6, ball_5 = self.points()
-        upright, horizontal = self.panel(0.0, 0.0, 0.0)
-        up = np.array([0.0, 0.0, RISE])
-        length = np.linalg.norm(upright + horizontal @ ball_6 - slider - up)
+        horizontal_center, horizontal = self.panel(0.0, 0.0, 0.0)
+        rise = np.array([0.0, 0.0, RISE])
+        length = np.linalg.norm(horizontal_center + horizontal @ ball_6 - slider - rise)
 
-        # find the angles at which both legs have the length that the horizontal panel gives them
+        # Angles of the initial position, at which both legs have this length
         def gaps(angles: Array) -> Array:
             """Return the excess lengths of legs 6 and 5 and the displacement of leg 6 from its plane, m."""
             center, orientation = self.panel(*angles)
-            on_6, on_5 = center + orientation @ ball_6, center + orientation @ ball_5
+            top_6, top_5 = center + orientation @ ball_6, center + orientation @ ball_5
             return np.array(
                 [
-                    np.linalg.norm(on_6 - slider) - length,
-                    np.linalg.norm(on_5 - mirror(slider)) - length,
-                    on_6[1] - slider[1],
+                    np.linalg.norm(top_6 - slider) - length,
+                    np.linalg.norm(top_5 - mirror(slider)) - length,
+                    top_6[1] - slider[1],
                 ]
             )
 
         solution = root(gaps, np.array([0.09, 0.0, 0.0]), tol=1e-14)
+        # Centers of mass: those of column and legs lie on the lines between their joints
         center, orientation = self.panel(*solution.x)
-        on_6, on_5 = center + orientation @ ball_6, center + orientation @ ball_5
+        top_6, top_5 = center + orientation @ ball_6, center + orientation @ ball_5
         height, share_5, share_6 = self.parameters[8:]
         column = foot + turn(HINGE_AXIS, solution.x[0]) @ [0.0, 0.0, height]
-        leg_5 = mirror(slider) + share_5 * (on_5 - mirror(slider))
-        leg_6 = slider + share_6 * (on_6 - slider)
+        leg_5 = mirror(slider) + share_5 * (top_5 - mirror(slider))
+        leg_6 = slider + share_6 * (top_6 - slider)
         return np.array([column, leg_5, leg_6, center]), orientation
 
     def residuals(self) -> Array:
@@ -152,10 +159,11 @@ class Design:
         """
         centers, orientation = self.predict()
         error = orientation @ PANEL_ROTATION.T
-        twist = 0.5 * np.array(
+        # axis times sine of the angle of this rotation: its skew-symmetric part
+        rotation_error = 0.5 * np.array(
             [error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]
         )
-        return np.concatenate([(centers - CENTERS[3:7]).ravel(), PANEL_RADIUS * twist])
+        return np.concatenate([(centers - CENTERS[3:7]).ravel(), PANEL_RADIUS * rotation_error])
 
 
 def fit() -> Design:
@@ -174,15 +182,16 @@ def fit() -> Design:
 def close_exactly(design: Design) -> dict[str, Array]:
     """Return the joint points nearest to the design's that close both poses exactly, world frame, m.
 
-    Unknowns are the points at the initial position and the horizontal pose (panel center and column angle).
-    Six equations: the point of the universal joint moves with the column (3), both legs keep their
-    lengths (2), leg 6 stays in its plane (1).
+    Both poses are the published initial position and the pose with a horizontal panel. Six equations: the
+    point of the universal joint moves with the column (3), both legs keep their lengths (2), leg 6 stays in
+    its vertical plane (1).
     """
+    # Fifteen unknowns: 11 coordinates of joint points at the initial position, then, for the horizontal pose,
+    # the center of the panel (3) and the angle of the column
     slider, foot, universal, ball_6, ball_5 = design.points()
-    # unknowns: 11 coordinates of joint points, center of the horizontal panel, angle of the column there
     on_panel = [CENTERS[6] + PANEL_ROTATION @ s for s in (universal, ball_6, ball_5)]
     start = np.concatenate([slider[[0, 2]], foot[2:], on_panel[0], on_panel[1][[0, 2]], on_panel[2]])
-    horizontal = design.panel(0.0, 0.0, 0.0)[0]
+    horizontal_center, _ = design.panel(0.0, 0.0, 0.0)
 
     def unpack(x: Array) -> dict[str, Array]:
         """Return the joint points (3,), m, by name of the joint."""
@@ -198,30 +207,31 @@ def close_exactly(design: Design) -> dict[str, Array]:
 
     def gaps(x: Array) -> Array:
         """Return the six closure errors of the horizontal pose, m."""
-        at = unpack(x)
+        initial = unpack(x)
         center, lean = x[11:14], x[14]
-        moved = {
-            name: center + HORIZONTAL @ PANEL_ROTATION.T @ (at[name] - CENTERS[6])
+        horizontal = {
+            name: center + HORIZONTAL @ PANEL_ROTATION.T @ (initial[name] - CENTERS[6])
             for name in ("universal_47", "ball_67", "ball_57")
         }
-        column = at["hinge_14"] + turn(HINGE_AXIS, lean) @ (at["universal_47"] - at["hinge_14"])
-        up = np.array([0.0, 0.0, RISE])
+        column_vector = initial["universal_47"] - initial["hinge_14"]
+        column_top = initial["hinge_14"] + turn(HINGE_AXIS, lean) @ column_vector
+        rise = np.array([0.0, 0.0, RISE])
 
         def stretch(ball: str, foot_of_leg: str) -> float:
             """Return by how much a leg is longer than at the initial position, m."""
-            before = np.linalg.norm(at[ball] - at[foot_of_leg])
-            return float(np.linalg.norm(moved[ball] - at[foot_of_leg] - up) - before)
+            before = np.linalg.norm(initial[ball] - initial[foot_of_leg])
+            return float(np.linalg.norm(horizontal[ball] - initial[foot_of_leg] - rise) - before)
 
         return np.array(
             [
-                *(moved["universal_47"] - column),
+                *(horizontal["universal_47"] - column_top),
                 stretch("ball_67", "hinge_26"),
                 stretch("ball_57", "universal_35"),
-                moved["ball_67"][1] - at["ball_67"][1],
+                horizontal["ball_67"][1] - initial["ball_67"][1],
             ]
         )
 
-    return unpack(_nearest_root(gaps, np.concatenate([start, horizontal, [-0.09]]), free=4))
+    return unpack(_nearest_root(gaps, np.concatenate([start, horizontal_center, [-0.09]]), free=4))
 
 
 def _nearest_root(gaps: Callable[[Array], Array], start: Array, free: int) -> Array:
@@ -232,14 +242,14 @@ def _nearest_root(gaps: Callable[[Array], Array], start: Array, free: int) -> Ar
         start: (n,) unknowns.
         free: number of unknowns, the last ones, whose change counts only by 1e-3 in the norm.
     """
-    weight = np.ones(len(start))
-    weight[-free:] = 1e3
+    scale = np.ones(len(start))
+    scale[-free:] = 1e3
     x = start.copy()
-    for _ in range(30):
+    for _ in range(30):  # more than enough: Newton's method converges quadratically
         jacobian = np.column_stack([(gaps(x + 1e-6 * e) - gaps(x - 1e-6 * e)) / 2e-6 for e in np.eye(len(x))])
-        scaled = jacobian * weight
-        right = jacobian @ (x - start) - gaps(x)
-        x = start + weight * (np.linalg.pinv(scaled) @ right)
+        # the smallest change from `start`, divided by `scale`, that solves the linearized equations
+        right_side = jacobian @ (x - start) - gaps(x)
+        x = start + scale * (np.linalg.pinv(jacobian * scale) @ right_side)
     return x
 
 

@@ -25,7 +25,7 @@ SPEED_UP = 300.0
 """Speed of the scene relative to the real sun: an hour takes 12 s, which all engines can simulate."""
 
 SET_POINTS = 13
-"""Number of set-points of the sliders in the run, one per second."""
+"""Number of set-points (targets) of the sliders in the run of 12 s, one per second."""
 
 
 def sun_tracker() -> Scene:
@@ -56,10 +56,12 @@ def tracker_sun_day(
     from crosscheck.solar.place import Place, day_times, sun_over
     from crosscheck.solar.tracking import Tracking
 
+    # times of a day, every 300 s of the real sun, which are 1 s of the scene; then the hour before noon
     location = Place(*PLACES[place])
     day = day_times(DATES[date], location.zone, SPEED_UP)
     noon = len(day) // 2
     sun = sun_over(location, day[noon - SET_POINTS + 1 : noon + 1])
+    # set-points at which the panel faces the sun, up to its largest tilt
     scene, _, _ = following(sun_tracker(), PANEL_NORMAL, Tracking().normals(sun), period=1.0)
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)

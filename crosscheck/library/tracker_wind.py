@@ -1,4 +1,7 @@
-"""Scene of the solar tracker that moves its panel under gravity and wind."""
+"""Scene of the solar tracker that moves its panel under gravity and wind.
+
+The tracker tilts a panel by two sliders on vertical rails, see `crosscheck.library.tracker`.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,10 @@ WIND_POSITION_GAIN, WIND_VELOCITY_GAIN = 5000.0, 100.0
 With the gains of the paper the panel sags by decimeters under gravity."""
 
 FEEDFORWARD = (7.056, 5.767)
-"""Feedforward forces of the actuators, N, which balance the weight at the start.
+"""Constant forces of the actuators, N, added to those of the PD controllers; they balance the weight at the
+start.
 
-Without the forces the tracker sags by a millimeter."""
+Without these forces the tracker sags by a millimeter."""
 
 STROKES = (0.02, 0.015)
 """Strokes of both sliders, m: from rest upwards and back."""
@@ -76,7 +80,13 @@ def tracker_wind(
         speed=_speed(wind, speed, seed),
     )
     control = tuple(
-        PD(law.joint, WIND_POSITION_GAIN, WIND_VELOCITY_GAIN, _up_and_down(stroke, period), feedforward=force)
+        PD(
+            law.joint,
+            WIND_POSITION_GAIN,
+            WIND_VELOCITY_GAIN,
+            target=_up_and_down(stroke, period),
+            feedforward=force,
+        )
         for law, stroke, period, force in zip(scene.control, STROKES, PERIODS, FEEDFORWARD, strict=True)
     )
     description = "dual-axis solar tracker, stiff PD control along a motion, under gravity and wind"
@@ -85,7 +95,7 @@ def tracker_wind(
 
 def _up_and_down(stroke: float, period: float) -> Sine:
     """Return a motion from 0 to a stroke (m) and back in a period (s), starting at rest."""
-    return Sine(-0.5 * stroke, 2.0 * np.pi / period, 0.5 * np.pi, offset=0.5 * stroke)
+    return Sine(-0.5 * stroke, angular_frequency=2.0 * np.pi / period, phase=0.5 * np.pi, offset=0.5 * stroke)
 
 
 def _speed(wind: str, speed: float, seed: int) -> float | TimeFunction:
@@ -93,6 +103,6 @@ def _speed(wind: str, speed: float, seed: int) -> float | TimeFunction:
     if wind == "steady" or speed == 0.0:
         return speed
     if wind == "gust":
-        return wind_gust(speed, 0.5 * speed, period=5.0)
+        return wind_gust(speed, gust=0.5 * speed, period=5.0)
     deviation = TURBULENCE_INTENSITY * (0.75 * speed + SPEED_OFFSET)
     return wind_turbulence(speed, deviation, TURBULENCE_LENGTH, seed, *FREQUENCY_BAND, SINE_COUNT)

@@ -1,4 +1,9 @@
-"""A day of a solar tracker: set-points by inverse kinematics, simulated motion, pointing error and energy."""
+"""A day of a solar tracker: set-points by inverse kinematics, simulated motion, pointing error and energy.
+
+A solar tracker is a mechanism that moves a panel so that the panel's normal points at the sun. Its PD
+controllers follow set-points, targets of joint coordinates that change in steps. `tracker_day` computes the
+set-points of a day and simulates the motion.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +28,8 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 REST_RATE = 1e-8
-"""Rates, SI, below which the tracker is at rest: the simulation skips to the next set-point."""
+"""Rates of all coordinates and velocities, SI, below which the tracker counts as at rest: the simulation
+skips to the next set-point."""
 
 DEFAULT_TRACKING = Tracking()
 """Rules of tracking of `tracker_day` if the caller gives none."""
@@ -35,7 +41,7 @@ class Day:
 
     Attributes:
         place: place of the tracker.
-        sun: positions of the sun at the set-points.
+        sun: positions of the sun at the times of the set-points.
         wanted: (n, 3) wanted directions of the panel's normal (east, north, up).
         poses: poses of the mechanism whose normal is as close to `wanted` as the mechanism allows.
         loads: static loads of actuators and joints at these poses, under weight only.
@@ -43,7 +49,7 @@ class Day:
         scene: the tracker with these set-points as targets of its controllers.
         run: simulated motion, with one output at the end of each set-point's interval.
         axis: the panel's normal as an axis of a body.
-        wind: (n,) m/s, wind speed at the set-points; None for calm.
+        wind: (n,) m/s, wind speed at the times of the set-points; None for calm.
     """
 
     place: Place
@@ -59,12 +65,12 @@ class Day:
 
     @cached_property
     def seconds(self) -> Array:
-        """(n,) s since midnight."""
+        """(n,) times of the set-points, s since midnight."""
         return self.run.time
 
     @property
     def period(self) -> float:
-        """s between set-points."""
+        """Time between set-points, s."""
         return self.scene.output_period
 
     def hours(self, which: Array) -> float:
@@ -76,20 +82,20 @@ class Day:
         return self.scene.mechanism.is_slide(joint, 0)
 
     @property
-    def commands(self) -> Mapping[str, Array]:
+    def set_points(self) -> Mapping[str, Array]:
         """Joint coordinates (n,) of the set-points by actuated joint, m or rad from the initial pose."""
-        laws = (law.key for law in self.scene.control)
-        return {key[0]: self.poses.coordinates[key] for key in laws}
+        coordinates = (law.key for law in self.scene.control)  # (joint, index of the coordinate)
+        return {joint: self.poses.coordinates[joint, index] for joint, index in coordinates}
 
     @cached_property
     def normals(self) -> Array:
-        """(n, 3) the panel's normal as it moved: east, north, up."""
+        """(n, 3) directions of the panel's normal in the simulated motion: east, north, up."""
         body = self.run.body_names.index(self.axis.body)
         return rotations(self.run.quaternion[:, body]) @ self.axis.axis
 
     @cached_property
     def errors(self) -> Array:
-        """(n,) rad between the panel's normal and the sun."""
+        """(n,) pointing errors: angles between the panel's normal and the direction of the sun, rad."""
         return np.asarray(np.linalg.norm(smallest_turns(self.normals, self.sun.direction), axis=1))
 
     @property
@@ -104,7 +110,7 @@ class Day:
 
     @property
     def sun_seen(self) -> Array:
-        """(n, 3) direction of the sun; at night its projection onto the horizon."""
+        """(n, 3) unit vectors to the sun (east, north, up), for drawing; at night in the horizontal plane."""
         seen = self.sun.direction
         seen[~self.sun.is_up, 2] = 0.0
         return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
@@ -122,12 +128,15 @@ class Day:
 
     @cached_property
     def work(self) -> float:
-        """W h, positive work of the actuators against weight over the day, for quasi-static motion.
+        """Positive work of the actuators against weight over the day, W h, for quasi-static motion.
 
-        See `work_and_energy`. The steps of PD controllers take more than that.
+        Negative work is not recovered. The steps of PD controllers need more energy than this work.
         """
-        pairs = zip(self.loads.actuator_force.T, self.commands.values(), strict=True)
-        return sum(float(work_and_energy(force, x)[1][-1]) for force, x in pairs) / 3600.0
+        works = []
+        for force, x in zip(self.loads.actuator_force.T, self.set_points.values(), strict=True):
+            _, positive_work = work_and_energy(force, x)  # (n,) J, up to each set-point
+            works.append(float(positive_work[-1]))
+        return sum(works) / 3600.0
 
 
 def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[Scene, Poses, Loads]:
@@ -138,12 +147,12 @@ def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[S
 
     Args:
         scene: the tracker; all its controllers are `PD`.
-        axis: the panel's normal.
+        axis: the panel's normal as an axis of a body.
         wanted: (n, 3) wanted directions of the normal, world frame.
-        period: s between set-points.
+        period: time between set-points, s.
 
     Returns:
-        The scene with these set-points, the poses of the set-points, and the static loads there.
+        The scene with these set-points, the poses of the set-points, and the static loads at these poses.
 
     Raises:
         CrosscheckError: if a controller of the scene is not `PD`.
@@ -153,6 +162,7 @@ def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[S
         raise CrosscheckError(
             f"scene {scene.name!r}: set-points need PD controllers; found none, or other controllers too"
         )
+    # inverse kinematics; `coordinates` of the poses are the measured joint coordinates
     poses = solve_poses(scene, axis=axis, towards=wanted, measure=[law.key for law in laws])
     times = period * np.arange(len(wanted))
     loads = statics(scene, poses, [law.joint for law in laws])
@@ -192,13 +202,14 @@ def tracker_day(
 
     Args:
         scene: the tracker, with PD controllers; x is east, y north, z up.
-        axis: the panel's normal.
+        axis: the panel's normal as an axis of a body.
         place: place of the tracker.
         date: YYYY-MM-DD.
         zone: time zone, for example "Asia/Phnom_Penh"; the nautical time zone of the place if None.
         tracking: rules of tracking.
-        period: s between set-points.
-        wind: (n,) m/s, wind speed at the n set-points, for `Tracking.stow`; None for calm.
+        period: time between set-points, s.
+        wind: (n,) m/s, wind speed at the times of the n set-points, for `Tracking.stow`; None for calm. The
+            wind exerts no force.
 
     Raises:
         CrosscheckError: for a scene with other controllers, and for an invalid date, zone or period.
@@ -210,4 +221,15 @@ def tracker_day(
     driven, poses, loads = following(scene, axis, wanted, period)
     driven = replace(driven, outputs=frozenset({"velocities", "actuation"}))
     run = simulate(driven, rest=REST_RATE)
-    return Day(place, sun, wanted, poses, loads, tracking, driven, run, axis, wind)
+    return Day(
+        place=place,
+        sun=sun,
+        wanted=wanted,
+        poses=poses,
+        loads=loads,
+        tracking=tracking,
+        scene=driven,
+        run=run,
+        axis=axis,
+        wind=wind,
+    )

@@ -1,4 +1,4 @@
-"""Irradiance on a tracker's panel, and on the panels of usual mountings, over a clear day.
+"""Irradiance on a solar tracker's panel, and on panels with common mountings, over a clear day.
 
 The models are pvlib's: clear sky of climatological turbidity (Ineichen and Perez, Solar Energy 73, 2002),
 diffuse light after Hay and Davies, ground of albedo 0.2. Losses by reflection, heat, dirt or shadows are not
@@ -19,7 +19,7 @@ ALBEDO = 0.2
 """Fraction of the light that the ground reflects, a common value."""
 
 ROW_TILT = 60.0
-"""Degrees, largest rotation of a horizontal single-axis tracker; a common value in solar fields."""
+"""Largest rotation of a horizontal single-axis tracker, degrees; a common value in solar fields."""
 
 THIS, FIXED, FACING = "this tracker", "tilted by the latitude", "facing the sun"
 FLAT, ONE_AXIS = "flat", f"one axis, {ROW_TILT:g} deg"
@@ -70,11 +70,14 @@ class ClearSky:
         fixed = np.array([0.0, -np.sin(latitude), np.cos(latitude)])
         zenith, azimuth = 90.0 - np.degrees(self.sun.elevation), np.degrees(self.sun.azimuth)
         row = self._pvlib.tracking.singleaxis(zenith, azimuth, max_angle=ROW_TILT, backtrack=False)
-        tilt, towards = (np.radians(np.nan_to_num(row[f"surface_{name}"])) for name in ("tilt", "azimuth"))
+        # NaN at night becomes 0, a panel that lies flat
+        row_tilt, row_azimuth = (
+            np.radians(np.nan_to_num(row[f"surface_{name}"])) for name in ("tilt", "azimuth")
+        )
         return {
             FLAT: np.tile([0.0, 0.0, 1.0], (count, 1)),
             FIXED: np.tile(fixed, (count, 1)),
-            ONE_AXIS: tilted(tilt, towards),
+            ONE_AXIS: tilted(row_tilt, row_azimuth),
             FACING: self.sun.direction,
         }
 

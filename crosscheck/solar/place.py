@@ -60,16 +60,16 @@ class Place:
 
 
 SUN = "sun"
-"""The extra of this distribution that installs pvlib and pandas."""
+"""Name of the optional dependencies (`pip install crosscheck-dynamics[sun]`): pvlib and pandas."""
 
 
 def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
-    """Return the times of 24 hours from midnight, every `period` s.
+    """Return the times of 24 hours from midnight, both midnights included, every `period` s.
 
     Args:
         date: YYYY-MM-DD.
         zone: name of a time zone, for example "Asia/Phnom_Penh" or "UTC+07:00".
-        period: s.
+        period: time between two times, s.
 
     Raises:
         CrosscheckError: for an invalid date or time zone.
@@ -96,9 +96,14 @@ def seconds_of_day(period: float) -> Array:
 
 
 def tilted(tilt: Array, azimuth: Array) -> Array:
-    """Return unit vectors (n, 3), east, north and up, tilted from up (n,) towards an azimuth (n,), rad."""
-    across = np.sin(tilt)
-    return np.stack([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(tilt)], axis=1)
+    """Return unit vectors (n, 3): east, north, up.
+
+    Args:
+        tilt: (n,) angle from the vertical, rad.
+        azimuth: (n,) angle from north to the east of the horizontal part, rad.
+    """
+    horizontal = np.sin(tilt)
+    return np.stack([horizontal * np.sin(azimuth), horizontal * np.cos(azimuth), np.cos(tilt)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,9 @@
-"""Report on a tracker's day, or on days at several places and dates: tables, plots and files."""
+"""Report on a solar tracker's day, or on days at several places and dates: tables, plots and files.
+
+A `Day` is a simulated day of a tracker, a mechanism whose controllers follow set-points so that its panel
+faces the sun. `day.light` is the irradiation of the tracker's panel and of other panels in W h/m^2, by the
+name of the panel (`THIS`, `FIXED`, `ONE_AXIS`, `FACING`).
+"""
 
 from __future__ import annotations
 
@@ -31,12 +36,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_PRINTED_HOURS = 9
-"""Largest number of rows of the table of a day in the terminal; the whole report is 25 lines long."""
+"""Largest number of rows of the table of a day in the terminal, so that the report has about 25 lines."""
 
-SURVEYED = ("on sun\nh", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "facing\n%", "work\nmWh")
-"""Headings of the columns of a survey, the table of several days."""
+SURVEY_HEADINGS = (
+    "on sun\nh",
+    "off\ndeg",
+    "fixed\nkWh/m^2",
+    "this\n%",
+    "1 axis\n%",
+    "facing\n%",
+    "work\nmWh",
+)
+"""Headings of the columns of a survey, the table of several days.
 
-DAY_FILES = ("commands.csv", "day.png", "day.rrd")
+They are: hours in which the panel faces the sun, largest pointing error in these hours, irradiation of a
+fixed panel, gains of this tracker and of other panels over the fixed one, and work of the actuators.
+"""
+
+DAY_FILES = ("commands.csv", "day.png", "day.rrd")  # commands are the set-points
 """Names of the files of one day: set-points, plot and recording."""
 
 SURVEY_FILES = ("days.csv",)
@@ -44,14 +61,18 @@ SURVEY_FILES = ("days.csv",)
 
 
 def hours(day: Day) -> Iterator[list[str | Cell]]:
-    """Yield a table row for each whole hour in which the sun is up."""
-    is_whole = (day.sun.times.minute == 0) & (day.sun.times.second == 0)
-    for k in np.flatnonzero(is_whole & day.sun.is_up):
+    """Yield a table row for each whole hour in which the sun is up.
+
+    A row has the time, azimuth and elevation of the sun, set-points in mm or mrad, tilt of the panel, angle
+    between the panel's normal and the sun, and the wind speed if there is wind.
+    """
+    is_whole_hour = (day.sun.times.minute == 0) & (day.sun.times.second == 0)
+    for k in np.flatnonzero(is_whole_hour & day.sun.is_up):
         yield [
             f"{day.sun.times[k]:%H:%M}",
             f"{np.degrees(day.sun.azimuth[k]):.1f}",
             f"{np.degrees(day.sun.elevation[k]):.1f}",
-            *(f"{1e3 * values[k]:.2f}" for values in day.commands.values()),
+            *(f"{1e3 * values[k]:.2f}" for values in day.set_points.values()),
             f"{np.degrees(np.arccos(np.clip(day.normals[k, 2], -1.0, 1.0))):.1f}",
             f"{np.degrees(day.errors[k]):.2f}",
             *([] if day.wind is None else [f"{day.wind[k]:.1f}"]),
@@ -60,17 +81,22 @@ def hours(day: Day) -> Iterator[list[str | Cell]]:
 
 def day_report(day: Day) -> Report:
     """Report on one day: positions of the sun, set-points, pointing error, irradiation and loads."""
+    # Table of the hours: all hours, or (in the terminal) every second or third one. A set-point is named
+    # after its joint
     units = {"azimuth": "deg", "elevation": "deg"}
-    units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.commands}
+    units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.set_points}
     units |= {"tilt": "deg", "off sun": "deg"} | ({} if day.wind is None else {"wind": "m/s"})
     columns = [
         *text_columns("time"),
         *(Column(f"{name}\n{unit}", numeric=True) for name, unit in units.items()),
     ]
     rows: Rows = list(hours(day))
-    few = rows[:: -(-len(rows) // MAX_PRINTED_HOURS) or 1]
-    tables = [Table("sun, set-points and panel", columns, chosen) for chosen in (rows, few)]
-    light = Table(
+    step = -(-len(rows) // MAX_PRINTED_HOURS) or 1  # rounded up
+    hours_table, short_table = (
+        Table("sun, set-points and panel", columns, chosen) for chosen in (rows, rows[::step])
+    )
+    # Irradiation, loads and assumptions
+    irradiation_table = Table(
         "clear sky over the day",
         [*text_columns("panel"), *number_columns("kWh/m^2", "of fixed, %")],
         [
@@ -78,23 +104,24 @@ def day_report(day: Day) -> Report:
             for name, value in day.light.items()
         ],
     )
-    assumed = Lines("assumptions", list(assumptions(day)))
-    parts: list[Part] = [tables[0], light, loads_table(day), assumed]
-    summary: list[Part] = [tables[1], light]
-    where = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
-    return Report(where, verdict(day), Cell("followed", "holds"), parts, day.run.wall_time, summary)
+    assumption_lines = Lines("assumptions", list(assumptions(day)))
+    parts: list[Part] = [hours_table, irradiation_table, loads_table(day), assumption_lines]
+    summary: list[Part] = [short_table, irradiation_table]
+    title = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
+    return Report(title, verdict(day), Cell("followed", "holds"), parts, day.run.wall_time, summary)
 
 
 def loads_table(day: Day) -> Table:
     """Tabulate the largest static forces of actuators and joints over the day, and when they occur."""
-    rows: Rows = []
+    # Names, and magnitudes (n,) of forces at the set-points
     forces = np.abs(day.loads.actuator_force)
-    kinds = [(f"actuator {name}", force) for name, force in zip(day.loads.actuators, forces.T, strict=True)]
+    named = [(f"actuator {name}", force) for name, force in zip(day.loads.actuators, forces.T, strict=True)]
     reactions = np.linalg.norm(day.loads.reaction_force, axis=2)
-    kinds += [
+    named += [
         (f"joint {name}", force) for name, force in zip(day.loads.joint_names, reactions.T, strict=True)
     ]
-    for name, force in kinds:
+    rows: Rows = []
+    for name, force in named:
         k = int(np.argmax(force))
         rows.append([name, f"{force[k]:.3f}", f"{np.min(force):.3f}", f"{day.sun.times[k]:%H:%M}"])
     columns = [*text_columns("where"), *number_columns("largest, N", "least, N"), Column("largest at")]
@@ -104,24 +131,22 @@ def loads_table(day: Day) -> Table:
 def verdict(day: Day) -> str:
     """Report in one sentence how well the panel followed the sun."""
     faces = day.faces
-    found = f"faces the sun for {day.hours(faces):.1f} h"
+    text = f"faces the sun for {day.hours(faces):.1f} h"
     if faces.any():
-        found += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
-    low = day.hours(day.sun.is_up & ~faces & ~day.stowed)
-    if low > 0.0:
-        found += (
-            f", and for {low:.1f} h points as close to it as a tilt of {day.tracking.most_tilt:g} deg allows"
-        )
+        text += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
+    limited_hours = day.hours(day.sun.is_up & ~faces & ~day.stowed)
+    if limited_hours > 0.0:
+        most_tilt = f"{day.tracking.most_tilt:g} deg"
+        text += f", and for {limited_hours:.1f} h points as close to it as a tilt of {most_tilt} allows"
     if day.wind is not None:
-        flat = day.hours(day.sun.is_up & day.stowed)
-        found += f"; lies flat for {flat:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
+        flat_hours = day.hours(day.sun.is_up & day.stowed)
+        text += f"; lies flat for {flat_hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
     missed = int(np.sum(~day.poses.reached))
     if missed:
-        found += (
-            f"; {missed} set-points are out of reach, by up to {np.degrees(np.max(day.poses.angle)):.2f} deg"
-        )
-    forces = np.abs(day.loads.actuator_force).max()
-    return f"{found}; actuators hold {forces:.3g} N at most and do {1e3 * day.work:.3g} mWh of work"
+        largest_miss = np.degrees(np.max(day.poses.angle))
+        text += f"; {missed} set-points are out of reach, by up to {largest_miss:.2f} deg"
+    largest_force = np.abs(day.loads.actuator_force).max()
+    return f"{text}; actuators hold {largest_force:.3g} N at most and do {1e3 * day.work:.3g} mWh of work"
 
 
 def assumptions(day: Day) -> Iterator[str]:
@@ -142,7 +167,7 @@ def survey_report(days: Sequence[Day]) -> Report:
     names = (THIS, ONE_AXIS, FACING)
     columns = [
         *text_columns("place", "date"),
-        *(Column(name, numeric=True) for name in SURVEYED),
+        *(Column(name, numeric=True) for name in SURVEY_HEADINGS),
     ]
     rows: Rows = [
         [
@@ -161,34 +186,35 @@ def survey_report(days: Sequence[Day]) -> Report:
         Table("days of clear sky, gains over a panel fixed at the latitude's tilt", columns, rows),
         Lines("assumptions", list(assumptions(days[0]))),
     ]
-    found = f"always facing the sun gains {min(gains):.0f} to {max(gains):.0f} % over a fixed panel"
     return Report(
-        f"{days[0].scene.name} over {len(days)} days", found, Cell("followed", "holds"), parts, None, parts
+        f"{days[0].scene.name} over {len(days)} days",
+        f"always facing the sun gains {min(gains):.0f} to {max(gains):.0f} % over a fixed panel",
+        Cell("followed", "holds"),
+        parts,
+        summary=parts,
     )
 
 
-def table_of_commands(day: Day) -> bytes:
+def table_of_set_points(day: Day) -> bytes:
     """Return the set-points as CSV: times, sun, joint coordinates in m or rad, and the pointing error."""
-    units = ("m" if day.is_slide(name) else "rad" for name in day.commands)
+    units = ("m" if day.is_slide(name) else "rad" for name in day.set_points)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["time", "seconds", "sun_azimuth_deg", "sun_elevation_deg"]
-        + [f"{name}_{unit}" for name, unit in zip(day.commands, units, strict=True)]
+        + [f"{name}_{unit}" for name, unit in zip(day.set_points, units, strict=True)]
         + ["off_sun_deg", "may_face_sun", "set_point_reached"]
         + ([] if day.wind is None else ["wind_m_per_s"])
     )
     for k, time in enumerate(day.sun.times):
         angles = np.degrees([day.sun.azimuth[k], day.sun.elevation[k]])
-        commands = [f"{values[k]:.9g}" for values in day.commands.values()]
-        off = f"{np.degrees(day.errors[k]):.6f}"
         writer.writerow(
             [
                 time.isoformat(),
                 f"{day.seconds[k]:g}",
                 *(f"{angle:.6f}" for angle in angles),
-                *commands,
-                off,
+                *(f"{values[k]:.9g}" for values in day.set_points.values()),
+                f"{np.degrees(day.errors[k]):.6f}",
                 int(day.faces[k]),
                 int(day.poses.reached[k]),
                 *([] if day.wind is None else [f"{day.wind[k]:.6g}"]),
@@ -222,7 +248,7 @@ def picture(day: Day) -> Figure:
     figure = Figure(figsize=(7.0, 7.0), layout="constrained")
     figure.suptitle(f"{day.scene.name}, {day.sun.times[0]:%Y-%m-%d}, {day.place}")
     hour = day.seconds / 3600.0
-    above, commands, light = figure.subplots(3, 1, sharex=True)
+    angle_plot, set_point_plot, light_plot = figure.subplots(3, 1, sharex=True)
 
     def draw(ax: object, lines: dict[str, Array], label: str) -> None:
         """Plot lines (n,) by name over the time of day."""
@@ -232,16 +258,21 @@ def picture(day: Day) -> Figure:
         ax.grid(alpha=0.3)  # type: ignore[attr-defined]
         ax.legend(loc="upper right", fontsize="small")  # type: ignore[attr-defined]
 
-    up = np.where(day.sun.is_up, np.degrees(day.sun.elevation), np.nan)
-    off = np.where(day.sun.is_up, np.degrees(day.errors), np.nan)
-    panel = np.degrees(np.arcsin(np.clip(day.normals[:, 2], -1.0, 1.0)))
-    draw(above, {"sun's elevation": up, "normal's elevation": panel, "between both": off}, "deg")
-    units = sorted({"mm" if day.is_slide(name) else "mrad" for name in day.commands})
-    lines = {name: 1e3 * values for name, values in day.commands.items()}
-    draw(commands, lines, f"set-points, {' and '.join(units)}")
-    draw(light, dict(day.irradiance), "clear sky, W/m^2")
-    light.set_xlabel("time of day, h")
-    light.set_xlim(0.0, 24.0)
+    sun_elevation = np.where(day.sun.is_up, np.degrees(day.sun.elevation), np.nan)
+    error = np.where(day.sun.is_up, np.degrees(day.errors), np.nan)
+    normal_elevation = np.degrees(np.arcsin(np.clip(day.normals[:, 2], -1.0, 1.0)))
+    angles = {
+        "sun's elevation": sun_elevation,
+        "normal's elevation": normal_elevation,
+        "between both": error,
+    }
+    draw(angle_plot, angles, "deg")
+    units = sorted({"mm" if day.is_slide(name) else "mrad" for name in day.set_points})
+    lines = {name: 1e3 * values for name, values in day.set_points.items()}
+    draw(set_point_plot, lines, f"set-points, {' and '.join(units)}")
+    draw(light_plot, dict(day.irradiance), "clear sky, W/m^2")
+    light_plot.set_xlabel("time of day, h")
+    light_plot.set_xlim(0.0, 24.0)
     return figure
 
 
@@ -257,6 +288,6 @@ def write(day: Day, report: Report, folder: Path) -> list[Path]:
     text = f"# {report.title}\n\n{report.verdict}\n"
     runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
     recording = recorded(log_run, day.scene, runs, text, report.title, directions=directions)
-    contents = (table_of_commands(day), png(picture(day)), recording)
+    contents = (table_of_set_points(day), png(picture(day)), recording)
     write_files(dict(zip(paths, contents, strict=True)))
     return paths

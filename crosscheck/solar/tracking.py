@@ -24,12 +24,13 @@ class Tracking:
     """Rules of tracking.
 
     Attributes:
-        deadband: degrees; the panel moves only if its direction is off by more. 0 to move at each set-point.
-        most_tilt: degrees, largest tilt from the horizontal.
-        pitch: distance of the next row towards the sun, in panel lengths. If the sun is low, the panel turns
-            back so that no shadow falls on the next row (backtracking: Lorenzo, Narvarte, Munoz, Progress in
+        deadband: dead band, degrees: the panel moves only if its normal differs from the wanted direction by
+            more. 0 to move at each set-point.
+        most_tilt: largest tilt of the panel from the horizontal, degrees.
+        pitch: distance between rows of panels, in panel lengths. If the sun is low, the panel turns back so
+            that no shadow falls on the next row (backtracking: Lorenzo, Narvarte, Munoz, Progress in
             Photovoltaics 19, 2011, in the vertical plane of the sun). Infinite for a panel that stands alone.
-        stow: m/s, wind speed from which the panel lies flat.
+        stow: wind speed from which the panel lies flat, m/s.
 
     Raises:
         CrosscheckError: naming a value that is out of range.
@@ -70,18 +71,18 @@ class Tracking:
             raise CrosscheckError(
                 f"the sun does not rise on {sun.times[0].date()}; choose another date or place"
             )
+        # by day, towards the sun within the limits of shadow and tilt
         tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.most_tilt))
         wanted = tilted(tilt, sun.azimuth)
-        waits = np.flatnonzero(~up)
-        risen = np.flatnonzero(up)
-        # after sunset, the first direction of the day stands for that of the next morning
-        nearest = np.searchsorted(risen, waits)
-        wanted[waits] = wanted[risen[nearest % len(risen)]]
+        # at night, the direction of the next morning; after sunset that of this day's morning stands for it
+        night, daytime = np.flatnonzero(~up), np.flatnonzero(up)
+        next_risen = np.searchsorted(daytime, night)
+        wanted[night] = wanted[daytime[next_risen % len(daytime)]]
         wanted[self.stows(wind, len(up))] = UP
-        return self._held(wanted)
+        return self._with_deadband(wanted)
 
     def stows(self, wind: Array | None, count: int) -> Array:
-        """Return True (n,) where the panel lies flat because of the wind.
+        """Return an array (n,) that is True where the panel lies flat because of the wind.
 
         Args:
             wind: (n,) m/s, wind speed; None for calm.
@@ -97,7 +98,10 @@ class Tracking:
         return np.asarray(wind) >= self.stow
 
     def can_face(self, sun: Sun) -> Array:
-        """Return True (n,) where the sun is up, and neither tilt nor shadow keep the panel from facing it."""
+        """Return an array (n,) that is True where the panel may face the sun.
+
+        The sun is up then, and neither the largest tilt nor a shadow prevents it.
+        """
         tilt = self._without_shadow(sun.elevation)
         facing = tilt == 0.5 * np.pi - sun.elevation
         return np.asarray(sun.is_up & facing & (tilt <= np.radians(self.most_tilt)))
@@ -114,12 +118,12 @@ class Tracking:
         sine = self.pitch * np.sin(np.maximum(elevation, 0.0))
         return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)) - elevation, facing)
 
-    def _held(self, wanted: Array) -> Array:
-        """Hold each direction (n, 3) until the wanted one differs by more than the dead band."""
+    def _with_deadband(self, wanted: Array) -> Array:
+        """Keep a direction until the wanted one (n, 3) differs by more than the dead band; return (n, 3)."""
         if self.deadband == 0.0:
             return wanted
-        held, least = wanted.copy(), np.cos(np.radians(self.deadband))
-        for k in range(1, len(held)):
-            if held[k - 1] @ wanted[k] >= least:
-                held[k] = held[k - 1]
-        return held
+        kept, least_cosine = wanted.copy(), np.cos(np.radians(self.deadband))
+        for k in range(1, len(kept)):
+            if kept[k - 1] @ wanted[k] >= least_cosine:
+                kept[k] = kept[k - 1]
+        return kept

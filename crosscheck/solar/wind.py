@@ -1,4 +1,4 @@
-"""Wind speeds over a day, from a number or a CSV; a tracker lies flat in strong wind."""
+"""Wind speeds over a day, from a number or a CSV; the panel of a solar tracker lies flat in strong wind."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ WIND_COLUMNS = ("time", "speed")
 """Names of the columns of a CSV of wind speeds."""
 
 NEEDED_COLUMNS = "columns time, s since midnight, and speed, m/s, separated by commas"
+"""Description of these columns for error messages."""
 
 
 def wind_over_day(given: str, seconds: Array) -> Array:

@@ -8,8 +8,11 @@ from collections.abc import Callable
 def smallest(holds: Callable[[int], bool], maximum: int) -> int | None:
     """Find the smallest n from 1 to `maximum` for which `holds(n)` is True, by doubling and bisection.
 
-    If `holds` is True for a number, it is assumed to be True for all larger numbers. The search stops early:
-    the returned number is up to 1/32 larger than the smallest one. None if `holds(maximum)` is False.
+    If `holds` is True for a number, it is assumed to be True for all larger numbers.
+
+    Returns:
+        A number for which `holds` is True, up to 1/32 larger than the smallest one; None if `holds(maximum)`
+        is False.
     """
     # Doubling: holds(low) is False, holds(high) is True afterwards
     low, high = 0, 1

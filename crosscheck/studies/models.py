@@ -7,10 +7,11 @@
 The first table has the verdicts of all engines. The second one has the errors of the runs that the files make
 with their own settings.
 
-FOLDER contains clones of the repositories as OWNER/NAME. Each file runs in a separate process with a limit of
-CPU time. Results are stored in the file models.json of the output folder. With `--only TEXT`, only files
-whose path contains TEXT are run again. If a verdict is not AGREE, a person finds out the reason and writes it
-into the list of models.
+`crosscheck run` simulates a file in three engines and compares them; its verdict is for example AGREE. The
+YAML file lists model files by repository, and FOLDER contains clones of the repositories as OWNER/NAME. Each
+file runs in a separate process with a limit of CPU time. Results are stored in the file models.json of the
+output folder. With `--only TEXT`, only files whose path contains TEXT are run again. If a verdict is not
+AGREE, a person finds out the reason and writes it into the list of models.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class ListedModel(BaseModel):
         file: path of the file in its repository.
         options: options of the file, as given to `crosscheck run` by `--set`.
         why: reason why the verdict is not AGREE, written by a person.
-        ours: True if the reason is an error or a limitation of crosscheck, not of the file.
+        ours: True if that reason is an error or a limitation of crosscheck, not of the file.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -119,9 +120,11 @@ class ModelResult(BaseModel):
         verdict: one of `VERDICTS`.
         line: verdict line of `crosscheck run`, or the error.
         reason: part of the verdict line that explains why the verdict is not AGREE.
-        first: kind of the first element that would have acted and was not simulated, such as "limits".
-        fates: number of elements of the file by the result of their import, a text of `FATES`. For an element
-            with several results, the worst one counts.
+        first: kind of the first element that would have acted in the run and was not simulated, such as
+            "limits".
+        fates: number of elements of the file by the result of their import, one of `FATES`: "exactly",
+            "inactive" (not simulated, but would not have acted) or "left out". For an element with several
+            results, the worst one counts.
         covered: number of elements of the scene that the motion tests, as "3 of 4".
         lacks: description of the parts of the file that were not simulated.
         processor_time: CPU time of all processes of the command, s.
@@ -170,7 +173,8 @@ def run_model(
         limit: largest CPU time, s.
         script: script that repeats the file's own run; None if the judgement of that run is not wanted.
     """
-    # The command, with options of the repository and of the file
+    # The command, with options of the repository and of the file. An MJCF file may refer to files below its
+    # `root`; `loops` is the file that closes loops of a URDF model
     path = home / entry.file
     options = repository.options | entry.options
     if not is_urdf_file(entry.file):
@@ -178,7 +182,7 @@ def run_model(
     if "loops" in options:
         options["loops"] = str(path.parent / str(options["loops"]))
     settings = [part for name, value in options.items() for part in ("--set", f"{name}={value}")]
-    # Run it with limits of time
+    # Run it with limits of time; `-P` hides modules in the current folder from Python
     shutil.rmtree(output, ignore_errors=True)
     command = [sys.executable, "-P", "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
     if script is not None:
@@ -206,6 +210,7 @@ def run_model(
         lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
         line = lines[-1].removeprefix("crosscheck: error: ").replace(f"{home}/", "")
         return ModelResult(verdict=REFUSED, line=line, reason=line, processor_time=used)
+    # `mapping` lists how each element of the file was imported
     content = json.loads(summary.read_text(encoding="utf-8"))
     report = ImportReport()
     report.entries = [ImportedElement(**each) for each in content["mapping"] or []]
@@ -260,13 +265,17 @@ def _first_kind(content: dict[str, Any]) -> str:
     if not content["not_simulated"]:
         return ""
     entry = ImportedElement(**content["not_simulated"][0])
-    word = entry.element.split()[0]
-    return entry.topic or dict(ALWAYS_ACTING).get(word, word)
+    tag = entry.element.split()[0]  # an element is described by its tag and name, such as "joint 'knee'"
+    plurals = dict(ALWAYS_ACTING)
+    return entry.topic or plurals.get(tag, tag)
 
 
 def _fates(report: ImportReport) -> dict[str, int]:
-    """Count the elements of the file by the result of their import; the worst result of an element counts."""
-    worst: dict[str, int] = {}
+    """Count the elements of the file by the result of their import; the worst result of an element counts.
+
+    Elements that are left out and cannot move anything are not counted.
+    """
+    worst: dict[str, int] = {}  # index into `FATES` by element; the last fate is the worst
     for entry in report.entries:
         if not (entry.moves_nothing and entry.fate == "left out"):
             worst[entry.element] = max(worst.get(entry.element, 0), FATES.index(entry.fate))
@@ -283,20 +292,20 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
     """
     # Counts of verdicts, and of elements by the result of their import
     pairs = [(entry, found.get(f"{r.repository}/{entry.file}")) for r in repositories for entry in r.files]
-    known = [(entry, each) for entry, each in pairs if each is not None]
-    counts = Counter(each.verdict for _, each in known)
+    known = [(entry, result) for entry, result in pairs if result is not None]
+    counts = Counter(result.verdict for _, result in known)
     verdicts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    ours = sum(entry.ours for entry, each in known if each.verdict != Outcome.AGREE)
+    ours = sum(entry.ours for entry, result in known if result.verdict != Outcome.AGREE)
     total = Counter[str]()
-    for _, each in known:
-        total.update(each.fates)
+    for _, result in known:
+        total.update(result.fates)
     yield f"{len(known)} models of {len(repositories)} repositories: {verdicts}; {ours} of these for a reason"
     yield f"that is crosscheck's own. Of their elements {total['exactly']} are carried over exactly,"
     yield f"{total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
-    # Kinds of elements that act first in models that are only partly simulated
-    reduced = [each.first for _, each in known if each.verdict == Outcome.AGREE_ON_A_REDUCED_MODEL]
+    # Kinds of elements that act first in models that are only partly simulated (reduced)
+    reduced = [result.first for _, result in known if result.verdict == Outcome.AGREE_ON_A_REDUCED_MODEL]
     if reduced:
         yield "What acts first in models that are reduced:"
         yield ""

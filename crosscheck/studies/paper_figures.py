@@ -1,8 +1,8 @@
 """Plots of figures 5 to 9 of the paper on the solar tracker, with one curve for each of the three engines.
 
-The paper is the source of the library scene `tracker`, see `crosscheck.library.tracker`. newton_euler uses
-the method of the paper here: Cartesian coordinates, Euler parameters (quaternions), and Baumgarte
-stabilization with alpha = 10 1/s. `crosscheck figures` calls `draw`.
+The paper is the source of the library scene `tracker`, see `crosscheck.library.tracker`: two vertical sliders
+tilt a solar panel. newton_euler uses the method of the paper here: Cartesian coordinates, Euler parameters
+(quaternions), and Baumgarte stabilization with alpha = 10 1/s. `crosscheck figures` calls `draw`.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Traj
 
 
 def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 5: heights of both sliders and their target."""
+    """Plot figure 5: heights z2 and z3 of both sliders over time, m, and their target."""
     figure, axes = _figure_with_panels(
         "Figure 5: response of the actuators' displacement", ["z2, m", "z3, m"]
     )
@@ -103,14 +103,14 @@ def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 6: constraint violation of each engine, and of newton_euler with coarse steps by method of
-    stabilization."""
+    """Plot figure 6: constraint violation of each engine, and of newton_euler with coarse steps, with a curve
+    for each method of stabilization."""
     labels = ["engines\nlargest |Phi|, m or rad", "newton_euler, RK4 at 10 ms\nlargest |Phi|, m or rad"]
     figure, axes = _figure_with_panels("Figure 6: kinematic constraints", labels)
 
     def largest(run: Trajectory) -> Array:
+        """Return the largest violation (n, 1) of all joints, at least 1e-18: a logarithmic axis has no 0."""
         assert run.constraint_violation is not None
-        # a logarithmic axis has no zero
         return np.maximum(run.constraint_violation.max(axis=1, keepdims=True), 1e-18)
 
     _plot(axes[:1], runs, largest)
@@ -150,7 +150,7 @@ def euler_parameters(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def norm(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 9: error p7^T p7 - 1 of the norm of the panel's Euler parameters p7."""
+    """Plot figure 9: error p7^T p7 - 1 of the norm of the Euler parameters p7 of the panel (body 7)."""
     figure, axes = _figure_with_panels("Figure 9: norm of the panel's Euler parameters", ["p7^T p7 - 1"])
     _plot(axes, runs, lambda run: np.sum(run.quaternion[:, -1:] ** 2, axis=2) - 1.0)
     return figure

@@ -1,10 +1,10 @@
 """Random mechanisms at random consistent states, reproducible from a seed and a number.
 
 `random_scene(seed, number)` builds a mechanism in three steps. A tree of 2 to 8 bodies grows from the ground
-by joints of random kinds. Up to three further joints close loops; all joints are defined in the same pose of
-the bodies, so that the loops are closed in it. Then the mechanism moves to a random state that satisfies all
-constraints. One mechanism in six is planar: hinges, slides and planes share one normal, and each loop has
-three redundant constraints.
+by joints of random kinds. Up to three further joints close loops. All joints are defined in one pose of the
+bodies, the initial pose, so that the loops are closed there. Then the mechanism moves to a random consistent
+state: positions and velocities that satisfy all constraints. One mechanism in six is planar: hinges, slides
+and planes share one normal, and each loop has three redundant constraints.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ REDUNDANT_LOOP_FRACTION = 0.2
 """Fraction of loops in mechanisms that are not planar that may have redundant constraints."""
 
 DISPLACEMENTS = (0.5, 0.2, 0.05, 0.0)
-"""Largest displacements of joints from the initial pose, rad or mechanism sizes, tried in this order."""
+"""Largest displacements of joints from the initial pose, rad or mechanism sizes, tried in this order until
+the loops of the mechanism can be closed."""
 
 MAX_ATTEMPTS = 10
 """Largest number of attempts to add a joint or gear that leaves the mechanism a degree of freedom."""
@@ -82,17 +83,17 @@ PLANAR_KINDS = ("revolute", "prismatic", "planar", "fixed")
 """Joint kinds of planar mechanisms."""
 
 KINDS_ALONG_AXIS = ("prismatic", "translational", "cylindrical", "screw", "point_on_line")
-"""Joint kinds whose second point may lie anywhere along the axis."""
+"""Joint kinds whose point on the second body may lie anywhere along the axis through that on the first."""
 
 
 class _Draft:
-    """Random mechanism under construction.
+    """Random mechanism under construction; the constructor adds all bodies, joints and gears.
 
     Attributes:
         rng: random generator of all features, except those with a separate generator.
         offset_rng: random generator of the offsets between hinges of compound joints.
         link_rng: random generator of the links between parallel hinges. Features that were added to this
-            module later have separate generators, so that all others stay the same for a seed and number.
+            module later have separate generators, so that older features stay the same for a seed and number.
         length: order of magnitude of lengths, m.
         mass: order of magnitude of masses, kg.
         normal: common normal (3,) of a planar mechanism, else None.
@@ -136,13 +137,16 @@ class _Draft:
         center = parent.center_of_mass + _direction(rng) * self.length * rng.uniform(0.3, 1.0)
         self.bodies.append(_body(rng, name, self.mass, center, self.length))
         joint = self._joint(f"to_{name}", parent, self.bodies[-1])
-        while not self.joints and not joint.motions:
+        while not self.joints and not joint.motions:  # a fixed joint has no motions
             joint = self._joint(joint.name, parent, self.bodies[-1])
         self.joints.append(joint)
 
     def _joint(self, name: str, one: Body, other: Body) -> Joint:
-        """Make a joint of a random kind between two bodies, in random order of the bodies."""
-        # Kind, point and axis
+        """Make a joint of a random kind between two bodies, in random order of the bodies.
+
+        All points and axes are in the world frame at the initial pose.
+        """
+        # Kind, point on the first body, and axis
         rng = self.rng
         kinds = KINDS if self.normal is None else PLANAR_KINDS
         kind = JOINT_KINDS[kinds[rng.integers(len(kinds))]]
@@ -151,15 +155,16 @@ class _Draft:
         point = weight * first.center_of_mass + (1.0 - weight) * second.center_of_mass + self._vector(0.2)
         axis, shift = _direction(rng), self._vector(0.3)
         if self.normal is not None:
-            axis = _across(axis, self.normal) if kind.kind == "prismatic" else self.normal
+            axis = _perpendicular_part(axis, self.normal) if kind.kind == "prismatic" else self.normal
         # Further axes and dimensions of the kind
         options: dict[str, Any] = dict.fromkeys(kind.axis_names, axis)
         if kind.kind == "revolute" and self.link_rng.random() < PARALLEL_HINGES_FRACTION:
             kind = JOINT_KINDS["parallel_hinges"]
             options["offset"] = 0.3 * self.length * _direction(self.link_rng)
+            # True if the angle of the second hinge counts about the reversed axis
             options["opposed"] = bool(self.link_rng.random() < 0.5)
         if kind.kind == "universal":
-            options["axis_on_second"] = _across(_direction(rng), axis)
+            options["axis_on_second"] = _perpendicular_part(_direction(rng), axis)
         if kind.kind == "screw":
             options["pitch"] = _sign(rng) * self.length * rng.uniform(0.05, 0.3)
         # Point on the second body, where it may differ from the point on the first body
@@ -174,10 +179,10 @@ class _Draft:
         elif kind.kind == "compound":
             options = _compound_options(rng)
             displacement = shift[: len(options["slides"])] @ options["slides"]
-            gaps = max(len(options["hinges"]) - 1, 0)
-            if gaps and self.offset_rng.random() < 0.5:  # hinges whose axes do not meet
+            offsets = max(len(options["hinges"]) - 1, 0)
+            if offsets and self.offset_rng.random() < 0.5:  # hinges whose axes do not meet
                 reach = 0.3 * self.length
-                options["offsets"] = self.offset_rng.uniform(-reach, reach, (gaps, 3))
+                options["offsets"] = self.offset_rng.uniform(-reach, reach, (offsets, 3))
                 displacement = displacement + options["offsets"].sum(axis=0)
             options["point_on_second"] = point + displacement
         return kind(name, first.name, second.name, point, **options)
@@ -193,7 +198,7 @@ class _Draft:
             one, other = self.rng.choice(len(self.bodies), 2, replace=False)
             joint = self._joint(name, self.bodies[one], self.bodies[other])
             if joint.kind == "free":
-                continue  # a free joint closes no loop
+                continue  # a free joint constrains nothing, and so closes no loop
             freedoms, redundant = _mobility(Mechanism(self.bodies, [*self.joints, joint]))
             may_be_redundant = self.normal is not None or self.rng.random() < REDUNDANT_LOOP_FRACTION
             if freedoms > 0 and (may_be_redundant or redundant == redundant_before):
@@ -201,13 +206,18 @@ class _Draft:
                 return
 
     def _add_gear(self, name: str) -> None:
-        """Add a gear between two joint coordinates that leaves the mechanism a degree of freedom."""
-        keys, rng = _coordinates(self.joints), self.rng
-        for _ in range(MAX_ATTEMPTS if len(keys) > 1 else 0):
-            (driver, i), (follower, j) = (keys[k] for k in rng.choice(len(keys), 2, replace=False))
+        """Add a gear between two joint coordinates that leaves the mechanism a degree of freedom.
+
+        After `MAX_ATTEMPTS` unsuccessful attempts there is no gear.
+        """
+        coordinates, rng = _coordinates(self.joints), self.rng
+        for _ in range(MAX_ATTEMPTS if len(coordinates) > 1 else 0):
+            (driver, i), (follower, j) = (
+                coordinates[k] for k in rng.choice(len(coordinates), 2, replace=False)
+            )
             units = [self._unit(joint, number) for joint, number in ((driver, i), (follower, j))]
             ratio = _sign(rng) * rng.uniform(0.3, 3.0) * units[1] / units[0]
-            gear = Gear(name, driver.name, follower.name, ratio, i, j)
+            gear = Gear(name, driver.name, follower.name, ratio, driver_coordinate=i, follower_coordinate=j)
             freedoms, _ = _mobility(Mechanism(self.bodies, self.joints, [gear]))
             if freedoms > 0:
                 self.gears.append(gear)
@@ -224,6 +234,7 @@ class _Draft:
         """
         rng, weight = self.rng, self.mass * STANDARD_GRAVITY
         forces, control = list[Force](), list[Law]()
+        # a spring with a damper, or a controller, on one joint coordinate in ten or twenty
         for joint, coordinate in _coordinates(self.joints):
             chance, unit = rng.random(), self._unit(joint, coordinate)
             stiffness, damping = rng.uniform(0.1, 3.0, 2) * weight * self.length / unit**2
@@ -231,9 +242,10 @@ class _Draft:
             if chance < 0.1:
                 forces.append(JointSpring(joint.name, stiffness, damping, rest, coordinate))
             elif chance < 0.15:
-                control.append(PD(joint.name, stiffness, damping, rest, coordinate))
+                control.append(PD(joint.name, stiffness, damping, target=rest, coordinate=coordinate))
         driven = {law.joint for law in control}
         self.joints = [replace(joint, actuated=joint.name in driven) for joint in self.joints]
+        # a spring between two bodies, and wrenches on bodies, in some mechanisms
         if rng.random() < 0.3:
             forces.append(self._spring())
         for frame in WRENCH_FRAMES:
@@ -281,9 +293,10 @@ def _independent_axes(rng: np.random.Generator, count: int) -> Array:
 def _ball_elements(
     rng: np.random.Generator, draft: _Draft
 ) -> tuple[tuple[BallSpring, ...], tuple[BallArmature, ...]]:
-    """Make random springs with dampers, and armatures (rotor inertias), of the balls in joints.
+    """Make random springs with dampers, and armatures (rotor inertias), of some balls in joints.
 
-    They are of the order of the weight and of the inertias of the mechanism.
+    A ball is a motion of a joint with three rotational degrees of freedom. Springs and armatures are of the
+    order of the weight and of the inertias of the mechanism.
     """
     torque, inertia = draft.mass * STANDARD_GRAVITY * draft.length, 0.1 * draft.mass * draft.length**2
     springs, armatures = list[BallSpring](), list[BallArmature]()
@@ -302,8 +315,9 @@ def _wind(rng: np.random.Generator, draft: _Draft) -> tuple[WindLoad, ...]:
     """Make a random wind load on a plate of one body, of the order of the weight, in some mechanisms."""
     body = draft.bodies[rng.integers(1, len(draft.bodies))]
     (first, second, _), sizes = _independent_axes(rng, 3), draft.length * rng.uniform(0.2, 1.0, 2)
-    sides = {"first_side": sizes[0] * first, "second_side": sizes[1] * _across(second, first)}
-    # the speed in standard air whose pressure on the plate is of the order of the weight
+    second = _perpendicular_part(second, first)
+    sides = {"first_side": sizes[0] * first, "second_side": sizes[1] * second}
+    # the speed in standard air at which the wind force on the plate is of the order of the weight
     speed = np.sqrt(draft.mass * STANDARD_GRAVITY / (STANDARD_AIR * np.prod(sizes))) * rng.uniform(0.3, 3.0)
     point = body.center_of_mass + 0.3 * draft.length * rng.normal(size=3)
     load = WindLoad("wind", body.name, point, **sides, direction=_direction(rng), speed=float(speed))
@@ -315,8 +329,8 @@ def _unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def _across(vector: Array, axis: Array) -> Array:
-    """Return the unit vector along the part of a vector that is perpendicular to a unit axis."""
+def _perpendicular_part(vector: Array, axis: Array) -> Array:
+    """Return the unit vector along the part of a vector (3,) that is perpendicular to a unit axis (3,)."""
     return _unit(cross(axis, cross(vector, axis)))
 
 
@@ -328,18 +342,19 @@ def _sign(rng: np.random.Generator) -> float:
 def _body(rng: np.random.Generator, name: str, mass: float, center: Array, length: float) -> Body:
     """Make a body at a center of mass (3,), m, with a random mass, orientation and inertia.
 
-    The inertia is that of masses spread by different amounts along three axes, so that a real body has it.
-    `mass`, kg, and `length`, m, are orders of magnitude.
+    The inertia is physical: that of masses with random mean square distances from the center along three
+    axes. `mass`, kg, and `length`, m, are orders of magnitude.
     """
     mass = mass * 10.0 ** rng.uniform(-1.0, 1.0)
-    spread = (length * rng.uniform(0.03, 0.5, 3)) ** 2
+    mean_squares = (length * rng.uniform(0.03, 0.5, 3)) ** 2
     turn = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))
-    inertia = turn @ np.diag(mass * (np.sum(spread) - spread)) @ turn.T
+    # principal moments of inertia, such as m (<y^2> + <z^2>)
+    inertia = turn @ np.diag(mass * (np.sum(mean_squares) - mean_squares)) @ turn.T
     return Body(name, mass, center, 0.5 * (inertia + inertia.T), _unit(rng.normal(size=4)))
 
 
 def _coordinates(joints: Sequence[Joint]) -> list[tuple[Joint, int]]:
-    """List all hinge and slide coordinates, each as a joint and the number of its coordinate."""
+    """List all hinge and slide coordinates, each as a joint and the index of the coordinate in the joint."""
     return [(joint, k) for joint in joints for k in range(len(joint.coordinate_kinds))]
 
 
@@ -351,9 +366,9 @@ def _mobility(mechanism: Mechanism) -> tuple[int, int]:
 
 def _mobility_at(system: Relative, q: Array) -> tuple[int, int]:
     """Return the numbers of degrees of freedom and of redundant constraints at coordinates q (nq,)."""
-    jacobian = dimensionless_jacobian(system, q)
-    found = rank(jacobian)
-    return system.nv - found, len(jacobian) - found
+    jacobian = dimensionless_jacobian(system, q)  # of all constraints, (constraints, nv)
+    independent = rank(jacobian)
+    return system.nv - independent, len(jacobian) - independent
 
 
 def _random_state(rng: np.random.Generator, mechanism: Mechanism) -> State:
@@ -365,6 +380,7 @@ def _random_state(rng: np.random.Generator, mechanism: Mechanism) -> State:
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
     start, _ = system.coordinates(initial_state(system.scene))
     wanted = _mobility_at(system, start)
+    # Displace the joints and close the loops; the last displacement, 0, always succeeds
     for reach in DISPLACEMENTS:
         step = reach * system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
         try:
@@ -376,6 +392,7 @@ def _random_state(rng: np.random.Generator, mechanism: Mechanism) -> State:
             and _mobility_at(system, q) == wanted
         ):
             break
+    # Random velocities, projected onto those that the constraints allow
     speed = 10.0 ** rng.uniform(-0.5, 1.0)
     v = project_velocity(system, q, speed * system.velocity_units * rng.normal(size=system.nv))
     return system.state(q, project_velocity(system, q, v))  # a second projection removes round-off
@@ -386,18 +403,20 @@ def _with_prescribed_motion(rng: np.random.Generator, scene: Scene) -> Scene:
 
     The motion continues the initial position and rate of the coordinate with a random acceleration.
     """
-    keys, state = _coordinates(scene.mechanism.joints), initial_state(scene)
+    coordinates, state = _coordinates(scene.mechanism.joints), initial_state(scene)
     system, frames = Relative(scene), state.frames()
     freedoms, redundant = _mobility_at(system, system.coordinates(state)[0])
-    for k in rng.permutation(len(keys)):
-        joint, coordinate = keys[k]
+    for k in rng.permutation(len(coordinates)):
+        # Value and rate of the coordinate, from the frames of the two bodies that the joint connects
+        joint, coordinate = coordinates[k]
         equations = scene.mechanism.joint_equations(joint.name)
         first, second = frames[equations.first], frames[equations.second]
         measured = equations.coordinates[coordinate]
-        x = float(measured.phi(first, second)[0])
+        value = float(measured.phi(first, second)[0])
         rate = float(measured.jacobian(first, second).rate(first, second)[0])
+        # Prescribe the coordinate as a polynomial of time, and accept that if one freedom is lost
         unit = scene.mechanism.size if measured.is_length else 1.0
-        motion = PrescribedMotion(joint.name, Polynomial((x, rate, unit * rng.normal())), coordinate)
+        motion = PrescribedMotion(joint.name, Polynomial((value, rate, unit * rng.normal())), coordinate)
         driven = replace(scene, motions=(motion,))
         system = Relative(driven)
         mobility = _mobility_at(system, system.coordinates(state)[0])
@@ -414,7 +433,8 @@ def random_scene(seed: int, number: int) -> Scene:
         number: whole number of the scene in the series. Equal pairs of seed and number give equal scenes.
     """
     rng = np.random.default_rng([seed, number])
-    # separate generators for features that were added later, so that earlier features stay the same
+    # Features that were added later have generators with a third number, so that earlier features stay the
+    # same
     draft = _Draft(rng, np.random.default_rng([seed, number, 2]), np.random.default_rng([seed, number, 4]))
     forces, control = draft.forces()
     springs, armatures = _ball_elements(np.random.default_rng([seed, number, 1]), draft)

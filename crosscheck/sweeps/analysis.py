@@ -1,7 +1,12 @@
 """Statistics of a sweep: quantiles of kept outputs, rank correlations, and Sobol indices of parameters.
 
-A kept output is a number or array that is stored of each run. A first-order Sobol index is the fraction of
-the variance of a number that one parameter explains alone; the reports name the index "share of variance".
+A sweep simulates one scene many times with sampled parameters. A kept output is a number or array that the
+sweep stores of each run; its name is a variable of the stored dataset, and each of its elements is a
+`KeptNumber`. A first-order Sobol index is the fraction of the variance of a number that one parameter
+explains alone; the reports name the index "share of variance".
+
+`kept_numbers` reads the kept numbers, and `Analysis.effects` computes the effects of the parameters on one
+of them.
 """
 
 from __future__ import annotations
@@ -17,28 +22,31 @@ import numpy as np
 from crosscheck.sweeps.plan import Parameters
 from crosscheck.sweeps.results import SweepResults
 from crosscheck.sweeps.sampling import SweepSamples
-from crosscheck.sweeps.store import SWEEP
+from crosscheck.sweeps.store import SWEEP_EXTRA
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
 
 MAX_ANALYZED_NUMBERS = 2**25
-"""Largest number of values that are analyzed (270 MB); of more runs a sample is analyzed."""
+"""Largest number of values (kept numbers times runs, 270 MB) that are analyzed. If a sweep has more, a sample
+of its runs is analyzed."""
 
 MAX_KEPT_NUMBERS = 200
 """Largest number of kept numbers of a run that are analyzed, divided equally among the kept outputs."""
 
 MAX_SHARE_RUNS = 2**17
-"""Largest number of runs from which Sobol indices are estimated; it gives an accuracy of 0.5 %."""
+"""Largest number of runs from which Sobol indices are estimated by regression. The 95 % error of an index is
+then about 0.005."""
 
 MAX_SALTELLI_SAMPLES = 2**14
-"""Largest number of base samples of Saltelli's design for Sobol indices; it gives an accuracy of 1 %.
+"""Largest number of base samples of Saltelli's design from which Sobol indices are estimated. The 95 % error
+of an index is then about 0.01.
 
-A base sample is a group of runs that vary one parameter at a time (A. Saltelli, Computer Physics
+A base sample is a block of consecutive runs that vary one parameter at a time (A. Saltelli, Computer Physics
 Communications 145, 2002).
 """
 
-READ_NUMBERS = 2**20
-"""Number of values that are read at a time."""
+MAX_READ_NUMBERS = 2**20
+"""Largest number of values that are read from the store at a time."""
 
 QUANTILE_LEVELS = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
 """Probabilities of the reported quantiles, by name."""
@@ -53,11 +61,11 @@ MIN_SALTELLI_SAMPLES = 64
 """Smallest number of base samples of Saltelli's design for a usable estimate."""
 
 MIN_SHARE_RUNS = 400
-"""Smallest number of runs for Sobol indices, at an accuracy of 10 %; with fewer runs only ranks are
-reported."""
+"""Smallest number of runs for Sobol indices by regression; their 95 % error is then about 0.1. With fewer
+runs only rank correlations are reported."""
 
 MIN_RANK_RUNS = 4
-"""Smallest number of runs for the error of a rank correlation."""
+"""Smallest number of runs for the error of a rank correlation, whose variance has the divisor n - 3."""
 
 NORMAL_QUANTILE_95 = 1.96
 """Half width of a 95 % confidence interval in standard errors."""
@@ -69,29 +77,32 @@ The tornado chart shows the means of a number over these runs.
 """
 
 SAME_SPREAD_RATIO = 1.1
-"""Ratio of spreads below which two numbers are considered to vary equally; such numbers keep their order."""
+"""Ratio of spreads (`KeptNumber.spread`) below which two numbers are considered to vary equally; such numbers
+keep their order."""
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
 
 MIN_VARIATION = 1e-9
-"""Range of a number, relative to the magnitude of its variable, below which it is considered constant."""
+"""Range of a number over all runs, relative to the magnitude of its variable, below which the number is
+considered constant."""
 
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """Effect of one parameter, or of a group of correlated parameters, on a number.
+    """Effect of one parameter, or of a group of correlated parameters, on a kept number.
 
     Attributes:
-        name: name of the parameter or parameters.
-        low, high: means of the number over the runs with the lowest and highest tenth of the parameter; for a
-            group, of its regression.
-        rank: Spearman's rank correlation; None for a group.
+        name: name of the parameter, or names of the group as "a, b".
+        low, high: means of the number over the runs with the lowest and highest tenth of the parameter. For a
+            group, over the runs with the lowest and highest tenth of the group's regression.
+        rank: Spearman's rank correlation; None for a group and for a constant parameter.
         rank_error: half width of the 95 % confidence interval of the rank.
         share: first-order Sobol index: fraction of the variance explained by the parameter alone; None if
             there are too few runs.
         error: half width of the 95 % confidence interval of the share.
-        bounds: True if the share is a lower bound, estimated by a quadratic regression.
-        total: total-effect Sobol index; only from Saltelli's design.
+        bounds: True if the share of a group is a lower bound, estimated by a linear or quadratic regression.
+        total: total-effect Sobol index: fraction of the variance that the parameter explains alone and
+            together with others. Only from Saltelli's design, else None.
     """
 
     name: str
@@ -114,32 +125,32 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class KeptNumber:
-    """One number that is kept of each run.
+    """One number that is kept of each run: an element of a kept output.
 
     Attributes:
-        variable: name of the variable that contains the number.
-        place: index in the variable's array of a run.
-        names: labels of that index along each dimension, for example the name of a joint.
+        variable: name of the kept output.
+        index: index of the number in the kept output's array of a run; empty if that is a single number.
+        index_labels: labels of the index along each dimension, for example the name of a joint.
         unit: unit of the values.
-        values: (n,) values of the analyzed runs; NaN for failed runs.
-        runs: (n,) numbers of these runs.
-        usual: median over runs of the largest magnitude of the variable in a run, in `unit`.
-        reacts: True if the number depends on constraint forces.
+        values: (n,) values in the analyzed runs; NaN for failed runs.
+        runs: (n,) indices of the analyzed runs in the sweep.
+        typical_magnitude: median over runs of the largest magnitude in the kept output's array, in `unit`.
+        depends_on_reactions: True if the number depends on constraint forces.
     """
 
     variable: str
-    place: tuple[int, ...]
-    names: tuple[str, ...]
+    index: tuple[int, ...]
+    index_labels: tuple[str, ...]
     unit: str
     values: Array
     runs: Array
-    usual: float = 0.0
-    reacts: bool = False
+    typical_magnitude: float = 0.0
+    depends_on_reactions: bool = False
 
     @property
     def label(self) -> str:
-        """Variable and labels, as "peak:reaction_force slide_12"."""
-        return " ".join([self.variable, *self.names])
+        """Variable and index labels, as "peak:reaction_force slide_12"."""
+        return " ".join([self.variable, *self.index_labels])
 
     @property
     def heading(self) -> str:
@@ -147,13 +158,16 @@ class KeptNumber:
         return with_unit(self.label, self.unit)
 
     def scale(self, numbers: Array) -> float:
-        """Return the scale of errors in a run, given all numbers of the variable in that run.
+        """Return the magnitude to which relative errors of a run refer, in `unit`.
 
-        The scale is the largest magnitude in the run, at least that of a usual run, and at least 1 SI unit
-        for lengths, angles and times.
+        It is the largest magnitude in the run, at least `typical_magnitude`, and at least 1 for lengths, m,
+        angles, rad, times, s, and pure numbers.
+
+        Args:
+            numbers: the whole array of the kept output in that run.
         """
-        least = max(self.usual, 1.0 if self.unit in ("m", "rad", "1", "s") else 0.0)
-        return float(np.max(np.abs(numbers), initial=least, where=np.isfinite(numbers)))
+        lower_bound = max(self.typical_magnitude, 1.0 if self.unit in ("m", "rad", "1", "s") else 0.0)
+        return float(np.max(np.abs(numbers), initial=lower_bound, where=np.isfinite(numbers)))
 
     @cached_property
     def quantiles(self) -> Array:
@@ -170,33 +184,35 @@ class KeptNumber:
         """Standard deviation over the successful runs; 0 if all runs failed."""
         known = self.values[np.isfinite(self.values)]
         largest = float(np.max(np.abs(known), initial=0.0))
-        return (
-            largest * float((known / largest).std()) if largest else 0.0
-        )  # scaled, so that squares do not overflow
+        # scaled, so that squares do not overflow
+        return largest * float((known / largest).std()) if largest else 0.0
 
     @property
     def spread(self) -> float:
-        """Width of the interval that contains 90 % of the runs, robust against a few extreme runs."""
+        """Difference between the 95 % and the 5 % quantile, robust against a few extreme runs."""
         return float(self.quantiles[3] - self.quantiles[1])
 
     @property
     def varies(self) -> bool:
         """False if the number is constant up to round-off."""
         low, high = self.quantiles[[0, -1]]
-        return bool(high - low > MIN_VARIATION * max(abs(low), abs(high), self.usual))
+        return bool(high - low > MIN_VARIATION * max(abs(low), abs(high), self.typical_magnitude))
 
     def extreme(self, largest: bool) -> int:
-        """Return the number of the run with the largest or smallest value."""
+        """Return the index of the run with the largest value, or of that with the smallest one."""
         return int(self.runs[np.nanargmax(self.values) if largest else np.nanargmin(self.values)])
 
 
 def with_unit(label: str, unit: str) -> str:
-    """Append a unit to a label, if there is one."""
+    """Append a unit to a label, unless the unit is empty or "1"."""
     return f"{label}, {unit}" if unit not in ("", "1") else label
 
 
 def sample_blocks(count: int, most: int, block: int = 1) -> Array:
-    """Choose a sample of runs that covers the whole range of runs: a random block from each of equal parts.
+    """Choose a sample of runs that is spread evenly over all runs.
+
+    The runs are divided into at most `most` equal parts, and one block is drawn at random from each part. The
+    random numbers are the same in each call.
 
     Args:
         count: number of runs.
@@ -204,7 +220,7 @@ def sample_blocks(count: int, most: int, block: int = 1) -> Array:
         block: number of consecutive runs that stay together.
 
     Returns:
-        Numbers of the runs, ascending.
+        (n,) indices of the sampled runs, ascending.
     """
     blocks = count // block
     parts = min(blocks, most)
@@ -214,75 +230,92 @@ def sample_blocks(count: int, most: int, block: int = 1) -> Array:
 
 
 def analyzed(swept: SweepResults) -> Array:
-    """Return the numbers of the runs that are analyzed."""
-    count = sum(len(_places(swept, each.name)) for each in swept.plan.kept)
+    """Return the indices (n,) of the runs that are analyzed: all, or a sample if there are too many."""
+    numbers_per_run = sum(len(_analyzed_indices(swept, each.name)) for each in swept.plan.kept)
     block = swept.plan.samples.block
-    return sample_blocks(swept.plan.samples.runs, max(1, MAX_ANALYZED_NUMBERS // count // block), block)
+    most_blocks = max(1, MAX_ANALYZED_NUMBERS // numbers_per_run // block)
+    return sample_blocks(swept.plan.samples.runs, most_blocks, block)
 
 
-def _places(swept: SweepResults, name: str) -> Array:
-    """Return the flat indices of a variable that are analyzed, evenly spaced."""
+def _analyzed_indices(swept: SweepResults, name: str) -> Array:
+    """Return the flat indices of a kept output's array of a run that are analyzed, evenly spaced."""
     size = int(np.prod(swept.dataset[name].shape[1:]))
     most = max(1, MAX_KEPT_NUMBERS // len(swept.plan.kept))
     return np.linspace(0, size - 1, min(size, most)).round().astype(int)
 
 
 def kept_numbers(swept: SweepResults) -> list[KeptNumber]:
-    """Read the kept numbers that are analyzed, in the order of `--keep`."""
+    """Read the kept numbers that are analyzed, in the order of the plan's kept outputs."""
     found: list[KeptNumber] = []
     runs = analyzed(swept)
     for each in swept.plan.kept:
-        variable = swept.dataset[each.name]
-        places = _places(swept, each.name)
-        # read some runs at a time; each row of `columns` has the values of one number in all runs
-        columns = np.empty((len(places), len(runs)))
-        block = max(1, READ_NUMBERS // int(np.prod(variable.shape[1:])))
-        for first in range(0, len(runs), block):
-            part = swept.read(each.name, runs[first : first + block])
-            columns[:, first : first + len(part)] = part.reshape(len(part), -1)[:, places].T
+        variable = swept.dataset[each.name]  # an xarray DataArray (runs, ...)
+        flat_indices = _analyzed_indices(swept, each.name)
+        # read some runs at a time; each row of `rows` has the values of one number in all runs
+        rows = np.empty((len(flat_indices), len(runs)))
+        runs_per_read = max(1, MAX_READ_NUMBERS // int(np.prod(variable.shape[1:])))
+        for first in range(0, len(runs), runs_per_read):
+            part = swept.read(each.name, runs[first : first + runs_per_read])
+            rows[:, first : first + len(part)] = part.reshape(len(part), -1)[:, flat_indices].T
         # the typical magnitude of the variable, over the runs that did not fail
-        known = columns[:, np.isfinite(columns).any(axis=0)]
+        known = rows[:, np.isfinite(rows).any(axis=0)]
         largest = np.max(np.abs(known), axis=0, initial=0.0, where=np.isfinite(known))
-        usual = float(np.median(largest)) if len(largest) else 0.0
-        for flat, values in zip(places, columns, strict=True):
-            place = tuple(map(int, np.unravel_index(flat, variable.shape[1:])))
-            names = tuple(_label(variable, d, k) for d, k in zip(variable.dims[1:], place, strict=True))
-            found.append(KeptNumber(each.name, place, names, each.unit, values, runs, usual, each.reacts))
+        typical_magnitude = float(np.median(largest)) if len(largest) else 0.0
+        for flat, values in zip(flat_indices, rows, strict=True):
+            index = tuple(map(int, np.unravel_index(flat, variable.shape[1:])))
+            found.append(
+                KeptNumber(
+                    variable=each.name,
+                    index=index,
+                    index_labels=tuple(
+                        _label(variable, d, k) for d, k in zip(variable.dims[1:], index, strict=True)
+                    ),
+                    unit=each.unit,
+                    values=values,
+                    runs=runs,
+                    typical_magnitude=typical_magnitude,
+                    depends_on_reactions=each.depends_on_reactions,
+                )
+            )
     return found
 
 
-def _label(variable: object, dimension: str, place: int) -> str:
-    """Return the label at a place of a dimension, such as the name of a joint; times with their unit."""
-    found = variable.coords[dimension].values[place]  # type: ignore[attr-defined]
+def _label(variable: object, dimension: str, k: int) -> str:
+    """Return the label of index k along a dimension, such as the name of a joint; times with their unit."""
+    found = variable.coords[dimension].values[k]  # type: ignore[attr-defined]
     return f"{found:g} s" if dimension.startswith("time") else str(found)
 
 
 class Analysis:
-    """Sensitivity analysis of a sweep.
+    """Sensitivity analysis of a sweep: the effects of its parameters on kept numbers.
 
     Attributes:
-        names: names of the parameters; correlated ones form a group, "a, b".
+        names: names of the parameters; correlated parameters form one group, named "a, b".
     """
 
     def __init__(self, samples: SweepSamples, runs: Array, inputs: Callable[[Array], Parameters]) -> None:
-        """Read the parameters of the analyzed runs.
+        """Read the parameters of the analyzed runs, or of a sample if there are too many runs.
 
         Args:
-            samples: values of the varied parameters in all runs, and how they were drawn.
-            runs: (n,) numbers of the analyzed runs.
+            samples: values of the varied parameters in all runs, and how they were drawn. Its `block` is 1,
+                or the number of runs of a base sample in Saltelli's design.
+            runs: (n,) indices of the analyzed runs in the sweep.
             inputs: function that returns the parameters of given runs.
         """
         self._samples = samples
         self.names = [", ".join(names) for names, _ in samples.groups]
         most = MAX_SHARE_RUNS if samples.block == 1 else MAX_SALTELLI_SAMPLES
-        self._places = sample_blocks(len(runs), most, samples.block)
-        values = inputs(runs[self._places])
+        self._used = sample_blocks(len(runs), most, samples.block)  # indices into the analyzed runs
+        values = inputs(runs[self._used])
+        # of each group of parameters, the values (n, parameters of the group)
         self._inputs = [np.column_stack([values[name] for name in names]) for names, _ in samples.groups]
 
     @property
     def too_few(self) -> str:
-        """Reason why there are no Sobol indices; empty if there are, and for a single parameter, whose index
-        is 1."""
+        """Reason why the sweep has too few runs for Sobol indices; empty if it has enough.
+
+        It is empty for a single parameter as well, whose index is 1.
+        """
         block = self._samples.block
         if len(self.names) == 1:
             return ""
@@ -294,14 +327,16 @@ class Analysis:
         )
 
     def effects(self, scalar: KeptNumber) -> list[Effect]:
-        """Return the effects on a number, the largest first; empty for a constant number, and for too few
-        runs."""
+        """Return the effects of all parameters on a kept number, the largest first.
+
+        The list is empty if the number is constant or if there are too few runs for rank correlations.
+        """
         from scipy.stats import rankdata
 
-        values = scalar.values[self._places]
+        values = scalar.values[self._used]
         known = np.isfinite(values)
         y = values[known]
-        # most runs of Saltelli's design repeat values of other runs
+        # number of independent runs: two of each base sample, since its others combine their values
         independent = 2 * len(y) // self._samples.block if self._samples.block > 1 else len(y)
         if not scalar.varies or independent < MIN_RANK_RUNS or np.ptp(y) == 0.0:
             return []
@@ -310,9 +345,10 @@ class Analysis:
         found = []
         ranks = rankdata(y)
         for k, (name, inputs) in enumerate(zip(self.names, self._inputs, strict=True)):
-            x, y_of_x = inputs[known, 0], y
+            x, y_of_x = inputs[known, 0], y  # the tail means of y are taken over tails of x
+            # attributes of the `Effect`: rank correlation; Sobol index by regression
             rank, estimate = dict[str, Any](), dict[str, Any]()
-            if inputs.shape[1] > 1:  # a group of correlated parameters
+            if inputs.shape[1] > 1:  # a group of correlated parameters: x is its fitted value
                 x, y_of_x, estimate = _regression(inputs[known], y)
             elif np.ptp(x) > 0.0:
                 ranks_of_x = rankdata(x)
@@ -329,8 +365,15 @@ class Analysis:
         """Estimate first-order and total-effect Sobol indices from Saltelli's design by SALib.
 
         If a run of a base sample failed, the whole base sample is left out.
+
+        Args:
+            y: (n,) values of the number in whole base samples; NaN for failed runs.
+
+        Returns:
+            For each parameter or group, the attributes `share`, `total` and `error` of an `Effect`; empty
+            for too few base samples.
         """
-        sobol = optional_package("SALib.analyze.sobol", SWEEP)
+        sobol = optional_package("SALib.analyze.sobol", SWEEP_EXTRA)
         whole = np.isfinite(y).reshape(-1, self._samples.block).all(axis=1)
         y = y[np.repeat(whole, self._samples.block)]
         if whole.sum() < MIN_SALTELLI_SAMPLES or np.ptp(y) == 0.0:
@@ -353,6 +396,7 @@ def _rank_interval(rank: float, runs: int) -> dict[str, Any]:
     Returns:
         The attributes `rank` and `rank_error` of an `Effect`.
     """
+    # Fisher's z = artanh(rank) is nearly normal with the variance (1 + rank^2 / 2) / (n - 3)
     half = NORMAL_QUANTILE_95 * np.sqrt((1.0 + 0.5 * rank**2) / (runs - MIN_RANK_RUNS + 1))
     middle = np.arctanh(np.clip(rank, -1.0 + MACHINE_EPSILON, 1.0 - MACHINE_EPSILON))
     return {"rank": rank, "rank_error": float(0.5 * (np.tanh(middle + half) - np.tanh(middle - half)))}
@@ -372,22 +416,24 @@ def _first_order_index(x: Array, ranks: Array, y: Array) -> dict[str, Any]:
     Returns:
         The attributes `share` and `error` of an `Effect`; empty for too few runs.
     """
-    n, values = len(y), len(np.unique(ranks))
+    n, distinct_values = len(y), len(np.unique(ranks))
     if n < MIN_SHARE_RUNS:
         return {}
-    most = min(n // RUNS_PER_TERM, MAX_POLYNOMIAL_TERMS, values)
+    most = min(n // RUNS_PER_TERM, MAX_POLYNOMIAL_TERMS, distinct_values)
     terms = np.polynomial.legendre.legvander((2.0 * ranks - 1.0) / n - 1.0, most - 1)
     terms[:, 1] = (x - x.mean()) / x.std()
     y = y - y.mean()
+    # R of [terms, y] = Q R: its last column has the components of y along the orthogonalized terms
     triangle = np.asarray(np.linalg.qr(np.column_stack([terms, y]), mode="r"))
     # sums of squared residuals after a fit by the first term, the first two terms, and so on
     remaining = np.cumsum(triangle[::-1, -1] ** 2)[-2::-1]
-    freedom = n - np.arange(1, most + 1)
+    freedom = n - np.arange(1, most + 1)  # degrees of freedom of the residuals
     count = int(np.argmin(remaining / freedom**2)) + 1
     fitted = terms[:, :count] @ np.linalg.solve(triangle[:count, :count], triangle[:count, -1])
     share, error = _adjusted_r_squared(y - fitted, y, count, most)
-    if most < values:
-        # for a step or a kink, further terms would add as much as the second half of the terms did
+    if most < distinct_values:
+        # truncation of the polynomial: if y has a step or a kink, further terms would explain about as much
+        # as the second half of the terms did
         half, whole = (remaining / freedom)[[most // 2 - 1, -1]] / (remaining / freedom)[0]
         error += max(0.0, float(half - whole))
     return {"share": share, "error": error}
@@ -396,8 +442,8 @@ def _first_order_index(x: Array, ranks: Array, y: Array) -> dict[str, Any]:
 def _adjusted_r_squared(residuals: Array, y: Array, coefficients: int, tried: int) -> tuple[float, float]:
     """Return the adjusted coefficient of determination R^2 of a regression, and its 95 % error.
 
-    The error is that of a ratio of two means over runs, for any distribution of y. The noise of the
-    coefficients that were tried is added.
+    1 - R^2 is a ratio of two means over runs, whose variance follows by linearization, for any distribution
+    of y. The variance from the choice of the coefficients, 2 (1 - R^2)^2 (tried - 1) / n^2, is added.
 
     Args:
         residuals: (n,) y minus fitted values.
@@ -421,7 +467,7 @@ def _regression(x: Array, y: Array) -> tuple[Array, Array, dict[str, Any]]:
         `share`, `error` and `bounds` of an `Effect`; empty for too few runs.
     """
     k = x.shape[1]
-    count = 1 + k + k * (k + 1) // 2
+    count = 1 + k + k * (k + 1) // 2  # number of coefficients
     if RUNS_PER_TERM * count > min(len(y), MAX_ANALYZED_NUMBERS // count):
         count = 1 + k
     chosen = sample_blocks(len(y), MAX_ANALYZED_NUMBERS // count)
@@ -449,9 +495,9 @@ def _tail_means(x: Array, y: Array) -> dict[str, Any]:
 
 @np.errstate(all="ignore")  # spreads can be 0 or NaN
 def most_varying(found: Sequence[KeptNumber]) -> list[KeptNumber]:
-    """Sort numbers by spread: first the number of each variable that varies most, then the next of each.
+    """Sort numbers by spread: first the largest number of each variable, then the second largest, and so on.
 
-    Numbers with similar spreads keep their order, so that additional runs do not change the choice.
+    Numbers with similar spreads keep their order, so that additional runs of a sweep do not change the order.
     """
     of_variable: dict[str, list[KeptNumber]] = {}
     for scalar in found:

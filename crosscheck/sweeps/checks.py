@@ -1,8 +1,12 @@
 """Cross-check some runs of a sweep, extreme and random ones, in all engines.
 
-newton_euler executes the runs of a sweep and stores their kept outputs: the numbers that the user asked for.
-A check repeats a run in all engines as `crosscheck run` does. It also compares the kept outputs of each
-engine's run with the stored ones.
+A sweep simulates one scene many times with varied parameters. newton_euler executes its runs and stores their
+kept outputs: the numbers or arrays that the user asked for. A crosscheck repeats a run in newton_euler,
+MuJoCo and Pinocchio, and compares their equations and motions as `crosscheck run` does. It also compares the
+kept outputs of each engine's run with the stored ones.
+
+A `Check` is one compared number with its tolerance. A `KeptNumber` is one element of a kept output, and a
+`Reduction` computes a kept output from the time series of a run, for example as its maximum.
 """
 
 from __future__ import annotations
@@ -35,11 +39,11 @@ from newton_euler.reading.import_report import ImportedElement, ImportReport
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
-RUNS_PER_CHECK = 1_000
-"""Number of runs that take about as long as one check."""
+RUNS_PER_CROSSCHECK = 1_000
+"""Number of runs of a sweep for each run that is cross-checked by default; they take about as long."""
 
-DEFAULT_CHECKS = (2, 6)
-"""Smallest and largest default number of checks."""
+MIN_DEFAULT_COUNT, MAX_DEFAULT_COUNT = 2, 6
+"""Smallest and largest default number of runs that are cross-checked."""
 
 CHOSEN_AT_RANDOM = "at random"
 """Reason for checking a run that is not extreme."""
@@ -48,10 +52,11 @@ FINER_TOLERANCE_FACTOR = 0.01
 """Factor on the tolerances of a sweep for the repeated run that measures its error."""
 
 SOFT_CONSTRAINTS, NOT_UNIQUE = "soft constraints", "not unique"
-"""Reasons why reactions are not judged."""
+"""Reasons why joint reactions are not judged: the engine's constraints are soft, as MuJoCo's are; redundant
+constraints leave the reactions undetermined. A check has the reason as its `detail`."""
 
 KEPT_LEVEL = "kept"
-"""Level of the checks of kept outputs."""
+"""Level (name of a group of checks) of the checks of kept outputs."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +64,14 @@ class CheckedRun:
     """Crosscheck of one run of a sweep.
 
     Attributes:
-        run: number of the run.
+        run: index of the run in the sweep.
         why: reason why the run was chosen.
         complete: True if all engines completed the run.
         agrees: True if the engines agree with each other, as in `crosscheck run`.
         verdict: verdict line of the crosscheck.
-        kept: for each variable and engine, the check closest to failing, among judged and not judged ones.
+        kept: comparisons of kept outputs with the sweep, see `_check_kept`.
         moves: True if the mechanism moves.
-        untested: True if the motion tests no element of the scene.
+        untested: True if the motion tests no element of the scene, for example because it is too small.
         engines: names of the engines.
         acting: elements of the model file that would have acted and were not simulated.
     """
@@ -89,29 +94,28 @@ class CheckedRun:
 
 
 def default_count(runs: int) -> int:
-    """Return the default number of checks for a number of runs."""
-    return int(np.clip(runs // RUNS_PER_CHECK, *DEFAULT_CHECKS))
+    """Return the default number of crosschecks for a sweep of a number of runs."""
+    return int(np.clip(runs // RUNS_PER_CROSSCHECK, MIN_DEFAULT_COUNT, MAX_DEFAULT_COUNT))
 
 
 def chosen(
     swept: SweepResults, kept: Sequence[KeptNumber], most_informative: Sequence[KeptNumber], count: int
 ) -> dict[int, str]:
-    """Choose runs to check, extreme and random ones alternately.
+    """Choose runs to cross-check, extreme and random ones alternately.
 
     Args:
         swept: the sweep.
         kept: the kept numbers.
-        most_informative: the kept number of each variable that varies most; its extreme runs are chosen.
-        count: largest number of runs.
+        most_informative: the number of each kept output that varies most; its extreme runs are chosen.
+        count: largest number of runs to choose.
 
     Returns:
-        The reason for each choice, by number of the run.
+        The reason for each choice, by index of the run.
     """
-    known = kept[0].runs[~np.isin(kept[0].runs, swept.stopped)]
+    completed = kept[0].runs[~np.isin(kept[0].runs, swept.failed_runs)]
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
-    random = [
-        (int(run), CHOSEN_AT_RANDOM) for run in generator.choice(known, min(count, len(known)), replace=False)
-    ]
+    drawn = generator.choice(completed, min(count, len(completed)), replace=False)
+    random = [(int(run), CHOSEN_AT_RANDOM) for run in drawn]
     extreme = [
         (scalar.extreme(largest), f"{'most' if largest else 'least'} {scalar.label}")
         for scalar in most_informative
@@ -138,12 +142,13 @@ def check_runs(
     Args:
         swept: the sweep.
         found: the kept numbers.
-        runs: by number of a run, the reason why it was chosen.
+        runs: by index of a run, the reason why the run was chosen.
         engines: the engines.
         progress: called with the name of each stage.
         mapping: import report of a model file; None for other scenes.
     """
-    unverified = mapping.unverified() if mapping else None  # a run has other parameters than the file
+    # A run has other parameters than the file, so that it is not compared with the file's own model
+    unverified = mapping.unverified() if mapping else None
     current = ""
 
     def start_run(message: str) -> None:
@@ -172,7 +177,8 @@ def _check(
     """Cross-check one run; an error of an engine is part of the result. Arguments as of `check_runs`."""
     names = tuple(each.name for each in engines)
     try:
-        result = crosscheck(swept.plan.scene_of(run), engines, progress, "", {}, mapping)
+        scene = swept.plan.scene_of(run)
+        result = crosscheck(scene, engines, progress, source="", options={}, mapping=mapping)
         kept = tuple(_check_kept(swept, found, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
         return CheckedRun(run, why, complete=False, agrees=True, verdict=str(error), engines=names)
@@ -196,8 +202,9 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
 
     Args:
         checked: the crosschecks.
-        extremes: numbers of all extreme runs, including those that were not checked.
+        extremes: indices of all extreme runs, including those that were not cross-checked.
     """
+    # How many runs were cross-checked, as "4 runs (2 of 6 extremes, 2 at random)"
     count, random = len(checked), sum(each.why == CHOSEN_AT_RANDOM for each in checked)
     unchecked = len(set(extremes).difference(each.run for each in checked))
     of_extremes = (
@@ -207,6 +214,7 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
     )
     kinds = [of_extremes] * (count > random) + [f"{random} at random"] * (random > 0)
     of_runs = f"{count} run{'s'[: count - 1]} ({', '.join(kinds)})"
+    # The first failure; runs that differ come before runs that did not complete
     for each in sorted(checked, key=lambda each: not each.differs):
         named = f"run {each.run} ({each.why})"
         if not (each.agrees and each.complete):
@@ -214,6 +222,7 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
         wrong = [check for check in each.kept if not check.agrees]
         if wrong:
             return f"{named}: {_difference(max(wrong, key=_tolerance_ratio))}; {of_runs} cross-checked"
+    # No failure: the check of kept outputs closest to failing
     kept = [check for each in checked for check in each.kept]
     judged = [check for check in kept if check.judged]
     engines = checked[0].engines
@@ -224,7 +233,7 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
         found += (
             f"; kept outputs agree too, closest to failing: {_difference(max(judged, key=_tolerance_ratio))}"
         )
-    # list the reasons why numbers are not judged
+    # The reasons why numbers are not judged
     soft = sorted({check.between[0] for check in kept if check.detail == SOFT_CONSTRAINTS})
     unconverged = sum(bool(check.unconverged) for check in kept)
     not_judged = [f"reactions of {name}, whose constraints are soft" for name in soft]
@@ -235,7 +244,7 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
 
 
 def _tolerance_ratio(check: Check) -> float:
-    """Return value divided by tolerance; infinity for NaN, so that NaN is the largest."""
+    """Return value divided by tolerance of a check; infinity for NaN, so that NaN is the largest."""
     return float(np.nan_to_num(check.tolerance_ratio, nan=np.inf))
 
 
@@ -252,24 +261,32 @@ def _check_kept(
 ) -> Iterator[Check]:
     """Compare the kept numbers of a run of the sweep with those of the engines' runs.
 
-    For each variable and engine the check closest to failing is yielded: one of the judged numbers, and one
-    for each reason why numbers are not judged.
+    For each kept output and engine the check closest to failing is yielded: one of the judged numbers, and
+    one for each reason why numbers are not judged.
 
-    The tolerance is the fixed relative error of the engine and of newton_euler, times `KeptNumber.scale`. If
-    the difference is larger, both runs are repeated at finer tolerances, and their changes times
-    `ERROR_PER_CHANGE` are added. A number is not judged in these cases: the tolerance exceeds
-    `MAX_RELATIVE_ERROR`; the difference does not decrease in finer runs; the number is a reaction of soft or
+    The tolerance is the expected relative error of the engine plus that of newton_euler, times
+    `KeptNumber.scale`. If the difference is larger, both runs are repeated at finer tolerances, and
+    `ERROR_PER_CHANGE` (a bound on error over change) times the changes of both runs is added to the
+    tolerance. A number is not judged in these cases: the tolerance exceeds the fraction `MAX_RELATIVE_ERROR`
+    of the scale; the difference does not decrease in finer runs; the number is a reaction of soft or
     redundant constraints.
+
+    Args:
+        swept: the sweep.
+        found: the kept numbers.
+        run: index of the run.
+        result: crosscheck of the run, with the trajectories of all engines.
+        engines: the engines.
     """
     plan, scene = swept.plan, result.scene
     reductions = {each.name: each for each in plan.kept}
-    numbers = {name: swept.read(name, run) for name in reductions}
+    stored_outputs = {name: swept.read(name, run) for name in reductions}
     not_unique: set[str] = set()  # joints whose reactions redundant constraints leave undetermined
-    if any(each.reacts for each in plan.kept):
+    if any(each.depends_on_reactions for each in plan.kept):
         not_unique.update(undetermined_joints(scene, initial_state(scene))[1])
 
     @cache
-    def change_of_sweep() -> tuple[dict[str, Array], dict[str, Array]]:
+    def repeated_sweep_run() -> tuple[dict[str, Array], dict[str, Array]]:
         """Return the kept outputs of the run repeated at the sweep's tolerance and at a finer one.
 
         The stored run is repeated, since an error in the store must not increase its own tolerance.
@@ -283,33 +300,37 @@ def _check_kept(
     for engine in engines:
         trajectory = result.trajectories.get(engine.name)
         if trajectory is None or len(trajectory.time) < len(scene.times):
-            continue
+            continue  # the engine failed or stopped early
         outputs, kept = kept_of(plan, run, trajectory)
         finer_run = cache(partial(_finer_of, plan, run, engine, scene))
         checks: dict[str, list[Check]] = {}
         # Compare each kept number of the engine's run with that of the sweep's run
         for scalar in found:
-            reduction, stored = reductions[scalar.variable], numbers[scalar.variable]
-            of_sweep, scale = float(stored[scalar.place]), scalar.scale(stored)
-            of_engine = float(kept[scalar.variable][scalar.place])
-            why = SOFT_CONSTRAINTS if engine.evaluate_soft_constraints is not None and scalar.reacts else ""
-            if scalar.reacts and not not_unique.isdisjoint(reduction.reacting(scalar.place)):
-                why = NOT_UNIQUE
+            reduction, stored = reductions[scalar.variable], stored_outputs[scalar.variable]
+            of_sweep, scale = float(stored[scalar.index]), scalar.scale(stored)
+            of_engine = float(kept[scalar.variable][scalar.index])
+            why_not_judged = ""
+            if scalar.depends_on_reactions:
+                if engine.evaluate_soft_constraints is not None:  # MuJoCo
+                    why_not_judged = SOFT_CONSTRAINTS
+                if not not_unique.isdisjoint(reduction.reaction_joints(scalar.index)):
+                    why_not_judged = NOT_UNIQUE
             fixed = (engine.trajectory_error + ENGINES["newton_euler"].trajectory_error) * scale
             is_same = np.array_equal(of_engine, of_sweep, equal_nan=True)
             difference = 0.0 if is_same else abs(of_engine - of_sweep)
             tolerance, unconverged = fixed, ""
-            if difference > fixed and not why:
+            if difference > fixed and not why_not_judged:
                 # Repeat both runs at finer tolerances, and add the changes of the number
                 finer_outputs, finer_kept = finer_run()
-                fine_of_engine = finer_kept[scalar.variable][scalar.place]
-                repeated_of_sweep, fine_of_sweep = (
-                    each[scalar.variable][0][scalar.place] for each in change_of_sweep()
+                fine_of_engine = finer_kept[scalar.variable][scalar.index]
+                repeated_of_sweep, fine_of_sweep = (  # [0]: both have a single run
+                    each[scalar.variable][0][scalar.index] for each in repeated_sweep_run()
                 )
                 change = max(
                     abs(of_engine - fine_of_engine), _change(reduction, scalar, outputs, finer_outputs)
                 )
                 tolerance += ERROR_PER_CHANGE * float(change + abs(repeated_of_sweep - fine_of_sweep))
+                # a converged difference decreases to at most this fraction of the difference or change
                 largest = max(MAX_REMAINING_ERROR * max(difference, change), fixed)
                 decreases = abs(fine_of_engine - fine_of_sweep) <= largest
                 if tolerance > MAX_RELATIVE_ERROR * scale or (difference <= tolerance and not decreases):
@@ -322,9 +343,9 @@ def _check_kept(
                     difference,
                     tolerance,
                     f"run {run}",
-                    judged=not (why or unconverged),
+                    judged=not (why_not_judged or unconverged),
                     unconverged=unconverged,
-                    detail=why,
+                    detail=why_not_judged,
                 )
             )
         # Yield the check closest to failing of each variable and reason
@@ -335,7 +356,10 @@ def _check_kept(
 
 
 def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the control of steps with a hundredth of the tolerances, or half the step."""
+    """Return integrator options with a hundredth of the tolerances, or half the step.
+
+    Tolerances do not fall below `EXACT_RTOL` and `EXACT_ATOL`, where round-off dominates.
+    """
     finer = dict(control)
     for name, least in (("rtol", EXACT_RTOL), ("atol", EXACT_ATOL)):
         if name in control:
@@ -346,14 +370,15 @@ def finer_control(control: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _change(reduction: Reduction, scalar: KeptNumber, coarse: Outputs, fine: Outputs) -> float:
-    """Return the largest change, in a finer run, of the time series that a number is reduced from; 0 for
-    events.
+    """Return the largest change, in a finer run, of the time series from which a kept number is computed.
 
-    The change of the number itself can be smaller than its error by chance.
+    The change of the number itself can be smaller than its error by chance. For times of events (`WHEN`) the
+    result is 0, since their time series has another unit.
     """
     if reduction.kind == WHEN:
         return 0.0
-    return float(np.abs(reduction.line(coarse, scalar.place) - reduction.line(fine, scalar.place)).max())
+    coarse_series, fine_series = (reduction.time_series_of(each, scalar.index) for each in (coarse, fine))
+    return float(np.abs(coarse_series - fine_series).max())
 
 
 KeptOutputs = tuple[Outputs, dict[str, Array]]
@@ -361,11 +386,21 @@ KeptOutputs = tuple[Outputs, dict[str, Array]]
 
 
 def _finer_of(plan: SweepPlan, run: int, engine: Engine, scene: Scene) -> KeptOutputs:
-    """Repeat a run in an engine with finer steps or tolerances; return its outputs and kept outputs."""
+    """Repeat a run in an engine with finer steps or tolerances; return its outputs and kept outputs.
+
+    `refined_in_full` also computes reactions and actuator forces, which `refined` may omit.
+    """
     return kept_of(plan, run, (engine.refined_in_full or engine.refined)(scene))
 
 
 def kept_of(plan: SweepPlan, run: int, trajectory: Trajectory) -> KeptOutputs:
-    """Return the outputs of a run of any engine, and the kept outputs."""
+    """Return the outputs of a run of any engine, and the kept outputs.
+
+    Args:
+        plan: plan of the sweep.
+        run: index of the run.
+        trajectory: motion of the run in the engine.
+    """
+    # the sweep measures joint coordinates from the initial pose of its scene, not from that of the run
     outputs = Outputs.of(plan.scene, replace(trajectory, mechanism=plan.mechanism_of(run)))
     return outputs, {each.name: each.of(outputs)[0] for each in plan.kept}

@@ -1,6 +1,8 @@
 """Probability distributions of varied parameters, and their text form on the command line.
 
-An example is `normal(14, 0.5)`, a normal distribution with mean 14 and standard deviation 0.5.
+A sweep draws the parameters of each of its runs from such distributions. An example is `normal(14, 0.5)`, a
+normal distribution with mean 14 and standard deviation 0.5. `Distribution` is that of one parameter,
+`Correlated` the joint distribution of several parameters.
 """
 
 from __future__ import annotations
@@ -19,10 +21,13 @@ from newton_euler.errors import choices, is_finite_number, plain_number, quoted,
 from newton_euler.scalars import Array
 
 MAX_TEXT_LENGTH = 10_000
-"""Characters, longest text of a distribution; also the largest number of values of a grid."""
+"""Largest number of characters in the text of a distribution."""
 
-EIGENVALUE_ROUND_OFF = 1e-12
-"""Magnitude of the smallest eigenvalue, negative by round-off, of a singular correlation matrix."""
+MAX_GRID_COUNT = 10_000
+"""Largest number of values of a grid."""
+
+CORRELATION_ROUND_OFF = 1e-12
+"""Round-off in correlation matrices: eigenvalues, pivots and asymmetries up to it count as zero."""
 
 KINDS = {
     "values": ("A", "B", "..."),
@@ -31,8 +36,11 @@ KINDS = {
     "normal": ("MEAN", "DEVIATION"),
     "truncated_normal": ("MEAN", "DEVIATION", "LOW", "HIGH"),
 }
-"""Kinds of distributions and the names of their numbers: equally likely values; an evenly spaced grid of
-equally likely values; uniform; normal; normal truncated to an interval."""
+"""Kinds of distributions, with the names of their numbers in order.
+
+`values` are equally likely values, as many as are given. `grid` has evenly spaced, equally likely values. A
+`truncated_normal` distribution is limited to an interval.
+"""
 
 FORMS = "; ".join(f"{name}({', '.join(numbers)})" for name, numbers in KINDS.items())
 FORMS += (
@@ -47,7 +55,7 @@ class Distribution:
 
     Attributes:
         kind: one of `KINDS`.
-        numbers: numbers of the distribution, in the order of `KINDS`.
+        numbers: numbers that define the distribution, in the order of `KINDS`.
 
     Raises:
         CrosscheckError: for invalid numbers.
@@ -57,12 +65,13 @@ class Distribution:
     numbers: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        # As many numbers as the kind has names; all finite, and deviations positive
         names = KINDS[self.kind]
         if self.kind == "values":
             names = tuple(f"number {k + 1}" for k in range(len(self.numbers)))
         if len(self.numbers) != len(names):
-            count = len(self.numbers)
-            raise CrosscheckError(f"{self.kind} takes {len(names)} numbers, {', '.join(names)}, not {count}")
+            needed = f"{len(names)} numbers, {', '.join(names)}"
+            raise CrosscheckError(f"{self.kind} takes {needed}, not {len(self.numbers)}")
         given = dict(zip(names, self.numbers, strict=True))
         for name, value in given.items():
             positive = name == "DEVIATION"
@@ -70,22 +79,23 @@ class Distribution:
                 needed = f"a {'positive' if positive else 'finite'} number"
                 raise CrosscheckError(f"{self.kind}: {name} is {quoted(value)}; needed: {needed}")
         object.__setattr__(self, "numbers", tuple(map(float, self.numbers)))
-        steps = given.get("COUNT", 2.0)
-        if not (steps % 1.0 == 0.0 and 2 <= steps <= MAX_TEXT_LENGTH):
-            raise CrosscheckError(f"grid: COUNT is {steps:g}; needed: a whole number, 2 to {MAX_TEXT_LENGTH}")
-        low, high = (given.get(name, bound) for name, bound in (("LOW", 0.0), ("HIGH", 1.0)))
+        # The count of a grid, and the interval. Distributions without these numbers get valid ones
+        count = given.get("COUNT", 2.0)
+        if not (count % 1.0 == 0.0 and 2 <= count <= MAX_GRID_COUNT):
+            raise CrosscheckError(f"grid: COUNT is {count:g}; needed: a whole number, 2 to {MAX_GRID_COUNT}")
+        low, high = given.get("LOW", 0.0), given.get("HIGH", 1.0)
         if not self.numbers or not low < high:
             needed = "LOW < HIGH" if self.numbers else "one number or more"
             raise CrosscheckError(f"{self} is an empty distribution; needed: {needed}")
         if not high - low < np.inf:
             raise CrosscheckError(f"{self} is not a distribution: HIGH - LOW is too large")
-        # only this kind needs the check, and importing SciPy's statistics takes a second
+        # SciPy's statistics take a second to import: use them only for the kind that needs this check
         if self.kind == "truncated_normal" and not np.isfinite(self.quantile(np.array([0.5]))[0]):
             raise CrosscheckError(f"{self} is an empty distribution: the probability between its bounds is 0")
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Values of a discrete distribution, which a full grid takes; empty for a continuous one."""
+        """Equally likely values of a discrete distribution; empty for a continuous one."""
         if self.kind == "grid":
             low, high, count = self.numbers
             return tuple(np.linspace(low, high, int(count)).tolist())
@@ -100,13 +110,14 @@ class Distribution:
         return np.clip(values, low, high)
 
     def deviations_of(self, value: float) -> float:
-        """Return the distance of a number from the mean in standard deviations; 0 for a single value."""
-        of = np.array(self.levels) if self.levels else _continuous(self)
-        deviation = float(of.std())
-        return abs(value - float(of.mean())) / deviation if deviation else 0.0
+        """Return the distance of a number from the mean, in standard deviations; 0 for a single value."""
+        distribution = np.array(self.levels) if self.levels else _continuous(self)
+        deviation = float(distribution.std())
+        return abs(value - float(distribution.mean())) / deviation if deviation else 0.0
 
     def of_normal(self, z: Array) -> Array:
-        """Return the quantiles (n,) of the probabilities of standard normal values z (n,)."""
+        """Transform standard normal values z (n,) to values (n,) of this distribution with the same
+        probabilities."""
         if self.kind == "normal":
             return self.numbers[0] + self.numbers[1] * z
         return self.quantile(ndtr(z))
@@ -116,16 +127,18 @@ class Distribution:
 
 
 @lru_cache(maxsize=1000)
-def _continuous(of: Distribution) -> Any:
-    """Return SciPy's object of a distribution. It is cached here, since pickled distributions should be
-    small."""
+def _continuous(distribution: Distribution) -> Any:
+    """Return SciPy's object of a continuous distribution.
+
+    It is cached here rather than in the `Distribution`, which is pickled for other processes.
+    """
     from scipy import stats
 
-    if of.kind == "uniform":
-        low, high = of.numbers
+    if distribution.kind == "uniform":
+        low, high = distribution.numbers
         return stats.uniform(low, high - low)
-    mean, deviation, *bounds = of.numbers
-    if of.kind == "normal":
+    mean, deviation, *bounds = distribution.numbers
+    if distribution.kind == "normal":
         return stats.norm(mean, deviation)
     low, high = ((bound - mean) / deviation for bound in bounds)
     return stats.truncnorm(low, high, mean, deviation)
@@ -138,12 +151,15 @@ def _texts(numbers: Iterable[float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Correlated:
-    """Joint distribution of n correlated parameters.
+    """Joint distribution of n correlated parameters, a Gaussian copula.
+
+    The copula draws correlated standard normal values, and transforms each value to the distribution of its
+    parameter.
 
     Attributes:
-        distributions: (n) distribution of each parameter.
-        correlation: (n, n) correlation matrix of a Gaussian copula. For normal distributions it is the
-            correlation of the parameters.
+        distributions: distribution of each of the n parameters.
+        correlation: (n, n) correlation matrix of the standard normal values. For normal distributions it is
+            the correlation matrix of the parameters.
 
     Raises:
         CrosscheckError: for a matrix that is not a correlation matrix.
@@ -171,10 +187,10 @@ class Correlated:
 
     def quantile(self, u: Array) -> Array:
         """Return the values (k, n) for independent probabilities u (k, n) between 0 and 1."""
-        root, z = _cholesky(self.correlation), ndtri(u)
-        # not a matrix product, whose order of summation depends on the number of runs
-        mixed = [sum(root[i, j] * z[:, j] for j in range(i + 1)) for i in range(len(root))]
-        columns = [each.of_normal(z) for each, z in zip(self.distributions, mixed, strict=True)]
+        factor, z = _cholesky(self.correlation), ndtri(u)
+        # L z by explicit sums: the order of summation of a matrix product depends on the number of runs
+        correlated = [sum(factor[i, j] * z[:, j] for j in range(i + 1)) for i in range(len(factor))]
+        columns = [each.of_normal(z) for each, z in zip(self.distributions, correlated, strict=True)]
         return np.stack(columns, axis=1)
 
     def __str__(self) -> str:
@@ -202,29 +218,30 @@ def _matrix(what: str, given: object, count: int) -> Array:
     if not np.all(np.diag(matrix) > 0.0):
         raise CrosscheckError(f"{what} has a diagonal that is not positive")
     scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
-    if np.any(np.abs(matrix - matrix.T) > EIGENVALUE_ROUND_OFF * scale):
+    if np.any(np.abs(matrix - matrix.T) > CORRELATION_ROUND_OFF * scale):
         raise CrosscheckError(f"{what} is not symmetric")
     matrix = 0.5 * (matrix + matrix.T)
-    if np.linalg.eigvalsh(matrix / scale)[0] < -EIGENVALUE_ROUND_OFF:
+    if np.linalg.eigvalsh(matrix / scale)[0] < -CORRELATION_ROUND_OFF:
         raise CrosscheckError(f"{what} has a negative eigenvalue; needed: a positive semidefinite matrix")
     return matrix
 
 
 def _cholesky(matrix: Array) -> Array:
-    """Return L (n, n), lower triangular, of a matrix L L^T that may be singular.
+    """Return the Cholesky factor L (n, n), lower triangular, of a correlation matrix C = L L^T.
 
-    LAPACK is not used: the last digits of its results, and thus those of every run, depend on the processor.
+    The matrix may be singular: a column of L with a pivot of zero stays zero. LAPACK is not used, since the
+    last digits of its results, and thus those of every run, depend on the processor.
     """
     count = len(matrix)
-    root = np.zeros((count, count))
+    factor = np.zeros((count, count))
     for j in range(count):
-        pivot = matrix[j, j] - sum(root[j, k] ** 2 for k in range(j))
-        if pivot <= EIGENVALUE_ROUND_OFF:
+        pivot = matrix[j, j] - sum(factor[j, k] ** 2 for k in range(j))
+        if pivot <= CORRELATION_ROUND_OFF:
             continue
-        root[j, j] = np.sqrt(pivot)
+        factor[j, j] = np.sqrt(pivot)
         for i in range(j + 1, count):
-            root[i, j] = (matrix[i, j] - sum(root[i, k] * root[j, k] for k in range(j))) / root[j, j]
-    return root
+            factor[i, j] = (matrix[i, j] - sum(factor[i, k] * factor[j, k] for k in range(j))) / factor[j, j]
+    return factor
 
 
 Vary = Mapping[str | tuple[str, ...], Distribution | Correlated | str | Iterable[float]]
@@ -235,6 +252,9 @@ A distribution may be given as an object, as text, or as a list of equally likel
 
 def parse_vary(given: Iterable[str]) -> dict[str | tuple[str, ...], Distribution | Correlated]:
     """Parse texts such as `panel_7.mass=normal(14, 0.5)`, or `A,B=correlated(...)` of several parameters.
+
+    Returns:
+        Distributions by name of the parameter, or by names of several correlated parameters.
 
     Raises:
         CrosscheckError: naming the text at fault.
@@ -256,9 +276,10 @@ def parse_vary(given: Iterable[str]) -> dict[str | tuple[str, ...], Distribution
 
 
 def parse(text: str) -> Distribution | Correlated:
-    """Parse the text of a distribution: one of `KINDS`, or of several numbers together.
+    """Parse the text of a distribution: one of `KINDS`, or a joint distribution of several parameters.
 
-    These are `normal([MEANS], [[COVARIANCE]])` and `correlated(DISTRIBUTION, ..., [[CORRELATION]])`.
+    Joint distributions are `normal([MEANS], [[COVARIANCE]])` and
+    `correlated(DISTRIBUTION, ..., [[CORRELATION]])`.
 
     Raises:
         CrosscheckError: for text that is not a distribution, with the reason.
@@ -287,7 +308,12 @@ def wrong_syntax(error: SyntaxError, text: str) -> str:
 
 
 def _read(node: ast.expr, text: str) -> object:
-    """Evaluate a syntax tree of numbers, lists and distributions; raises `ValueError` for anything else."""
+    """Evaluate a syntax tree of numbers, lists and distributions; raises `ValueError` for other syntax.
+
+    Args:
+        node: the syntax tree.
+        text: text from which the tree was parsed.
+    """
     if isinstance(node, ast.List):
         return [_read(each, text) for each in node.elts]
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
@@ -297,7 +323,12 @@ def _read(node: ast.expr, text: str) -> object:
 
 
 def _make_distribution(kind: str, arguments: list[object]) -> Distribution | Correlated:
-    """Make the distribution of a kind; raises `ValueError` or `CrosscheckError` for invalid arguments."""
+    """Make a distribution; raises `ValueError` or `CrosscheckError` for invalid arguments.
+
+    Args:
+        kind: one of `KINDS`, or "correlated".
+        arguments: evaluated arguments in the text: numbers, lists and distributions.
+    """
     if kind == "correlated":
         distributions = [each for each in arguments[:-1] if isinstance(each, Distribution)]
         if not distributions or len(distributions) < len(arguments) - 1:

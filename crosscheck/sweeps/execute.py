@@ -1,7 +1,8 @@
 """Execute tasks in parallel: on threads, an executor of concurrent.futures, or a Dask cluster.
 
-A task of a sweep executes a range of runs. `workers` opens the place of execution, `run_tasks` executes tasks
-there, `probed` measures the speed of runs, and `Pace` reports progress.
+A sweep simulates one scene many times with varied parameters; each of its tasks executes a range of these
+runs. `workers` opens the place of execution, `run_tasks` executes tasks there, `probed` estimates the speed
+of runs, and `Pace` reports progress.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.processes import safe_path
 from crosscheck.support.time_limits import duration_text
-from crosscheck.sweeps.store import KEPT_REPEAT_COMMAND, SWEEP
+from crosscheck.sweeps.store import KEPT_REPEAT_COMMAND, SWEEP_EXTRA
 from newton_euler.errors import OptionError
 from newton_euler.optional_packages import optional_package
 from newton_euler.runs.batch import thread_count
@@ -42,21 +43,22 @@ TASKS_PER_WORKER = 2
 tasks."""
 
 RECOUNT_PERIOD_S = 2.0
-"""s between two counts of the workers; each count is a request to the scheduler."""
+"""Time between two counts of the workers, s; each count is a request to the scheduler."""
 
 ASSUMED_WORKERS = 32
-"""Number of workers of an executor that does not report it."""
+"""Number of workers that is assumed of an executor that does not report the number."""
 
 MIN_PROBE_S = 0.05
-"""s, shortest time of runs from which their speed is estimated."""
+"""Shortest duration, s, of runs from which the speed of runs is estimated."""
 
 NO_REPEAT_ABOVE_S = 1.0
-"""s, time of a single run above which the measurement of its speed is not repeated."""
+"""Duration of a single run, s, above which the measurement of its speed is not repeated."""
 
 CONNECT_TIMEOUT_S = 10.0
-"""s, longest time that a cluster may need to answer."""
+"""Longest time, s, that a cluster may need to answer."""
 
 NO_WORKERS = f"the cluster has no workers yet: waiting; press Ctrl-C to stop, {KEPT_REPEAT_COMMAND}"
+"""Message to the user while tasks wait for the first worker."""
 
 DASK_LOGS = ("distributed.client", "distributed.protocol.core", "distributed.comm")
 """Names of Dask's loggers that print errors which Dask raises as well."""
@@ -79,7 +81,7 @@ class Workers:
 def workers(
     threads: int | None = None, executor: Executor | None = None, cluster: Client | str | None = None
 ) -> Iterator[Workers]:
-    """Open workers: threads of this process, an executor, or a Dask cluster.
+    """Open workers: threads of this process, an executor, or a Dask cluster; at most one argument is given.
 
     Args:
         threads: number of threads; one per processor if no argument is given.
@@ -114,8 +116,8 @@ def workers(
 
 @contextmanager
 def _client(cluster: Client | str) -> Iterator[Client]:
-    """Yield the client itself, or a client of an address that is closed at the end."""
-    distributed = optional_package("distributed", SWEEP)
+    """Yield a given client, or connect to a given address and close that connection at the end."""
+    distributed = optional_package("distributed", SWEEP_EXTRA)
     if isinstance(cluster, distributed.Client):
         yield cluster
         return
@@ -138,7 +140,7 @@ def _connected(address: str) -> Client:
     """Connect to a Dask scheduler.
 
     Args:
-        address: such as tcp://10.0.0.1:8786.
+        address: address of the scheduler, such as tcp://10.0.0.1:8786.
 
     Raises:
         CrosscheckError: if no scheduler answers.
@@ -147,7 +149,7 @@ def _connected(address: str) -> Client:
     import distributed
 
     try:
-        # only a client can use the security loader, so that the check is skipped if one is configured
+        # a security loader (a function that makes Dask's credentials) works for clients only: skip the check
         if not dask.config.get("distributed.client.security-loader", None):
             # in a separate thread, since a notebook already has an event loop
             with ThreadPoolExecutor(1) as thread:
@@ -159,11 +161,14 @@ def _connected(address: str) -> Client:
 
 
 async def _check_scheduler(address: str) -> None:
-    """Raise an error unless a Dask scheduler listens; a client would wait forever for another program."""
+    """Raise an error unless a Dask scheduler listens at the address.
+
+    A client would wait forever for the answer of another program.
+    """
     from distributed import Security, rpc
 
     secured = Security().get_connection_args("client")
-    async with asyncio.timeout(2.0 * CONNECT_TIMEOUT_S):  # half of it for the connection itself
+    async with asyncio.timeout(2.0 * CONNECT_TIMEOUT_S):  # for the connection and then for its answer
         async with rpc(address, timeout=CONNECT_TIMEOUT_S, connection_args=secured) as listener:
             kind = (await listener.identity())["type"]
     if kind != "Scheduler":
@@ -200,9 +205,9 @@ def run_tasks(
                 previous_count, count, last_count_time = count, pool.count(), time.perf_counter()
                 if previous_count and not count:
                     progress(NO_WORKERS)
-            # submit tasks to idle workers, then yield the results of tasks that completed
-            free_places = TASKS_PER_WORKER * max(1, count) - len(running)
-            for _, item in zip(range(free_places), remaining, strict=False):
+            # submit tasks for idle workers, then yield the results of tasks that completed
+            tasks_to_submit = TASKS_PER_WORKER * max(1, count) - len(running)
+            for _, item in zip(range(tasks_to_submit), remaining, strict=False):
                 running[pool.executor.submit(task, item)] = item
             if not running:
                 return
@@ -234,7 +239,7 @@ def _result(future: Future[Result]) -> Result:
 
 
 class Pace:
-    """Counter of completed runs that reports their rate and the remaining time."""
+    """Counter of completed runs that reports their number, runs per second, and the remaining time."""
 
     def __init__(self, runs: int, stored: int, progress: Callable[[str], None]) -> None:
         """Start to count.
@@ -250,7 +255,7 @@ class Pace:
             progress(f"{stored:,} of {runs:,} runs are stored already")
 
     def add(self, runs: int) -> None:
-        """Count completed runs, and report to `progress`."""
+        """Count further completed runs, and report to `progress`."""
         self._executed += runs
         rate = self._executed / max(time.perf_counter() - self._start, 1e-9)
         stored = self._stored + self._executed
@@ -261,8 +266,9 @@ class Pace:
 def probed(make: Callable[[int], Any], runs: int) -> float:
     """Estimate the runs per second of one worker from as few runs as possible.
 
-    The number of runs grows until they take `MIN_PROBE_S`. The last measurement is repeated, as the first one
-    can include compilation; a single run of more than `NO_REPEAT_ABOVE_S` is not repeated.
+    The number of runs grows until they take `MIN_PROBE_S`. The last measurement is repeated, since it can
+    include compilation; the shorter time counts. A single run of more than `NO_REPEAT_ABOVE_S` is not
+    repeated.
 
     Args:
         make: function that executes a number of runs.
@@ -270,11 +276,11 @@ def probed(make: Callable[[int], Any], runs: int) -> float:
     """
     count = 1
     while True:
-        taken = _time(make, count)
-        if taken >= MIN_PROBE_S and (count > 1 or taken < NO_REPEAT_ABOVE_S):
-            taken = min(taken, _time(make, count))
-        if taken >= MIN_PROBE_S or count == runs:
-            return count / max(taken, 1e-3)
+        seconds = _time(make, count)
+        if seconds >= MIN_PROBE_S and (count > 1 or seconds < NO_REPEAT_ABOVE_S):
+            seconds = min(seconds, _time(make, count))
+        if seconds >= MIN_PROBE_S or count == runs:
+            return count / max(seconds, 1e-3)
         count = min(4 * count, runs)
 
 

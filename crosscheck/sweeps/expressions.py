@@ -4,8 +4,13 @@ A quantity is one of these: an array of a trajectory (`reaction_force`); the par
 actuator (`panel_7.quaternion`); a component (`panel_7.position.z`); a joint coordinate or its rate
 (`slide_12.coordinate`). Quantities are combined by + - * / **, numbers, vectors `[x, y, z]` and `FUNCTIONS`.
 
+A joint coordinate is a number that measures the motion of a joint, such as an angle or a displacement.
+
 An expression is parsed once, and evaluated by NumPy for all times of many runs. This takes little time
 compared with the runs, and the compiled code of a scene does not depend on the expressions.
+
+The value of an expression is an array over runs, times, elements (bodies, joints, actuators or joint
+coordinates) and components (of vectors or quaternions).
 """
 
 from __future__ import annotations
@@ -32,13 +37,15 @@ from newton_euler.runs.batch import Batch
 from newton_euler.scalars import Array
 
 MAX_EXPRESSION_LENGTH = 2_000
-"""Characters, longest text of an expression."""
+"""Largest number of characters of an expression."""
 
 Dimensions = tuple[str, str]
-"""Names of the dimensions of elements and of components; empty for a missing dimension."""
+"""Names of the dimension of elements (such as "body") and of the dimension of components: "axis" for vectors,
+"component" for quaternions. A name is empty if a value does not have this dimension."""
 
 ELEMENT_DIMENSIONS = {"b": "body", "j": "joint", "a": "actuator"}
-"""Names of the dimensions of elements, by their letters in `SHAPES`."""
+"""Names of the dimensions of elements, by their letters in `SHAPES`, which has the shape of each quantity as
+a text such as "nb3": times, bodies, three components."""
 
 PART_DIMENSIONS = {"3": "axis", "4": "component"}
 """Names of the dimensions of vectors and quaternions, by their digits in `SHAPES`."""
@@ -47,12 +54,17 @@ COMPONENT_NAMES = {"axis": tuple("xyz"), "component": tuple("wxyz")}
 """Labels of the components of vectors and quaternions, by dimension."""
 
 SAME_UNIT = "same"
-"""Stands for the unit of the operands, if all of them have the same unit."""
+"""Argument of `_elementwise`: the result has the unit of the operands if all operands have the same unit."""
 
 
-def _dimension(letters: str, names: Mapping[str, str]) -> str:
-    """Return the name of the dimension that occurs in the letters of a shape; empty if none does."""
-    return next((names[letter] for letter in letters if letter in names), "")
+def _dimension(shape: str, names: Mapping[str, str]) -> str:
+    """Return the name of the dimension whose letter occurs in a shape; empty if none does.
+
+    Args:
+        shape: shape of a quantity, see `ELEMENT_DIMENSIONS`.
+        names: names of dimensions by letter.
+    """
+    return next((names[letter] for letter in shape if letter in names), "")
 
 
 COORDINATES = {"coordinate": "coordinates", "rate": "rates"}
@@ -75,10 +87,10 @@ class Value:
     """Value of an expression.
 
     Attributes:
-        array: (runs, times, elements, components); the length is 1 along a missing dimension, and if values
-            do not depend on it.
-        dimensions: names of the dimensions of elements and of components.
-        unit: unit; empty if unknown.
+        array: (runs, times, elements, components); the length is 1 along a missing dimension, and along
+            a dimension on which the values do not depend.
+        dimensions: names of the dimension of elements and of the dimension of components.
+        unit: unit of the values; empty if unknown.
     """
 
     array: Array
@@ -101,8 +113,9 @@ class Outputs:
     Attributes:
         scene: the scene.
         times: (n,) s, output times.
-        stacked: function that returns the array (runs, n, ...) of a quantity, given its name.
-        joint: function that returns the coordinates (runs, n, k) of a joint and their rates, given its name.
+        stacked: function that returns the array (runs, n, ...) of a quantity, given the name of the quantity.
+        joint: function that returns the k coordinates (runs, n, k) of a joint and their rates, given the name
+            of the joint.
     """
 
     scene: Scene
@@ -128,7 +141,7 @@ class Outputs:
 
     @cached_property
     def labels(self) -> dict[str, tuple[str, ...]]:
-        """Labels of each dimension."""
+        """Labels along each dimension, by name of the dimension."""
         return labels(self.scene)
 
     def quantity(self, name: str, element: str, signed: bool) -> Value:
@@ -139,24 +152,32 @@ class Outputs:
             element: name of a body, joint or actuator; empty for all elements.
             signed: True to make the signs of quaternions continuous over time.
         """
-        elements, parts = DIMENSIONS[name]
+        element_dimension, component_dimension = DIMENSIONS[name]
         if name in COORDINATES:
             return self._coordinates(name, element)
         array = self.stacked(name)
-        array = array.reshape(*array.shape[:2], len(self.labels[elements]), len(self.labels[parts]))
-        place = slice(None)
+        elements, components = self.labels[element_dimension], self.labels[component_dimension]
+        array = array.reshape(*array.shape[:2], len(elements), len(components))
+        selected = slice(None)
         if element:
-            k = self.labels[elements].index(element)
-            place, elements = slice(k, k + 1), ""
-        array = array[:, :, place]
+            k = elements.index(element)
+            selected, element_dimension = slice(k, k + 1), ""
+        array = array[:, :, selected]
         if name == "quaternion" and signed:
-            start = initial_state(self.scene).quaternion[place]
+            # q and -q are the same orientation: choose the sign nearest to that of the previous output, and
+            # at the first output nearest to that of the scene's initial state
+            start = initial_state(self.scene).quaternion[selected]
             first = np.broadcast_to(start, (len(array), *start.shape))
             array = np.swapaxes(continuous(np.swapaxes(array, 0, 1), first), 0, 1)
-        return Value(array, (elements, parts), self._unit(name, element))
+        return Value(array, (element_dimension, component_dimension), self._unit(name, element))
 
     def _coordinates(self, name: str, element: str) -> Value:
-        """Return the coordinates or rates of a joint, or of all joints if `element` is empty."""
+        """Return a joint coordinate or its rate, or those of all joints.
+
+        Args:
+            name: "coordinate" or "rate".
+            element: label of the joint coordinate; empty for all joint coordinates.
+        """
         mechanism, columns, units = self.scene.mechanism, [], set()
         for (joint, k), label in mechanism.coordinate_labels.items():
             if element in ("", label):
@@ -179,8 +200,11 @@ class Outputs:
 
 
 def labels(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Return the labels of each dimension of a scene's quantities; a missing dimension has one empty
-    label."""
+    """Return the labels along each dimension of a scene's quantities, by name of the dimension.
+
+    The dimension "", which stands for a missing one, has one empty label. Actuators are labeled by the joint
+    coordinates that they drive.
+    """
     mechanism = scene.mechanism
     actuators = (coordinate_name(mechanism.joint(law.joint), law.coordinate) for law in scene.control)
     return {
@@ -193,15 +217,15 @@ def labels(scene: Scene) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _resting(mechanism: Mechanism, joint: str) -> JointMotion:
-    """Return zero coordinates and rates of a joint."""
+def _zero_joint_motion(mechanism: Mechanism, joint: str) -> JointMotion:
+    """Return coordinates and rates of zero of a joint, for one run and two times."""
     names = coordinate_names(mechanism.joint(joint))
     zeros = np.zeros((1, 2, len(names)))
     return JointMotion(names, zeros, zeros)
 
 
 Node = Callable[[Outputs], Value]
-"""Function that evaluates a part of an expression."""
+"""Node of an expression: function that evaluates a part of the expression from the outputs of runs."""
 
 
 class Expression:
@@ -211,11 +235,11 @@ class Expression:
         text: text of the expression.
         elements: by quantity, names of the bodies, joints and actuators that occur; an empty name stands for
             all.
-        signed: True if the value depends on signs of quaternions or on revolutions, which follow from all
-            earlier output times.
-        plain: True if the expression is a single quantity.
+        signed: True if the value depends on signs of quaternions or on numbers of revolutions of joints,
+            which are tracked over all earlier output times.
+        plain: True if the expression is a single quantity, so that its text can serve as its name.
         evaluate: returns the value at all times of all runs from their outputs.
-        example: value for outputs of zero, which shows dimensions and unit.
+        example: value for outputs that are all zero, whose dimensions and unit are those of every value.
     """
 
     def __init__(self, text: str, scene: Scene) -> None:
@@ -229,19 +253,22 @@ class Expression:
             CrosscheckError: describing the error in the text.
         """
         self.text, self.signed, self.elements = text.strip(), False, dict[str, set[str]]()
-        self._timed = False
+        self._contains_time = False
         self._labels, self._has_work = labels(scene), bool(scene.control or scene.forces or scene.motions)
         try:
             if len(text) > MAX_EXPRESSION_LENGTH:
                 raise ValueError(f"the expression is longer than {MAX_EXPRESSION_LENGTH} characters")
-            self.evaluate = self._look_up(self.text) or self._node(ast.parse(self.text, mode="eval").body)
-            if not (self.elements or self._timed):
+            single_quantity = self._single_quantity(self.text)
+            self.plain = single_quantity is not None
+            self.evaluate = single_quantity or self._node(ast.parse(self.text, mode="eval").body)
+            if not (self.elements or self._contains_time):
                 raise ValueError(
                     "it contains no output of a run; name a quantity, for example panel_7.position"
                 )
             with np.errstate(all="ignore"):
                 # evaluate for outputs of zero, to find dimensions and unit
-                zeros = Outputs(scene, np.array([0.0, 1.0]), self._zeros, partial(_resting, scene.mechanism))
+                joint = partial(_zero_joint_motion, scene.mechanism)
+                zeros = Outputs(scene, np.array([0.0, 1.0]), self._zeros, joint)
                 self.example = self.evaluate(zeros)
         except SyntaxError as error:
             raise CrosscheckError(wrong_syntax(error, self.text)) from None
@@ -257,22 +284,24 @@ class Expression:
         """Return a zero array of the shape of a quantity, for one run and two times."""
         return np.zeros((1, 2, *(len(self._labels[each]) for each in DIMENSIONS[name])))
 
-    def _look_up(self, text: str) -> Node | None:
-        """Return the node of a text that is a single quantity; element names may contain any characters."""
-        found = None
+    def _single_quantity(self, text: str) -> Node | None:
+        """Return the node of a text that is a single quantity, else None.
+
+        The text need not be valid Python, since names of elements may contain any characters.
+        """
         with suppress(ValueError, UnknownNameError):
-            found = self._quantity(text, signed=True)
-        self.plain = found is not None
-        return found
+            return self._quantity(text, signed=True)
+        return None
 
     def _node(self, node: ast.expr) -> Node:
-        """Return the node of a part of the expression; raises `ValueError` for unknown syntax."""
+        """Convert a part of the syntax tree to a node; raises `ValueError` for unknown syntax."""
         if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
             return _applied(OPERATORS[type(node.op)], self._node(node.left), self._node(node.right))
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
             return _applied(NEGATIVE, self._node(node.operand))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
             return self._call(node.func.id, node.args)
+        # a quoted quantity, such as 'left arm.position'
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             return self._output(node.value)
         if isinstance(node, ast.Attribute | ast.Name):
@@ -297,14 +326,15 @@ class Expression:
         if len(arguments) != count:
             raise ValueError(f"{name} takes {count} arguments, not {len(arguments)}")
         first = None
-        if name == "direction":  # the direction does not depend on the sign of the quaternion
+        # the sign of the quaternion, the first argument, does not affect a direction
+        if name == "direction":
             first = self._quantity(ast.unparse(arguments[0]).strip("'"), signed=False)
         return _applied(function, first or self._node(arguments[0]), *map(self._node, arguments[1:]))
 
     def _output(self, text: str) -> Node:
         """Return the node of a quantity or of `time`; raises `ValueError` for an unknown name."""
         if text == "time":
-            self._timed = True
+            self._contains_time = True
             return lambda outputs: Value(outputs.times[None, :, None, None], unit="s")
         found = self._quantity(text, signed=True)
         if found is None:
@@ -313,29 +343,33 @@ class Expression:
         return found
 
     def _quantity(self, text: str, signed: bool) -> Node | None:
-        """Return the node of [ELEMENT.]QUANTITY[.COMPONENT]; None if the text names no quantity."""
-        before, _, last = text.rpartition(".")
+        """Return the node of [ELEMENT.]QUANTITY[.COMPONENT]; None if the text names no quantity.
+
+        `signed` is an argument of `Outputs.quantity`. Raises `ValueError` or `UnknownNameError` for an
+        element or a component that the quantity does not have.
+        """
+        element, _, name = text.rpartition(".")
         component = ""
-        if last not in DIMENSIONS:
-            component, (before, _, last) = last, before.rpartition(".")
-        if last not in DIMENSIONS:
+        if name not in DIMENSIONS:
+            component, (element, _, name) = name, element.rpartition(".")
+        if name not in DIMENSIONS:
             return None
-        elements, parts = DIMENSIONS[last]
-        if before and not elements:
-            raise ValueError(f"{last} belongs to the whole mechanism, not to {before!r:.100}")
-        if before and before not in self._labels[elements]:
-            raise UnknownNameError(elements, before, self._labels[elements])
-        if last == "work" and not self._has_work:
+        element_dimension, component_dimension = DIMENSIONS[name]
+        if element and not element_dimension:
+            raise ValueError(f"{name} belongs to the whole mechanism, not to {element!r:.100}")
+        if element and element not in self._labels[element_dimension]:
+            raise UnknownNameError(element_dimension, element, self._labels[element_dimension])
+        if name == "work" and not self._has_work:
             raise ValueError("the scene has no control, forces or motions that do work")
-        letters = COMPONENT_NAMES.get(parts, ())
+        letters = COMPONENT_NAMES.get(component_dimension, ())
         if component and component not in letters:
-            raise ValueError(f"{last} has no component {component!r:.50}; {choices(component, letters)}")
-        self.elements.setdefault(last, set()).add(before)
-        self.signed = self.signed or (last == "quaternion" and signed) or last == "coordinate"
+            raise ValueError(f"{name} has no component {component!r:.50}; {choices(component, letters)}")
+        self.elements.setdefault(name, set()).add(element)
+        self.signed = self.signed or (name == "quaternion" and signed) or name == "coordinate"
 
         def look_up(outputs: Outputs) -> Value:
             """Return the quantity, or its component, from the outputs of runs."""
-            found = outputs.quantity(last, before, signed)
+            found = outputs.quantity(name, element, signed)
             if not component:
                 return found
             k = letters.index(component)
@@ -357,19 +391,27 @@ def _combined_dimensions(a: Dimensions, b: Dimensions) -> Dimensions:
 
 
 def _elementwise(function: Callable[..., Array], unit: str = "") -> Callable[..., Value]:
-    """Convert a function of arrays into a function of values, whose result has the given unit."""
+    """Convert an elementwise function of arrays into a function of values.
+
+    Args:
+        function: the function of arrays.
+        unit: unit of the result; empty if unknown, `SAME_UNIT` for that of the operands.
+    """
 
     def apply(*values: Value) -> Value:
         """Apply the function to the arrays of values; find dimensions and unit of the result."""
         units = {value.unit for value in values}
-        own = (units.pop() if len(units) == 1 else "") if unit == SAME_UNIT else unit
+        result_unit = unit
+        if unit == SAME_UNIT:
+            result_unit = units.pop() if len(units) == 1 else ""
         dimensions = reduce(_combined_dimensions, (value.dimensions for value in values))
-        return Value(function(*(value.array for value in values)), dimensions, own)
+        return Value(function(*(value.array for value in values)), dimensions, result_unit)
 
     return apply
 
 
 NEGATIVE = _elementwise(np.negative, SAME_UNIT)
+"""Function of the sign before an expression, -a."""
 
 OPERATORS: Mapping[type[ast.operator], Callable[..., Value]] = {
     ast.Add: _elementwise(operator.add, SAME_UNIT),
@@ -378,9 +420,10 @@ OPERATORS: Mapping[type[ast.operator], Callable[..., Value]] = {
     ast.Div: _elementwise(operator.truediv),
     ast.Pow: _elementwise(operator.pow),
 }
+"""Functions of the operators between two expressions, by class of the operator in a syntax tree."""
 
 
-def _vectors(a: Value, b: Value) -> Dimensions:
+def _vector_dimensions(a: Value, b: Value) -> Dimensions:
     """Return the dimensions of the combination of two vectors; raises `ValueError` for other values."""
     for value in (a, b):
         if value.dimensions[1] != "axis":
@@ -390,15 +433,15 @@ def _vectors(a: Value, b: Value) -> Dimensions:
 
 def _dot(a: Value, b: Value) -> Value:
     """Return the scalar products of vectors."""
-    elements, _ = _vectors(a, b)
+    element_dimension, _ = _vector_dimensions(a, b)
     products = a.array * b.array
     # explicit sums, whose order does not depend on the number of runs
-    return Value(products[..., :1] + products[..., 1:2] + products[..., 2:], (elements, ""))
+    return Value(products[..., :1] + products[..., 1:2] + products[..., 2:], (element_dimension, ""))
 
 
 def _cross(a: Value, b: Value) -> Value:
     """Return the vector products of vectors."""
-    return Value(np.cross(a.array, b.array), _vectors(a, b))
+    return Value(np.cross(a.array, b.array), _vector_dimensions(a, b))
 
 
 def norm(value: Value) -> Value:
@@ -417,7 +460,7 @@ def _direction(quaternion: Value, vector: Value) -> Value:
     if quaternion.dimensions[1] != "component":
         raise ValueError(f"{quaternion} is not a quaternion")
     as_vector = replace(quaternion, dimensions=(quaternion.dimensions[0], "axis"))
-    dimensions = _vectors(vector, as_vector)
+    dimensions = _vector_dimensions(vector, as_vector)
     # with q = (w, u): v' = v + w (2 u x v) + u x (2 u x v)
     q, in_body = quaternion.array, vector.array
     twice = 2.0 * np.cross(q[..., 1:], in_body)
@@ -426,6 +469,7 @@ def _direction(quaternion: Value, vector: Value) -> Value:
 
 
 ARCTAN2 = _elementwise(np.arctan2, "rad")
+"""Angle arctan2(y, x) of a point (x, y), rad, given y and x."""
 
 FUNCTIONS: dict[str, tuple[Callable[..., Value], int]] = {
     "abs": (_elementwise(np.abs, SAME_UNIT), 1),

@@ -1,7 +1,8 @@
 """Draw the plots of a sweep as PNG files: tornado charts, histograms and scatter plots.
 
-A tornado chart has one bar per parameter, from the mean of the runs with its lowest values to that with its
-highest.
+A sweep simulates a scene many times with varied parameters and keeps some numbers of each run. A tornado
+chart shows the effects of the parameters on a kept number. Each parameter has one bar, which ends at two
+means of the number: over the runs with the lowest values of the parameter, and over those with the highest.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ MAX_SCATTER_POINTS = 5000
 """Largest number of runs in a scatter plot."""
 
 NEARLY_EQUAL_RANGE = 1e-2
-"""Range of values relative to the largest, below which an offset is subtracted from the values in plots."""
+"""Range of values, relative to the largest magnitude, below which plots show values minus an offset."""
 
 SCATTER_COLUMNS = 3
-"""Number of parameters for each kept number in scatter plots."""
+"""Largest number of parameters over which each kept number is plotted, those with the largest effects."""
 
 LOW_COLOR, HIGH_COLOR, POINT_COLOR = (
     ENGINE_COLORS["newton_euler"],
@@ -42,7 +43,7 @@ LOW_COLOR, HIGH_COLOR, POINT_COLOR = (
 """Colors of low and high values of a parameter, and of points."""
 
 Effects = Sequence[tuple[KeptNumber, Sequence[Effect]]]
-"""Varying numbers, each with the effects of parameters."""
+"""Kept numbers that vary, each with the effects of the parameters on it, the largest effect first."""
 
 
 def pictures(
@@ -55,11 +56,11 @@ def pictures(
     """Draw the plots of a sweep.
 
     Args:
-        effects: varying numbers with their effects, the largest first.
-        points: (n,) indices of the runs in scatter plots.
-        inputs: (n,) values of each parameter in these runs.
-        units: unit of each parameter.
-        nominal: kept numbers of the nominal run by label.
+        effects: kept numbers with the effects on them.
+        points: (n,) indices of the runs in scatter plots, among the values of the kept numbers.
+        inputs: (n,) values of each parameter in these runs, by name.
+        units: unit of each parameter, by name.
+        nominal: values of the kept numbers in the run with nominal parameters, by label.
 
     Returns:
         PNG files by name; empty if nothing varies.
@@ -68,16 +69,23 @@ def pictures(
     if not shown:
         return {}
     return {
-        "tornado.png": _rows(len(shown), 1, lambda axes: _tornado(axes[:, 0], shown), 2.6),
-        "histograms.png": _rows(len(shown), 1, lambda axes: _histograms(axes[:, 0], shown, nominal), 2.0),
-        "scatter.png": _rows(
-            len(shown), SCATTER_COLUMNS, lambda axes: _scatter(axes, shown, points, inputs, units), 2.4
+        "tornado.png": _grid_of_plots(
+            rows=len(shown), columns=1, draw=lambda axes: _tornado(axes[:, 0], shown), height=2.6
+        ),
+        "histograms.png": _grid_of_plots(
+            rows=len(shown), columns=1, draw=lambda axes: _histograms(axes[:, 0], shown, nominal), height=2.0
+        ),
+        "scatter.png": _grid_of_plots(
+            rows=len(shown),
+            columns=SCATTER_COLUMNS,
+            draw=lambda axes: _scatter(axes, shown, points, inputs, units),
+            height=2.4,
         ),
     }
 
 
 @own_style()
-def _rows(rows: int, columns: int, draw: Callable[[Array], None], height: float) -> bytes:
+def _grid_of_plots(rows: int, columns: int, draw: Callable[[Array], None], height: float) -> bytes:
     """Return a PNG of a grid of plots.
 
     Args:
@@ -93,9 +101,10 @@ def _rows(rows: int, columns: int, draw: Callable[[Array], None], height: float)
 
 
 def _origin(values: Array) -> tuple[float, str]:
-    """Return a round offset to subtract from values in a plot, and the text of the subtraction.
+    """Return a round offset to subtract from values in a plot, and the text of the subtraction, as " - 9.81".
 
-    The offset is 0 unless the values are nearly equal: then the labels of the axis would be too long.
+    If the values are nearly equal, labels of the axis without an offset would be too long. Else the offset is
+    0 and the text empty.
     """
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
@@ -108,37 +117,41 @@ def _origin(values: Array) -> tuple[float, str]:
 
 
 def _label_numbers(ax: Axes, axis: Literal["x", "y"]) -> None:
-    """Label an axis without an offset, with powers of ten next to the axis."""
+    """Show powers of ten next to an axis, and no offset of Matplotlib's own."""
     ax.ticklabel_format(axis=axis, scilimits=(-3, 4), useMathText=True, useOffset=False)
     which = ax.xaxis if axis == "x" else ax.yaxis
     which.get_offset_text().set_fontsize("small")
 
 
 def _tornado(axes: Array, effects: Effects) -> None:
-    """Draw the means of the runs with the lowest and highest tenth of each parameter, and its Sobol index."""
+    """Draw a tornado chart of each number: bars as in the module's description, labeled by Sobol indices."""
     for ax, (scalar, found) in zip(axes, effects, strict=True):
         bars = list(found[:MAX_TORNADO_BARS])[::-1]
         annotation = "rank" if bars and bars[0].share is None else "share of variance"
         if len(found) > len(bars):
             annotation += f"; {len(found) - len(bars)} smaller ones are not shown"
-        origin, less = _origin(np.array([end for bar in bars for end in (bar.low, bar.high)]))
+        # bars begin at the mean of all runs; `minus_origin` is the text of the subtracted offset
+        origin, minus_origin = _origin(np.array([end for bar in bars for end in (bar.low, bar.high)]))
         middle = float(np.nanmean(scalar.values)) - origin
         for end, color, label in (("low", LOW_COLOR, "lowest tenth"), ("high", HIGH_COLOR, "highest tenth")):
             widths = [getattr(effect, end) - origin - middle for effect in bars]
             ax.barh([effect.name for effect in bars], widths, left=middle, color=color, label=label)
         for row, effect in enumerate(bars):
-            ends = max(effect.low - origin, effect.high - origin, middle)
-            ax.annotate(f" {share_of(effect)}", (ends, row), va="center", fontsize="small")
+            right_end = max(effect.low - origin, effect.high - origin, middle)
+            ax.annotate(f" {share_of(effect)}", (right_end, row), va="center", fontsize="small")
         ax.axvline(middle, color="black", linewidth=0.8)
         ax.margins(x=0.35)
         _label_numbers(ax, "x")
-        title = with_unit(scalar.label + less, scalar.unit)
+        title = with_unit(scalar.label + minus_origin, scalar.unit)
         ax.set_title(f"{title}: means of runs; {annotation}", fontsize="small")
         ax.legend(fontsize="small", title="parameter in its", title_fontsize="small", loc="lower right")
 
 
 def share_of(effect: Effect) -> str:
-    """Format the Sobol index of a parameter with its 95 % interval, or its rank without one."""
+    """Format a parameter's first-order Sobol index in % with its 95 % interval, and its total-effect index.
+
+    Without a Sobol index, format its rank correlation.
+    """
     if effect.share is None:
         return rank_of(effect)
     either_side = f" ± {np.ceil(100.0 * effect.error):.0f}" if effect.error else ""
@@ -156,14 +169,14 @@ def rank_of(effect: Effect) -> str:
 def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> None:
     """Draw the histogram of each number, with its quantiles and nominal value."""
     for ax, (scalar, _) in zip(axes, effects, strict=True):
-        known, own = scalar.values[np.isfinite(scalar.values)], nominal[scalar.label]
-        origin, less = _origin(np.append(known, own))
+        known, nominal_value = scalar.values[np.isfinite(scalar.values)], nominal[scalar.label]
+        origin, minus_origin = _origin(np.append(known, nominal_value))
         ax.hist(known - origin, bins=60, color=LOW_COLOR)
-        for level in scalar.quantiles[[1, 2, 3]]:
-            ax.axvline(level - origin, color="black", linewidth=0.8, linestyle=":")
-        ax.axvline(own - origin, color=HIGH_COLOR, label="nominal")
+        for quantile in scalar.quantiles[[1, 2, 3]]:  # 5 %, 50 % and 95 %
+            ax.axvline(quantile - origin, color="black", linewidth=0.8, linestyle=":")
+        ax.axvline(nominal_value - origin, color=HIGH_COLOR, label="nominal")
         _label_numbers(ax, "x")
-        title = with_unit(scalar.label + less, scalar.unit)
+        title = with_unit(scalar.label + minus_origin, scalar.unit)
         ax.set_title(f"{title}; dotted: 5 %, 50 %, 95 %", fontsize="small")
         ax.set_ylabel("runs")
         ax.legend(fontsize="small")
@@ -172,16 +185,19 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
 def _scatter(
     axes: Array, effects: Effects, points: Array, inputs: Mapping[str, Array], units: Mapping[str, str]
 ) -> None:
-    """Draw each number over the parameters with the largest effects; arguments as of `pictures`."""
+    """Draw each number over the parameters with the largest effects, with a point for each run.
+
+    The arguments are those of `pictures`, after the array (numbers, `SCATTER_COLUMNS`) of axes.
+    """
     for row, (scalar, found) in zip(axes, effects, strict=True):
+        # of a group of correlated parameters, named "a, b", the first one
         names = [effect.name.partition(", ")[0] for effect in found[:SCATTER_COLUMNS]]
-        y, less = _origin(scalar.values[points])
+        y_origin, minus_y_origin = _origin(scalar.values[points])
+        y = scalar.values[points] - y_origin
         for ax, name in zip(row, names, strict=False):
-            x, less_x = _origin(inputs[name])
-            ax.plot(
-                inputs[name] - x, scalar.values[points] - y, ".", color=POINT_COLOR, markersize=2.0, alpha=0.5
-            )
-            label = with_unit(name.replace(".", ".\n", 1) + less_x, units[name])
+            x_origin, minus_x_origin = _origin(inputs[name])
+            ax.plot(inputs[name] - x_origin, y, ".", color=POINT_COLOR, markersize=2.0, alpha=0.5)
+            label = with_unit(name.replace(".", ".\n", 1) + minus_x_origin, units[name])
             ax.set_xlabel(label, fontsize="small")  # powers of ten are placed next to it
             ax.tick_params(labelsize="small")
             ax.xaxis.get_major_locator().set_params(nbins=4)  # three plots are side by side
@@ -189,5 +205,5 @@ def _scatter(
             _label_numbers(ax, "y")
         for ax in row[len(names) :]:
             ax.set_visible(False)
-        row[0].set_title(scalar.label + less, fontsize="small", loc="left")
+        row[0].set_title(scalar.label + minus_y_origin, fontsize="small", loc="left")
         row[0].set_ylabel(scalar.unit if scalar.unit != "1" else "", fontsize="small")

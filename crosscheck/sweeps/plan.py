@@ -1,7 +1,8 @@
 """Plan of a sweep: everything that its runs depend on, and the functions that execute runs.
 
-The plan is sent to all threads and processes that execute runs. A chunk is a range of consecutive runs that
-are stored together. A kept output is a number or array that is stored of each run.
+A sweep simulates one scene many times with sampled values of some parameters, and stores kept outputs,
+numbers or arrays, of each run. The plan is sent to all threads and processes that execute runs. A chunk is a
+range of consecutive runs that are stored together. `make_runs` executes such a range in a worker process.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from newton_euler.runs.variation import with_parameters
 from newton_euler.scalars import Array
 
 MAX_OUTPUT_BYTES = 48_000_000
-"""Bytes, largest memory of the outputs of runs that execute together."""
+"""Largest memory, bytes, of the outputs of runs that are simulated together."""
 
 SCENE_FIELDS_WITHOUT_EFFECT = frozenset({"description", "shapes", "meshes"})
 """Fields of scenes and bodies that do not affect a run."""
@@ -51,12 +52,13 @@ CONDITION_DIFFERENCES = {
     "processor": "another kind of processor",
     "samples": "other samples by the same seed, of other versions of packages,",
 }
-"""Conditions besides the plan on which the last bits of results depend, and texts that name a difference."""
+"""Conditions besides the plan on which the last bits of results depend (see `SweepPlan.conditions`), and
+texts that name a difference."""
 
 CACHED_PLANS = 4
-"""Number of plans that a worker process keeps."""
+"""Number of unpickled plans that a worker process keeps in memory."""
 
-RESTORE_LOCK = Lock()
+UNPICKLING_LOCK = Lock()
 """Lock during unpickling of a plan, so that the threads of a worker share one plan and its compiled code."""
 
 RUN_COMPLETED, RUN_FAILED = 1, 2
@@ -71,7 +73,7 @@ class Chunk(NamedTuple):
 
     Attributes:
         values: arrays (runs, ...) by name of a parameter or kept output.
-        errors: (runs,) reasons of failed runs, empty for others.
+        errors: (runs,) reasons of failed runs; empty texts for other runs.
     """
 
     values: dict[str, Array]
@@ -83,12 +85,12 @@ class SweepPlan:
     """Everything that the runs of a sweep depend on. A plan can be pickled for other processes.
 
     Attributes:
-        scene: the scene with nominal values.
+        scene: the scene with nominal values of the parameters.
         samples: values of the varied parameters for each run.
-        keep: texts of kept outputs, NAME=REDUCTION.
+        keep: texts of kept outputs, [NAME=]REDUCTION, for example "peak:reaction_force".
         control: integrator and its options, as of `newton_euler.simulate`.
         chunk: number of runs that are stored together.
-        needed: conditions of the process that pickled the plan; empty in that process.
+        needed: `conditions` of the process that pickled the plan; empty in that process.
     """
 
     scene: Scene
@@ -109,12 +111,12 @@ class SweepPlan:
         return _kept(self.scene, self.keep, self.integrator)[0]
 
     @property
-    def lean(self) -> Scene:
+    def pruned_scene(self) -> Scene:
         """The scene with only those outputs (such as velocities or reactions) that the reductions need."""
         return _kept(self.scene, self.keep, self.integrator)[1]
 
     def parameters(self, first: int, last: int) -> Parameters:
-        """Return the parameters of the runs from `first` to before `last`."""
+        """Return the parameters of runs `first` to `last` - 1."""
         values = self.samples.values(first, last)
         return {name: values[:, k].copy() for k, name in enumerate(self.samples.names)}
 
@@ -123,25 +125,28 @@ class SweepPlan:
         return make_batch(scene, parameters=parameters, threads=threads, **self.control)
 
     def runs_per_batch(self, scene: Scene) -> int:
-        """Return the number of runs that execute together, so that their outputs fit into
-        `MAX_OUTPUT_BYTES`."""
-        names = labels(self.scene)
-        numbers = sum(
-            prod(len(names[dimension]) for dimension in DIMENSIONS[name])
+        """Return the number of runs to simulate together, so that their outputs fit into `MAX_OUTPUT_BYTES`.
+
+        The number is at least that of the runs that compiled code simulates side by side.
+        """
+        labels_along = labels(self.scene)
+        numbers_per_time = sum(
+            prod(len(labels_along[dimension]) for dimension in DIMENSIONS[name])
             for name, quantity in QUANTITIES.items()
             if quantity.output is None or quantity.output in scene.outputs
         )
-        return max(lane_count(), MAX_OUTPUT_BYTES // (8 * numbers * len(scene.times)))
+        return max(lane_count(), MAX_OUTPUT_BYTES // (8 * numbers_per_time * len(scene.times)))
 
     def mechanism_of(self, run: int) -> Mechanism:
-        """Return the mechanism of one run, with joint coordinates as the sweep measures them."""
+        """Return the mechanism of one run; its joint coordinates are zero at the initial pose of the plan's
+        scene."""
         values = self.parameters(run, run + 1)
-        initial = initial_numbers(self.scene, values)
+        initial = initial_numbers(self.scene, values)  # initial coordinates do not change the mechanism
         numbers = {name: float(value[0]) for name, value in values.items() if name not in initial}
         return with_values(self.scene, numbers).mechanism
 
     def scene_of(self, run: int) -> Scene:
-        """Return the scene of one run, for any engine.
+        """Return the scene of one run, from its own closed initial pose, for any engine.
 
         Raises:
             NewtonEulerError: for values that a scene cannot have.
@@ -163,7 +168,8 @@ class SweepPlan:
 
     @cached_property
     def conditions(self) -> dict[str, str]:
-        """Conditions of this process on which results depend besides the plan."""
+        """Conditions of this process, besides the plan, on which the last bits of results depend: hash of
+        newton_euler's source, version of crosscheck, kind of processor, and hash of the samples."""
         return {
             "solver": SOURCE.hex(),
             "crosscheck": version(DISTRIBUTION),
@@ -172,8 +178,7 @@ class SweepPlan:
         }
 
     def check_conditions(self) -> None:
-        """Raise `CrosscheckError` if results of this process would differ from those of the sending
-        process."""
+        """Raise `CrosscheckError` if this process and the one that pickled the plan differ in conditions."""
         for name, needed in self.needed.items():
             if self.conditions[name] != needed:
                 what = CONDITION_DIFFERENCES[name]
@@ -182,8 +187,9 @@ class SweepPlan:
                 )
 
     def record(self) -> dict[str, str | int | float]:
-        """Describe the plan for the store, by texts and numbers (as netCDF needs); different plans differ
-        here.
+        """Describe the plan for the store, by texts and numbers, the types that netCDF allows.
+
+        Different plans have different records.
 
         Raises:
             CrosscheckError: for a scene with objects of unknown classes, which have no fingerprint.
@@ -210,8 +216,10 @@ class SweepPlan:
 
 
 def processor() -> str:
-    """Describe what affects the last bits of results: the processor's architecture and FMA
-    instructions."""
+    """Return the processor's architecture and whether it has FMA (fused multiply-add) instructions.
+
+    Both affect the last bits of results.
+    """
     fused = llvm_binding().get_host_cpu_features().get("fma", False)
     return f"{platform.machine()} {'with' if fused else 'without'} FMA"
 
@@ -225,9 +233,9 @@ def _kept(scene: Scene, keep: tuple[str, ...], integrator: str) -> tuple[tuple[R
 
 def _numbers(scene: Scene) -> dict[str, str]:
     """Return the parameters of a scene as texts by name, to show what differs between two scenes."""
-    own = parameter_values(scene)
-    own |= {name: np.array(getattr(scene, name)) for name in ("duration", "output_period")}
-    return {name: " ".join(f"{number:.12g}" for number in value.flat) for name, value in own.items()}
+    values = parameter_values(scene)
+    values |= {name: np.array(getattr(scene, name)) for name in ("duration", "output_period")}
+    return {name: " ".join(f"{number:.12g}" for number in value.flat) for name, value in values.items()}
 
 
 def _without_meshes(scene: Scene) -> Scene:
@@ -241,7 +249,7 @@ def _without_meshes(scene: Scene) -> Scene:
 
 def _unpickle_plan(content: bytes) -> SweepPlan:
     """Unpickle a plan; all tasks of a process share one plan of the same content."""
-    with RESTORE_LOCK:
+    with UNPICKLING_LOCK:
         return _cached_plan(content)
 
 
@@ -258,7 +266,7 @@ def make_runs(plan: SweepPlan, runs: tuple[int, int]) -> Chunk:
 
     Args:
         plan: the plan.
-        runs: number of the first run, and one more than the number of the last run.
+        runs: index of the first run, and one more than the index of the last run.
 
     Raises:
         CrosscheckError: for a scene that cannot be simulated.
@@ -281,13 +289,13 @@ def _parts(plan: SweepPlan, parameters: Parameters) -> Iterator[Chunk]:
     """Yield the results of groups of runs, as many per group as memory allows."""
     count = len(next(iter(parameters.values())))
     # groups of equal size, a multiple of the number of runs that compiled code simulates side by side
-    groups = -(-count // plan.runs_per_batch(plan.lean))
+    groups = -(-count // plan.runs_per_batch(plan.pruned_scene))  # -(-a // b) is a / b rounded up
     size = -(-count // (groups * lane_count())) * lane_count()
     for start in range(0, count, size):
-        own = {name: values[start : start + size] for name, values in parameters.items()}
-        batch = plan.batch(own, plan.lean)
+        group = {name: values[start : start + size] for name, values in parameters.items()}
+        batch = plan.batch(group, plan.pruned_scene)
         outputs = Outputs.of_batch(plan.scene, batch)
-        values = dict(own) | {each.name: each.of(outputs) for each in plan.kept}
+        values = group | {each.name: each.of(outputs) for each in plan.kept}
         # error messages begin with the number of the run within the batch, which is removed
         errors = [str(batch.errors.get(k, "")).removeprefix(f"run {k}: ") for k in range(len(batch))]
         for run in batch.errors:

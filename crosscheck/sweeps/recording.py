@@ -1,14 +1,15 @@
 """Record a sweep for the Rerun viewer: the nominal run, extreme runs as ghosts, and envelopes of many runs
 over time.
 
-A ghost is a transparent copy of the bodies. An envelope shows quantiles of a number over all runs as lines
-over time.
+A sweep simulates a scene many times with varied parameters. The nominal run has the parameters of the scene;
+an extreme run has the largest or smallest value of a number. A ghost is a transparent copy of the bodies. An
+envelope shows quantiles of a number over many runs as lines over time.
 
-Entities:
+Entities (paths of logged data in the recording):
     /ground                 shapes of the fixed body
     /mechanism/RUN/BODY     shapes and poses over time, of the nominal run and of each extreme run
-    /plots/K/LINE           envelope K: the quantiles `least`, `5 %`, `median`, `95 %`, `most`, and single
-    runs /sweep                  the tables, as text
+    /plots/K/LINE           envelope K: the quantiles `least`, `5 %`, `median`, `95 %`, `most`; single runs
+    /sweep                  the tables, as text
 """
 
 from __future__ import annotations
@@ -63,9 +64,10 @@ def log_sweep(
     Args:
         recording: the recording to log to.
         scene: scene with nominal values, whose bodies are drawn.
-        runs: runs by name; the nominal run is the first.
+        runs: runs by name. The first one (the nominal run, unless it failed) is drawn solid, others as
+            ghosts.
         envelopes: envelopes, drawn next to the mechanism.
-        text: report of the sweep, Markdown.
+        text: report of the sweep in Markdown.
         title: title of the recording.
     """
     mechanism = scene.mechanism
@@ -77,6 +79,7 @@ def log_sweep(
         log_bodies(recording, ["mechanism", name], mechanism, run, style)
     for number, envelope in enumerate(envelopes):
         _log_envelope(recording, f"{number}", envelope, colors)
+    # Layout of the viewer: the mechanism above the report, plots on the right
     heading = f"{title}: {next(iter(runs))} solid, extreme runs as ghosts"
     view = scene_view(mechanism, first, heading, ["+ /ground/**", "+ /mechanism/**"])
     plots = [
@@ -93,7 +96,14 @@ def log_sweep(
 def _log_envelope(
     recording: rr.RecordingStream, number: str, envelope: Envelope, colors: Mapping[str, str]
 ) -> None:
-    """Log the quantiles of an envelope and the lines of its single runs, with colors by name of the run."""
+    """Log the quantiles of an envelope and the lines of its single runs.
+
+    Args:
+        recording: the recording to log to.
+        number: number of the envelope, a part of the path of its entities.
+        envelope: the envelope.
+        colors: color of each single run, by name.
+    """
     known = envelope.sample[np.isfinite(envelope.sample).all(axis=1)]
     lines: dict[str, tuple[Array, rr.SeriesLines]] = {}
     for name, level in QUANTILE_LEVELS.items():

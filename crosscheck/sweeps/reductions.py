@@ -1,7 +1,8 @@
 """Reductions: the numbers or arrays that a sweep keeps of each run, computed for many runs at once.
 
-A reduction computes its result from an expression over the outputs of a run, see
-`crosscheck.sweeps.expressions`.
+A sweep simulates one scene many times with varied parameters. A reduction evaluates an expression over the
+outputs of a run (see `crosscheck.sweeps.expressions`) at all output times, and reduces the time series, for
+example to its maximum.
 
 Examples: `peak:reaction_force` is the largest reaction force of each joint, `final:panel_7.quaternion` the
 last orientation of the panel, and `tilt=final:angle(direction(panel_7.quaternion, [0, 0, 1]), [0, 0, 1])` a
@@ -30,14 +31,18 @@ REDUCTION_PATTERN = re.compile(
 """Form of the text of a reduction: [NAME=]KIND[(TIMES)]:EXPRESSION."""
 
 REDUCTION_FORM = "[NAME=]KIND:OUTPUT, as peak:reaction_force"
-"""Form of the text of a reduction, for error messages."""
+"""The same form with an example, for error messages."""
 
 OUTPUT_TIME_TOLERANCE = 1e-9
-"""Largest difference between a requested time and an output, in output periods."""
+"""Largest difference between a requested time and an output time, divided by the output period."""
 
 
 def _magnitude(value: Value) -> Value:
-    """Return norms of vectors and absolute values of numbers."""
+    """Return the norms of vectors, or the absolute values of numbers.
+
+    Raises:
+        CrosscheckError: for quaternions.
+    """
     if value.dimensions[1] == "axis":
         return norm(value)
     if value.dimensions[1] == "component":
@@ -46,45 +51,50 @@ def _magnitude(value: Value) -> Value:
 
 
 def _mean(array: Array, times: Array) -> Array:
-    """Average over time by the trapezoidal rule, with an order of summation that does not depend on the
-    runs."""
+    """Average values (runs, n, ...) over times (n,) by the trapezoidal rule."""
     total = np.zeros(array[:, 0].shape)
+    # a loop: the order of summation of NumPy's integrals depends on the number of runs
     for k, step in enumerate(np.diff(times)):
         total += 0.5 * step * (array[:, k] + array[:, k + 1])
     return total / (times[-1] - times[0])
 
 
 def _first_above(excess: Array, times: Array) -> Array:
-    """Return the first times (runs,), s, at which a function of time (runs, n) is positive."""
-    # interpolate linearly between the first positive output and the one before
+    """Return the first time (runs,), s, at which a time series (runs, n) is positive; NaN if it never is."""
+    # interpolate linearly between the first positive output and the output before it
     above = excess > 0.0
     k = np.argmax(above, axis=1)
     runs = np.arange(len(excess))
     before = np.maximum(k - 1, 0)
     low, high = excess[runs, before], excess[runs, k]
     fraction = np.where(k > 0, -low / (high - low), 1.0)
-    crossed = times[before] + fraction * (times[k] - times[before])
-    return np.where(above.any(axis=1), crossed, np.nan)
+    crossing_times = times[before] + fraction * (times[k] - times[before])
+    return np.where(above.any(axis=1), crossing_times, np.nan)
 
 
-AT, WHEN = "at", "when"
-"""Reductions with a special form. `at(0.5; 1)` keeps the outputs at 0.5 s and 1 s, and `at()` at all times.
-`when:a > b` is the first time, s, at which a exceeds b, interpolated linearly between outputs; NaN if a never
-exceeds b."""
+AT = "at"
+"""Kind of reduction that keeps values at given times: `at(0.5; 1)` at 0.5 s and 1 s, `at()` at all times."""
+
+WHEN = "when"
+"""Kind of reduction that finds an event: `when:a > b` is the first time, s, at which a exceeds b.
+
+The time is interpolated linearly between outputs; it is NaN if a never exceeds b.
+"""
 
 REDUCTIONS: dict[str, Callable[[Array, Array], Array]] = {
-    "final": lambda course, times: course[:, -1],
-    "peak": lambda course, times: course.max(axis=1),
-    "rms": lambda course, times: np.sqrt(_mean(course * course, times)),
+    "final": lambda values, times: values[:, -1],
+    "peak": lambda values, times: values.max(axis=1),
+    "rms": lambda values, times: np.sqrt(_mean(values * values, times)),
     "mean": _mean,
-    "minimum": lambda course, times: course.min(axis=1),
-    "maximum": lambda course, times: course.max(axis=1),
+    "minimum": lambda values, times: values.min(axis=1),
+    "maximum": lambda values, times: values.max(axis=1),
     WHEN: _first_above,
 }
-"""Functions of values (runs, n, ...) and times (n,) by reduction. Peak and rms apply to magnitudes."""
+"""Functions of values (runs, n, ...) and times (n,), s, by kind of reduction. The result has the shape
+(runs, ...)."""
 
 MAGNITUDE_REDUCTIONS = ("peak", "rms")
-"""Reductions of the lengths of vectors and the magnitudes of numbers."""
+"""Kinds of reductions whose values are the norms of vectors or the absolute values of numbers."""
 
 REACTIONS = ("reaction_force", "reaction_torque")
 """Quantities that depend on constraint forces."""
@@ -97,51 +107,57 @@ class Reduction:
     Attributes:
         name: name of the variable.
         text: text of the reduction, without the name.
-        kind: one of `REDUCTIONS` or `AT`.
-        places: numbers of the output times of `AT`.
+        kind: a key of `REDUCTIONS`, or `AT`.
+        output_indices: for `AT`, indices of the output times that are kept; else empty.
         expression: expression over the outputs; for `WHEN` the difference of both sides.
-        dimensions: by name of each dimension after the runs, its labels: names of elements, or times, s.
+        dimensions: labels along each dimension of the results after the runs, by name of the dimension. The
+            labels are names of bodies, joints, actuators or components, or times, s.
         unit: unit of the results.
     """
 
     name: str
     text: str
     kind: str
-    places: tuple[int, ...]
+    output_indices: tuple[int, ...]
     expression: Expression
     dimensions: dict[str, Array]
     unit: str
 
     @property
-    def reacts(self) -> bool:
+    def depends_on_reactions(self) -> bool:
         """True if the output depends on constraint forces, which soft constraints do not determine
         exactly."""
         return not self.expression.quantities.isdisjoint(REACTIONS)
 
-    def reacting(self, place: tuple[int, ...]) -> set[str]:
-        """Return the names of joints whose reactions affect the number at a place of the results."""
+    def reaction_joints(self, index: tuple[int, ...]) -> set[str]:
+        """Return the names of the joints whose reactions affect the number at an index of the results."""
         joints = set[str]().union(*(self.expression.elements.get(name, ()) for name in REACTIONS))
         if "" not in joints:
             return joints
-        # the empty name stands for all joints: the place of the number is at one of them
-        index = dict(zip(self.dimensions, place, strict=True))["joint"]
-        return joints - {""} | {str(self.dimensions["joint"][index])}
+        # the empty name stands for all joints; the number belongs to one of them
+        k = dict(zip(self.dimensions, index, strict=True))["joint"]
+        return joints - {""} | {str(self.dimensions["joint"][k])}
 
     @property
     def needs_all_times(self) -> bool:
-        """False if the end of a run suffices."""
+        """False if the outputs at the end of a run suffice.
+
+        Values that depend on signs of quaternions or on revolutions of joints need all earlier outputs.
+        """
         return self.kind != "final" or self.expression.signed
 
     @np.errstate(all="ignore")
     def of(self, outputs: Outputs) -> Array:
         """Reduce the outputs of runs to an array (runs, *dimensions); NaN where the outputs are NaN."""
-        course = self.course(outputs)
-        at = self.kind == AT
-        found = course[:, list(self.places)] if at else REDUCTIONS[self.kind](course, outputs.times)
+        values = self.time_series(outputs)
+        if self.kind == AT:
+            found = values[:, list(self.output_indices)]
+        else:
+            found = REDUCTIONS[self.kind](values, outputs.times)
         return np.array(found, order="C")  # a copy, since a view would keep all outputs in memory
 
     @np.errstate(all="ignore")
-    def course(self, outputs: Outputs) -> Array:
+    def time_series(self, outputs: Outputs) -> Array:
         """Return the values (runs, times, ...) that are reduced; magnitudes for peak and rms."""
         value = self.expression.evaluate(outputs)
         array = (_magnitude(value) if self.kind in MAGNITUDE_REDUCTIONS else value).array
@@ -150,10 +166,11 @@ class Reduction:
         return np.broadcast_to(array, (runs, times, *array.shape[2:])).reshape(runs, times, *sizes)
 
     @np.errstate(all="ignore")
-    def line(self, outputs: Outputs, place: tuple[int, ...]) -> Array:
-        """Return the time series (runs, times) from which the number at a place of the results is reduced."""
-        of_time: tuple[Any, ...] = place[1:] if self.kind == AT else place
-        return self.course(outputs)[:, :, *of_time]
+    def time_series_of(self, outputs: Outputs, index: tuple[int, ...]) -> Array:
+        """Return the time series (runs, times) from which the number at an index of the results follows."""
+        # the first dimension of the results of `AT` is the time
+        index_after_time: tuple[Any, ...] = index[1:] if self.kind == AT else index
+        return self.time_series(outputs)[:, :, *index_after_time]
 
 
 Keep = str | Iterable[str] | Mapping[str, str]
@@ -161,7 +178,7 @@ Keep = str | Iterable[str] | Mapping[str, str]
 
 
 def reductions(keep: Keep, scene: Scene) -> tuple[Reduction, ...]:
-    """Parse and check the kept outputs of each run of a scene.
+    """Parse the texts of the outputs that are kept of each run of a scene.
 
     Raises:
         CrosscheckError: quoting the text at fault.
@@ -180,23 +197,23 @@ def reductions(keep: Keep, scene: Scene) -> tuple[Reduction, ...]:
     for name in names:
         if names.count(name) > 1:
             raise CrosscheckError(f"{name!r} is kept twice; keep it once, or give the second a name")
-    times = list(dict.fromkeys(each.places for each in found if each.kind == AT))
-    names_of = {places: f"time{number or ''}" for number, places in enumerate(times)}
-    return tuple(
-        replace(each, dimensions={names_of[each.places]: scene.times[list(each.places)]} | each.dimensions)
-        if each.kind == AT
-        else each
-        for each in found
-    )
+    # Reductions at the same times share one dimension of time; the dimensions are time, time1, and so on
+    different_times = list(dict.fromkeys(each.output_indices for each in found if each.kind == AT))
+    for k, each in enumerate(found):
+        if each.kind == AT:
+            number = different_times.index(each.output_indices)
+            times = {f"time{number or ''}": scene.times[list(each.output_indices)]}
+            found[k] = replace(each, dimensions=times | each.dimensions)
+    return tuple(found)
 
 
 def _split(text: str) -> list[str]:
     """Split a text at commas outside of brackets and quotes."""
-    parts, depth, quoted = [""], 0, False
+    parts, depth, in_quotes = [""], 0, False
     for character in text:
-        quoted ^= character == "'"
+        in_quotes ^= character == "'"
         depth += (character in "([") - (character in ")]")
-        if character == "," and depth == 0 and not quoted:
+        if character == "," and depth == 0 and not in_quotes:
             parts.append("")
         else:
             parts[-1] += character
@@ -216,52 +233,62 @@ def _reduction(text: str, scene: Scene) -> Reduction:
 
 def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
     """Make the reduction of a matched text; raises `CrosscheckError` or `ValueError`."""
-    kind, of, times = parts["kind"], parts["of"].strip(), parts["times"]
+    kind, expression_text, times = parts["kind"], parts["of"].strip(), parts["times"]
     if kind not in (*REDUCTIONS, AT) or (times is None) != (kind != AT):
         raise ValueError(f"unknown reduction; {choices(kind, [*REDUCTIONS, 'at(TIME; ...)'])}")
-    if kind == WHEN:
-        left, sign, right = of.partition(">" if ">" in of else "<")
+    if kind == WHEN:  # a > b becomes a - b, which is positive after the event
+        left, sign, right = expression_text.partition(">" if ">" in expression_text else "<")
         if not sign or not left.strip() or not right.strip():
             raise ValueError("when needs a comparison, as when:a > b")
         higher, lower = (left, right) if sign == ">" else (right, left)
-        of = f"({higher.strip()}) - ({lower.strip()})"
-    expression = Expression(of, scene)
+        expression_text = f"({higher.strip()}) - ({lower.strip()})"
+    expression = Expression(expression_text, scene)
     if not expression.plain and not parts["name"]:
         raise ValueError(f"it is an expression; give it a name (--keep NAME={text:.100})")
     example = _magnitude(expression.example) if kind in MAGNITUDE_REDUCTIONS else expression.example
     if kind == WHEN and example.named:
         raise ValueError(f"when compares numbers, not {example}")
-    places = _places(times, scene) if kind == AT else ()
-    names = labels(scene)
-    dimensions = {name: np.array(names[name]) for name in example.named}
-    own = text if parts["name"] is None else text.partition("=")[2].strip()
-    unit = "s" if kind == WHEN else example.unit
-    return Reduction(parts["name"] or own, own, kind, places, expression, dimensions, unit)
+    labels_along = labels(scene)
+    text_without_name = text if parts["name"] is None else text.partition("=")[2].strip()
+    return Reduction(
+        name=parts["name"] or text_without_name,
+        text=text_without_name,
+        kind=kind,
+        output_indices=_output_indices(times, scene) if kind == AT else (),
+        expression=expression,
+        dimensions={name: np.array(labels_along[name]) for name in example.named},
+        unit="s" if kind == WHEN else example.unit,
+    )
 
 
-def _places(given: str, scene: Scene) -> tuple[int, ...]:
-    """Return the numbers of the outputs at given times, s; of all outputs without times. Raises
-    `ValueError`."""
+def _output_indices(given: str, scene: Scene) -> tuple[int, ...]:
+    """Return the indices of the outputs at given times; raises `ValueError` for a time without output.
+
+    Args:
+        given: times, s, separated by semicolons; empty for all outputs.
+        scene: the scene.
+    """
     if not given.strip():
         return tuple(range(len(scene.times)))
     if "," in given:
         raise ValueError("separate times by semicolons, as in at(0.5; 1)")
     times = [plain_number(part.strip()) for part in given.split(";")]
-    places = [int(np.argmin(np.abs(scene.times - time))) for time in times]
-    for time, place in zip(times, places, strict=True):
-        if abs(scene.times[place] - time) > OUTPUT_TIME_TOLERANCE * scene.output_period:
+    indices = [int(np.argmin(np.abs(scene.times - time))) for time in times]
+    for time, index in zip(times, indices, strict=True):
+        if abs(scene.times[index] - time) > OUTPUT_TIME_TOLERANCE * scene.output_period:
             period = f"outputs are every {scene.output_period:g} s up to {scene.duration:g} s"
             raise ValueError(f"there is no output at {time:.9g} s; {period}")
-    return tuple(places)
+    return tuple(indices)
 
 
 def pruned(scene: Scene, kept: Iterable[Reduction], integrator: str) -> Scene:
-    """Return the scene with only those outputs that the reductions need, and only the last time if that
-    suffices.
+    """Return the scene with only those outputs that the reductions need.
 
-    Integrators with fixed steps keep all output times, as their steps divide the output period.
+    If outputs at the start and the end of a run suffice, the scene has no others. Integrators with fixed
+    steps keep all output times, since their steps divide the output period.
     """
-    asked = {QUANTITY_OUTPUTS[name] for each in kept for name in each.expression.quantities}
-    outputs = frozenset(name for name in asked if name)
-    alone = integrator not in FIXED and not any(each.needs_all_times for each in kept)
-    return replace(scene, outputs=outputs, output_period=scene.duration if alone else scene.output_period)
+    needed = {QUANTITY_OUTPUTS[name] for each in kept for name in each.expression.quantities}
+    outputs = frozenset(name for name in needed if name)
+    end_suffices = integrator not in FIXED and not any(each.needs_all_times for each in kept)
+    period = scene.duration if end_suffices else scene.output_period
+    return replace(scene, outputs=outputs, output_period=period)

@@ -1,6 +1,9 @@
 """Sample the parameters that a sweep varies: values of all varied parameters for each run.
 
-The values of a run do not depend on which other runs are executed, in which order, or by which process.
+A sweep simulates one scene many times; the user gives a distribution for each varied parameter. A sampling
+chooses numbers u between 0 and 1 for each run and parameter, and the values are the quantiles of the
+distributions at u. The values of a run do not depend on which other runs are executed, in which order, or by
+which process.
 """
 
 from __future__ import annotations
@@ -21,26 +24,31 @@ from newton_euler.errors import check_choice, is_count, items_of, quoted
 from newton_euler.scalars import Array
 
 SamplingName = Literal["random", "latin_hypercube", "sobol", "saltelli", "grid"]
-"""Independent random numbers; Latin hypercube; scrambled Sobol sequence; Saltelli's design for Sobol indices;
-full factorial grid."""
+"""Independent random numbers; Latin hypercube; scrambled Sobol sequence (quasi-random numbers); Saltelli's
+design, whose runs estimate Sobol indices (fractions of variance that parameters explain); full factorial
+grid."""
 
 SAMPLINGS: tuple[SamplingName, ...] = get_args(SamplingName)
 """Names of all samplings."""
 
 MIN_PROBABILITY = 2.0**-33
-"""Smallest distance of probabilities from 0 and 1. Of 10^9 runs, one in ten would come closer."""
+"""Smallest distance of probabilities from 0 and 1, where many quantiles are infinite. A closer number occurs
+with a probability of about 0.2 in 10^9 random numbers."""
 
 MAX_RUNS = 2**32
-"""Largest number of runs, from the bits of the Sobol sequence."""
+"""Largest number of runs: the number of points of a Sobol sequence of `SOBOL_BITS` bits."""
 
-MAX_SOBOL_COLUMNS = 21_201
+SOBOL_BITS, SALTELLI_BITS = 32, 30
+"""Bits of the coordinates of Sobol sequences: for the sampling "sobol", and in Saltelli's design."""
+
+MAX_SOBOL_DIMENSION = 21_201
 """Largest dimension of the Sobol sequence in SciPy; Saltelli's design needs two dimensions per parameter."""
 
 MAX_HYPERCUBE_NUMBERS = 2**26
 """Largest size (runs times parameters, 512 MB) of a Latin hypercube, which is generated as a whole."""
 
 HASHED_RUNS = 1024
-"""Number of runs whose values enter the digest of samples."""
+"""Largest number of runs whose values enter the hash of samples."""
 
 EXTENSIBLE_SAMPLINGS = ("random", "sobol", "saltelli")
 """Samplings to which runs can be added: the first runs stay the same."""
@@ -52,7 +60,8 @@ NOT_EXTENSIBLE_REASONS = {
     ): " (a Latin hypercube of more runs is a different one; random and sobol can grow)",
     ("grid", "vary"): " (a grid of other values numbers its runs differently)",
 }
-"""Reasons why runs cannot be added, by sampling and by the part of the plan that differs."""
+"""Reasons why runs cannot be added to a stored sweep, as ends of an error message. The keys are a sampling
+and the part of the plan that differs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +69,7 @@ class SweepSamples:
     """Values of the varied parameters for each run of a sweep.
 
     Attributes:
-        groups: names of parameters (several if they are correlated), with their distribution.
+        groups: pairs of the names of parameters (several if they are correlated) and their distribution.
         sampling: see `SamplingName`.
         runs: number of runs.
         seed: seed of all random numbers.
@@ -75,18 +84,21 @@ class SweepSamples:
         check_choice("sampling", self.sampling, SAMPLINGS)
         if not is_count(self.runs) or self.runs > MAX_RUNS:
             raise CrosscheckError(f"runs is {quoted(self.runs)}; needed: a whole number, 1 to {MAX_RUNS}")
+        # `is_count` accepts whole numbers from 1, a seed may also be 0
         if not is_count(self.seed + 1 if isinstance(self.seed, int) else None) or self.seed >= 2**63:
             raise CrosscheckError(f"seed is {quoted(self.seed)}; needed: a whole number, 0 or more")
         if self.sampling == "saltelli":
-            base = 2 ** max(0, (self.runs // self.block).bit_length() - 1)
-            if self.runs != self.block * base:
-                near = f"{self.block * base} or {2 * self.block * base}"
+            # the largest power of 2 of base samples that the runs suffice for
+            base_samples = 2 ** max(0, (self.runs // self.block).bit_length() - 1)
+            if self.runs != self.block * base_samples:
+                near = f"{self.block * base_samples} or {2 * self.block * base_samples}"
                 raise CrosscheckError(
                     f"saltelli takes a power of 2 times {self.block} runs: {near}, not {self.runs}"
                 )
-        columns = {"sobol": 1, "saltelli": 2}.get(self.sampling, 0)
-        if columns * len(self.names) > MAX_SOBOL_COLUMNS:
-            problem = f"{self.sampling} takes {MAX_SOBOL_COLUMNS // columns} parameters at most"
+        dimensions_per_parameter = {"sobol": 1, "saltelli": 2}.get(self.sampling, 0)
+        if dimensions_per_parameter * len(self.names) > MAX_SOBOL_DIMENSION:
+            most = MAX_SOBOL_DIMENSION // dimensions_per_parameter
+            problem = f"{self.sampling} takes {most} parameters at most"
             raise CrosscheckError(f"{problem}, not {len(self.names)}; random has no limit")
         if self.sampling == "latin_hypercube" and self.runs * len(self.names) > MAX_HYPERCUBE_NUMBERS:
             most = MAX_HYPERCUBE_NUMBERS // len(self.names)
@@ -101,12 +113,19 @@ class SweepSamples:
 
     @property
     def block(self) -> int:
-        """Number of runs that belong together: those of a base sample in Saltelli's design, else 1."""
+        """Number of consecutive runs that belong together: 1, or those of a base sample of Saltelli's design.
+
+        A base sample is a point A, A with one parameter (or group) of another point B in turn, and B.
+        """
         return len(self.groups) + 2 if self.sampling == "saltelli" else 1
 
     @property
     def grid(self) -> list[tuple[float, ...]]:
-        """Values of each parameter of a full grid."""
+        """Values of each parameter in a full factorial grid.
+
+        Raises:
+            CrosscheckError: for a distribution that is not discrete.
+        """
         found = []
         for names, distribution in self.groups:
             levels = distribution.levels if isinstance(distribution, Distribution) else ()
@@ -119,89 +138,96 @@ class SweepSamples:
         return found
 
     def values(self, first: int, last: int) -> Array:
-        """Return the values (last - first, parameters) of the runs from `first` to before `last`."""
+        """Return the parameter values (last - first, parameters) of runs `first` to `last` - 1."""
         if self.sampling == "grid":
-            places = np.unravel_index(np.arange(first, last), [len(each) for each in self.grid])
-            columns = [np.array(numbers)[k] for numbers, k in zip(self.grid, places, strict=True)]
+            indices = np.unravel_index(np.arange(first, last), [len(each) for each in self.grid])
+            columns = [np.array(numbers)[k] for numbers, k in zip(self.grid, indices, strict=True)]
             return np.stack(columns, axis=1)
         u = np.clip(self._probabilities(first, last), MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
         parts, start = [], 0
         for names, distribution in self.groups:
-            own = u[:, start : start + len(names)]
+            u_of_group = u[:, start : start + len(names)]
             start += len(names)
             if isinstance(distribution, Correlated):
-                parts.append(distribution.quantile(own))
+                parts.append(distribution.quantile(u_of_group))
             else:
-                parts.append(distribution.quantile(own[:, 0])[:, None])
+                parts.append(distribution.quantile(u_of_group[:, 0])[:, None])
         return np.concatenate(parts, axis=1)
 
     def digest(self, runs: int) -> str:
-        """Hash the values of the first runs: other versions of packages may draw other values for a seed."""
+        """Hash the values of the first runs, since other versions of packages may draw others for a seed."""
         return sha256(self.values(0, min(runs, HASHED_RUNS)).tobytes()).hexdigest()[:16]
 
     def _probabilities(self, first: int, last: int) -> Array:
-        """Return the probabilities (last - first, parameters), between 0 and 1, whose quantiles are the
-        values."""
+        """Return the probabilities u (last - first, parameters) of runs `first` to `last` - 1."""
         count, size = last - first, len(self.names)
         if self.sampling == "random":
-            blocks = -(-size // 4)  # a step of Philox's counter gives four numbers
-            generator = np.random.Generator(np.random.Philox(key=self.seed).advance(first * blocks))
-            return generator.random((count, 4 * blocks))[:, :size]
+            # Philox is a generator with a counter. Each run takes as many steps of the counter, and a step
+            # gives four numbers.
+            steps = -(-size // 4)  # rounded up
+            generator = np.random.Generator(np.random.Philox(key=self.seed).advance(first * steps))
+            return generator.random((count, 4 * steps))[:, :size]
         if self.sampling == "sobol":
-            return _sobol(size, self.seed, 32, first, last)
+            return _sobol(size, self.seed, SOBOL_BITS, first, last)
         if self.sampling == "saltelli":
             return self._saltelli(first, last)
-        with DESIGN_LOCK:
+        with HYPERCUBE_LOCK:
             return _latin_hypercube(size, self.runs, self.seed)[first:last]
 
     def _saltelli(self, first: int, last: int) -> Array:
-        """Return probabilities of Saltelli's design: for each base sample A, A with one parameter of B, and
-        B.
+        """Return the probabilities u (last - first, parameters) of Saltelli's design.
 
-        Correlated parameters count as one (A. Saltelli, Computer Physics Communications 145, 2002).
+        The runs of each base sample are a point A, then for each parameter A with that parameter of another
+        point B, and B (A. Saltelli, Computer Physics Communications 145, 2002). Correlated parameters count
+        as one parameter.
         """
         block, size = self.block, len(self.names)
-        base = first // block
-        a, b = np.split(_sobol(2 * size, self.seed, 30, base, -(-last // block)), 2, axis=1)
+        first_base, end_base = first // block, -(-last // block)  # base samples that contain the runs
+        points = _sobol(2 * size, self.seed, SALTELLI_BITS, first_base, end_base)
+        a, b = np.split(points, 2, axis=1)
         group = np.repeat(np.arange(len(self.groups)), [len(names) for names, _ in self.groups])
         mixed = [np.where(group == k, b, a) for k in range(len(self.groups))]
         rows = np.stack([a, *mixed, b], axis=1).reshape(-1, size)
-        return rows[first - base * block : last - base * block]
+        return rows[first - first_base * block : last - first_base * block]
 
 
 THREAD_SEQUENCE = threading.local()
-"""Sobol sequence of each thread."""
+"""Sobol sequence of each thread: `key` has the arguments with which `sequence` was made."""
 
 
 def _sobol(size: int, seed: int, bits: int, first: int, last: int) -> Array:
-    """Return points (last - first, size) of a scrambled Sobol sequence.
+    """Return points `first` to `last` - 1 of a scrambled Sobol sequence, (last - first, size).
 
-    SciPy must generate all earlier points. Therefore each thread keeps its sequence: tasks come in ascending
-    order.
+    SciPy generates the points one after another. Therefore each thread keeps its sequence for the next call,
+    which usually asks for later points.
+
+    Args:
+        size: dimension of the points.
+        seed: seed of the scrambling.
+        bits: number of bits of the coordinates; the sequence has 2^bits points.
+        first, last: range of the points.
     """
     from scipy.stats import qmc
 
     key = size, seed, bits
     if getattr(THREAD_SEQUENCE, "key", None) != key or THREAD_SEQUENCE.sequence.num_generated > first:
-        THREAD_SEQUENCE.key, THREAD_SEQUENCE.sequence = (
-            key,
-            qmc.Sobol(size, scramble=True, bits=bits, seed=seed),
-        )
+        THREAD_SEQUENCE.sequence = qmc.Sobol(size, scramble=True, bits=bits, seed=seed)
+        THREAD_SEQUENCE.key = key
     sequence, count = THREAD_SEQUENCE.sequence, last - first
     if sequence.num_generated < first:
         sequence.fast_forward(first - sequence.num_generated)
-    # SciPy warns if the number of first points is not a power of 2
+    # SciPy warns if the first draw of a sequence is not of a power of 2 points: draw as many, use `count`
     drawn = count if first else 1 << (count - 1).bit_length()
     return np.asarray(sequence.random(drawn)[:count])
 
 
-DESIGN_LOCK = threading.Lock()
-"""Lock during the generation of a Latin hypercube, so that threads share one."""
+HYPERCUBE_LOCK = threading.Lock()
+"""Lock during the generation of a Latin hypercube, so that all threads use the same array."""
 
 
 @lru_cache(maxsize=1)
 def _latin_hypercube(size: int, runs: int, seed: int) -> Array:
-    """Generate all probabilities (runs, size), cached for the following chunks."""
+    """Return the probabilities u (runs, size) of a Latin hypercube; the last result is cached."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.LatinHypercube(size, seed=seed).random(runs))
@@ -211,14 +237,14 @@ def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) 
     """Make the samples of a sweep.
 
     Args:
-        vary: distributions by parameter.
+        vary: distributions by name of the parameter, or by names of correlated parameters.
         sampling: see `SamplingName`.
         runs: number of runs; None for a full grid, whose size follows from its values.
         seed: seed of all random numbers.
 
     Raises:
-        CrosscheckError: for no parameter, a parameter that varies twice, an invalid distribution, and an
-            invalid number of runs.
+        CrosscheckError: if no parameter is given, a parameter is given twice, or a distribution or the number
+            of runs is invalid.
     """
     check_choice("sampling", sampling, SAMPLINGS)
     runs = int(runs) if isinstance(runs, np.integer) else runs
@@ -227,16 +253,17 @@ def samples_of(vary: Vary, sampling: SamplingName, runs: int | None, seed: int) 
     for key, given in vary.items():
         names = (key,) if isinstance(key, str) else tuple(key)
         groups.append((names, _distribution(names, given)))
-    every = [name for names, _ in groups for name in names]
-    if not every:
+    all_names = [name for names, _ in groups for name in names]
+    if not all_names:
         raise CrosscheckError(
             "nothing varies; name a parameter and its distribution (--vary NAME=DISTRIBUTION)"
         )
-    for name, times in Counter(every).items():
+    for name, times in Counter(all_names).items():
         if times > 1:
             raise CrosscheckError(f"{name} varies twice; name it once")
     if sampling == "grid":
-        size = prod(len(numbers) for numbers in SweepSamples(tuple(groups), "grid", 1, 0).grid)
+        of_grid = SweepSamples(tuple(groups), "grid", runs=1, seed=0)  # its grid does not depend on these
+        size = prod(len(numbers) for numbers in of_grid.grid)
         if runs not in (None, size):
             raise CrosscheckError(f"the grid has {size} runs, not {runs}; leave the number of runs out")
         runs = size

@@ -1,8 +1,11 @@
 """Store the results of a sweep on disk or in memory, in the format of Zarr (arrays in files of chunks).
 
-Results are written in chunks of consecutive runs, and read as an xarray Dataset. The status of the runs of a
-chunk is written last, and Zarr renames each file into place when it is complete. A sweep can therefore be
-killed at any time: runs without a status are repeated.
+A sweep simulates a scene many times with varied parameters; a `SweepPlan` defines all its runs. The store
+has one variable (an array with the runs as its first dimension) for each varied parameter and for each kept
+output, a number or array that the sweep keeps of each run. Results are written in chunks of consecutive runs,
+and read as an xarray Dataset. The status of the runs of a chunk is written last, and Zarr renames each file
+into place when it is complete. A sweep can therefore be killed at any time: runs without a status are
+repeated.
 
 Every chunk ends with a checksum, which is verified whenever the chunk is read. If a chunk is damaged, its
 runs are repeated when the sweep resumes.
@@ -43,20 +46,21 @@ STORE_NAME = "sweep.zarr"
 """Name of the folder of a store."""
 
 STATUS, ERROR = "status", "error"
-"""Names of the variables for the status and the error of each run."""
+"""Names of the variables with the status of each run (see `RUN_COMPLETED`) and the reason of its failure."""
 
 STATUS_RUNS = 2**20
-"""Number of runs whose status is read at a time."""
+"""Number of runs whose status is read at a time, which takes 1 MB."""
 
-SWEEP = "sweep"
-"""Name of the extra that installs the packages of sweeps."""
+SWEEP_EXTRA = "sweep"
+"""Name of the optional dependencies (`pip install crosscheck-dynamics[sweep]`) that sweeps need."""
 
 STORE_ID = "tasks"
-"""Attribute with a random identifier of a store. A worker that outlives its client thereby does not write
-into a later store at the same path, or into a store to which runs were added."""
+"""Attribute with a random identifier of a store. A worker process that outlives the process that sent its
+tasks thereby does not write into a later store at the same path, or into a store to which runs were added."""
 
 NOT_COMPARED = ("chunk", "versions", "numbers", STORE_ID)
-"""Attributes that are not compared with a plan; samples and fingerprints stand for packages and numbers."""
+"""Attributes of a store that may differ from those of the plan. The attributes `samples` and `fingerprint`,
+which are compared, change whenever package versions or the scene's numbers change the runs."""
 
 CHOOSE_ANOTHER_FOLDER = "name another folder (--output), or remove this one"
 
@@ -69,17 +73,17 @@ def libraries() -> tuple[Any, Any]:
     """Import xarray and zarr.
 
     Raises:
-        MissingPackageError: if they are not installed.
+        MissingPackageError: if a package is not installed.
     """
-    return optional_package("xarray", SWEEP), optional_package("zarr", SWEEP)
+    return optional_package("xarray", SWEEP_EXTRA), optional_package("zarr", SWEEP_EXTRA)
 
 
 class Store:
     """Stored results of a sweep: an array of all runs for each parameter and kept output, status and error.
 
     Attributes:
-        group: the Zarr group.
-        path: folder of the store; None in memory.
+        group: the Zarr group of these arrays. Its attributes are the record of the plan and `STORE_ID`.
+        path: folder of the store; None for a store in memory.
     """
 
     def __init__(self, group: Any, path: Path | None) -> None:
@@ -87,7 +91,7 @@ class Store:
 
     @classmethod
     def in_memory(cls, plan: SweepPlan) -> Store:
-        """Make a store in memory."""
+        """Make a store in memory for the runs of a plan."""
         _, zarr = libraries()
         store = cls(zarr.create_group(zarr.storage.MemoryStore()), None)
         store._create(plan, {})
@@ -95,7 +99,7 @@ class Store:
 
     @classmethod
     def at(cls, path: Path) -> Store:
-        """Open an existing store, whose files have been checked.
+        """Open an existing store whose files have been checked by `check_files`.
 
         Raises:
             CrosscheckError: for a folder that holds no sweep.
@@ -133,6 +137,7 @@ class Store:
         """
         _, zarr = libraries()
         record = plan.record()
+        # temporary folders of processes that were killed
         remove_abandoned(path.parent.glob(f".{path.stem}-????????{path.suffix}"))
         temporary = path.parent / f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
         try:
@@ -148,14 +153,22 @@ class Store:
 
     def _create(self, plan: SweepPlan, attributes: Mapping[str, Any]) -> None:
         """Create all variables without values, the labels of their dimensions, and the attributes of the
-        plan."""
+        group."""
         from zarr.codecs import Crc32cCodec
 
         self.group.update_attributes(dict(attributes))
         of_runs = {"run": plan.samples.runs}
 
         def make(name: str, kind: Any, sizes: Mapping[str, int], unit: str = "", about: str = "") -> Any:
-            """Create a variable of a data type `kind` with sizes by dimension; only runs are chunked."""
+            """Create a variable of data type `kind`; only the dimension of the runs is divided into chunks.
+
+            Args:
+                name: name of the variable.
+                kind: data type.
+                sizes: size along each dimension, by name of the dimension.
+                unit: unit of the values.
+                about: description of the variable.
+            """
             texts = {"units": unit, "long_name": about}
             return self.group.create_array(
                 name,
@@ -189,42 +202,44 @@ class Store:
         Raises:
             CrosscheckError: if the store belongs to another scene or plan.
         """
-        own, record, runs = dict(self.group.attrs), plan.record(), plan.samples.runs
-        if (more := own["runs"] < runs) and plan.samples.sampling in EXTENSIBLE_SAMPLINGS:
-            record |= {"runs": own["runs"], "samples": plan.samples.digest(own["runs"])}
-        if what := _difference(own, record):
+        # Compare the attributes of the store with the plan, for the runs that the store already has
+        stored, record, runs = dict(self.group.attrs), plan.record(), plan.samples.runs
+        if (is_extended := stored["runs"] < runs) and plan.samples.sampling in EXTENSIBLE_SAMPLINGS:
+            record |= {"runs": stored["runs"], "samples": plan.samples.digest(stored["runs"])}
+        if what := _difference(stored, record):
             raise CrosscheckError(f"{self.path} holds a sweep of {what}; {CHOOSE_ANOTHER_FOLDER}")
+        # Remove incomplete files, and add the runs that the store does not have
         with intact(self.path), disk_errors(self.path):
             remove_abandoned(self.path.rglob(f"*{PARTIAL}") if self.path else ())
-            if more:
+            if is_extended:
                 new = {"runs": runs, "samples": plan.samples.digest(runs), STORE_ID: os.urandom(8).hex()}
                 self.group.update_attributes(new)
             # arrays are resized last and checked each time, since a process can be killed in between
             for _, array in self.group.arrays():
                 if array.metadata.dimension_names[0] == "run" and array.shape[0] < runs:
                     array.resize((runs, *array.shape[1:]))
-            resumed = replace(plan, chunk=int(own["chunk"]))
+            resumed = replace(plan, chunk=int(stored["chunk"]))
             self._check_metadata(resumed)
         return resumed
 
     def _check_metadata(self, plan: SweepPlan) -> None:
         """Raise `ValueError` if the metadata of a variable differ from those of a new store of the plan."""
-        own, new = (dict(group.arrays()) for group in (self.group, Store.in_memory(plan).group))
-        for name in {**new, **own}:
-            if name not in own:
+        stored, new = (dict(group.arrays()) for group in (self.group, Store.in_memory(plan).group))
+        for name in {**new, **stored}:
+            if name not in stored:
                 raise ValueError(f"{name} is missing")
             if name not in new:
                 raise ValueError(f"{name} is no variable of this sweep")
-            have, needed = (arrays[name].metadata.to_dict() for arrays in (own, new))
-            for field in sorted(_changed(have, needed)):
-                problem = f"{name}: {field} is {have.get(field)!s:.60}"
+            given, needed = (arrays[name].metadata.to_dict() for arrays in (stored, new))
+            for field in sorted(_changed(given, needed)):
+                problem = f"{name}: {field} is {given.get(field)!s:.60}"
                 raise ValueError(f"{problem}; needed: {needed.get(field)!s:.60}")
 
     def discard_damaged(self, plan: SweepPlan) -> list[str]:
         """Mark runs with damaged or lost chunks as not executed, so that they are repeated.
 
         Returns:
-            A line for each file with its path and its runs.
+            A line for each damaged or lost file, with its path and the runs to repeat.
         """
         if self.path is None:
             return []
@@ -234,17 +249,18 @@ class Store:
                 if _unreadable(self.group[name], 0, 1) or not np.array_equal(self.group[name][:], values):
                     lines.append(f"{self.path / name} was damaged and is written again")
                     self.group[name][:] = values
-            count = -(-plan.samples.runs // plan.chunk)
+            # a chunk of the status that is removed reads as 0: not executed
+            count = -(-plan.samples.runs // plan.chunk)  # number of chunks, rounded up
             for number in self._discard(STATUS, _unreadable(self.group[STATUS], 0, count)):
                 lines.append(self._line(STATUS, number, plan))
-            # numbers of the chunks with executed runs, and of those with failed runs
+            # indices of the chunks with executed runs, and of those with failed runs
             executed, failed = set[int](), set[int]()
             for start, status in self._statuses(plan):
                 chunks = np.arange(0, len(status), plan.chunk)
                 for marked, numbers in ((status != 0, executed), (status == RUN_FAILED, failed)):
                     has_marked = np.logical_or.reduceat(marked, chunks)
                     numbers.update(((start + chunks[has_marked]) // plan.chunk).tolist())
-            # each of them must have a readable file for every variable; only failed runs have an error
+            # each of these chunks must have a readable file for every variable; `ERROR` only of failed runs
             for name in (*plan.samples.names, *(each.name for each in plan.kept), ERROR):
                 array = self.group[name]
                 lost = (failed if name == ERROR else executed) - stored_chunks(self.path / name, array.ndim)
@@ -255,8 +271,10 @@ class Store:
         return lines
 
     def _discard(self, name: str, numbers: Iterable[int]) -> Iterator[int]:
-        """Remove the files of damaged chunks, since Zarr cannot write a part of a chunk into a damaged
-        file."""
+        """Remove the files of damaged chunks of a variable, and yield the numbers of these chunks.
+
+        Zarr reads the file of a chunk before it writes a part of the chunk, which fails for a damaged file.
+        """
         assert self.path is not None
         for number in numbers:
             chunk_file(self.path / name, number, self.group[name].ndim).unlink(missing_ok=True)
@@ -270,9 +288,9 @@ class Store:
         return f"{file} was damaged or lost: runs {first} to {last} are repeated"
 
     def missing(self, plan: SweepPlan) -> list[tuple[int, int]]:
-        """Return the ranges of runs that are not stored, as first number and last number plus one.
+        """Return the ranges of runs that are not stored, as index of the first and of the last run plus one.
 
-        There is at most one range per chunk, at its end.
+        There is at most one range per chunk, at its end, since the first runs of a chunk are written first.
 
         Raises:
             CrosscheckError: for damaged files.
@@ -289,8 +307,7 @@ class Store:
         return ranges
 
     def _statuses(self, plan: SweepPlan) -> Iterator[tuple[int, Array]]:
-        """Yield the status of all runs in parts of whole chunks, with the number of the first run of each
-        part."""
+        """Yield the status of all runs in parts of whole chunks, each with the index of its first run."""
         step = max(1, STATUS_RUNS // plan.chunk) * plan.chunk
         for start in range(0, plan.samples.runs, step):
             yield start, self.group[STATUS][start : start + step]
@@ -310,17 +327,21 @@ class Store:
     def write(self, first: int, chunk: Chunk) -> None:
         """Write consecutive runs, and then their status.
 
+        Args:
+            first: index of the first run.
+            chunk: results of the runs.
+
         Raises:
             CrosscheckError: for a path that cannot be written.
         """
-        last, stopped = first + len(chunk.errors), chunk.errors != ""
+        last, failed = first + len(chunk.errors), chunk.errors != ""
         with intact(self.path), disk_errors(self.path):
             for name, values in chunk.values.items():
                 # chunks of NaN are written too, since a chunk without a file counts as lost
                 self.group[name].with_config({"write_empty_chunks": True})[first:last] = values
-            if stopped.any():
+            if failed.any():
                 self.group[ERROR][first:last] = chunk.errors
-            self.group[STATUS][first:last] = np.where(stopped, RUN_FAILED, RUN_COMPLETED).astype("u1")
+            self.group[STATUS][first:last] = np.where(failed, RUN_FAILED, RUN_COMPLETED).astype("u1")
 
     def dataset(self) -> Any:
         """Return an xarray Dataset of all variables, which are read on access."""
@@ -330,13 +351,14 @@ class Store:
 
 
 def _coordinates(plan: SweepPlan) -> dict[str, Any]:
-    """Return the labels (names or times) of the dimensions of kept outputs."""
+    """Return the labels (names or times, s) along each dimension of the kept outputs, by name of the
+    dimension."""
     found = {name: along for each in plan.kept for name, along in each.dimensions.items()}
     return {name: along if along.dtype.kind == "f" else along.astype(object) for name, along in found.items()}
 
 
 def _unreadable(array: Any, first: int, last: int) -> list[int]:
-    """Return the numbers of the chunks in a range whose files cannot be read.
+    """Return the indices of the chunks that cannot be read, among chunks `first` to `last` - 1 of a variable.
 
     Many chunks are read together; if that fails, the range is bisected.
     """
@@ -356,20 +378,30 @@ def _unreadable(array: Any, first: int, last: int) -> list[int]:
     return []
 
 
-def _difference(own: Mapping[str, Any], record: Mapping[str, Any]) -> str:
-    """Describe the first difference between a store's attributes and the record of a plan; empty if none."""
-    # other versions of packages also change fingerprints and plans: compare conditions first
-    follows = {*record} - {*CONDITION_DIFFERENCES} | {"samples"}
-    for name in sorted(_changed(own, record), key=follows.__contains__):
+def _difference(stored: Mapping[str, Any], record: Mapping[str, Any]) -> str:
+    """Describe the first difference between a store's attributes and the record of a plan.
+
+    Args:
+        stored: attributes of the store.
+        record: what the attributes would be for the plan, see `SweepPlan.record`.
+
+    Returns:
+        The description, which completes "a sweep of ..."; empty if there is no difference.
+    """
+    # Other versions of packages also change fingerprints, plans and samples. Therefore compare conditions
+    # (versions, processor) first: False sorts before True.
+    compared_later = {*record} - {*CONDITION_DIFFERENCES} | {"samples"}
+    for name in sorted(_changed(stored, record), key=compared_later.__contains__):
         if name in CONDITION_DIFFERENCES:
             return CONDITION_DIFFERENCES[name].rstrip(",")
         if name == "fingerprint":
-            old, new = (json.loads(each.get("numbers", "{}")) for each in (own, record))
+            old, new = (json.loads(each.get("numbers", "{}")) for each in (stored, record))
             changes = [_change(number, old, new) for number in _changed(old, new)]
             return f"another scene: {next(iter(changes), 'its start or structure differs')}"
         if name not in NOT_COMPARED:
+            # names of distributions are "vary PARAMETER"
             why = NOT_EXTENSIBLE_REASONS.get((record["sampling"], name.partition(" ")[0]), "")
-            return f"another plan: {_change(name, own, record)}{why}"
+            return f"another plan: {_change(name, stored, record)}{why}"
     return ""
 
 
@@ -389,8 +421,12 @@ def _change(name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
 @contextmanager
 def intact(path: Path | None, name: str = "") -> Iterator[None]:
-    """Convert errors of damaged files of a store into `CrosscheckError`; `name` is the variable that is
-    read."""
+    """Convert errors of damaged files of a store into `CrosscheckError`.
+
+    Args:
+        path: path of the store.
+        name: name of the variable whose runs can be repeated if it is damaged; empty for other files.
+    """
     what_to_do = (
         f"repeat the command to execute its runs again, or {CHOOSE_ANOTHER_FOLDER}"
         if name
@@ -417,7 +453,7 @@ def disk_errors(path: Path | None) -> Iterator[None]:
 
 @contextmanager
 def interruptible(path: Path) -> Iterator[None]:
-    """Add the number of stored runs to a `KeyboardInterrupt`, if the store at the path exists."""
+    """Add the number of stored runs to the message of a `KeyboardInterrupt`, if the path has a store."""
     try:
         yield
     except KeyboardInterrupt:
@@ -427,7 +463,7 @@ def interruptible(path: Path) -> Iterator[None]:
 
 
 def check_finished(folder: Path) -> None:
-    """Raise `CrosscheckError` for a folder with an unfinished sweep."""
+    """Raise `CrosscheckError` for a folder with an unfinished sweep: a store, but no JSON file."""
     if (folder / STORE_NAME).is_dir() and not any(folder.glob("*.json")):
         stored = Store.checked(folder / STORE_NAME).progress()
         raise CrosscheckError(f"{folder} holds an unfinished sweep, {stored}; {REPEAT_COMMAND}")
@@ -440,7 +476,7 @@ def store_runs(plan: SweepPlan, path: Path, store_id: str | None, runs: tuple[in
         plan: the plan.
         path: path of the store.
         store_id: attribute `STORE_ID` that the store had when the task was submitted.
-        runs: number of the first run, and one more than the number of the last run.
+        runs: index of the first run, and one more than the index of the last run.
 
     Raises:
         CrosscheckError: naming a path that cannot be written, and for a scene that cannot be simulated.

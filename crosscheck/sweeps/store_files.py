@@ -1,7 +1,9 @@
 """Check the files of a sweep's store before Zarr opens them, and lock a store against other processes.
 
-A store may come from an untrusted source. Zarr would wait forever for a named pipe, and would read a link to
-a device until the memory is full.
+A store is a folder in the format of Zarr. It has one array for each varied parameter and each output of the
+runs of a sweep; arrays are divided into chunks of consecutive runs, one file per chunk. A store may come from
+an untrusted source. Zarr would wait forever for a named pipe, and would read a link to a device until the
+memory is full.
 """
 
 from __future__ import annotations
@@ -33,23 +35,23 @@ CODECS = {
     "uint8": ["bytes", "crc32c"],
     "string": ["vlen-utf8", "crc32c"],
 }
-"""Names of the codecs by data type. The last one is a checksum, which detects every error within 32 adjacent
-bits."""
+"""Names of the codecs of a sweep's arrays, by data type. The last codec is a checksum, which detects every
+error within 32 adjacent bits."""
 
 CHECKSUM_BYTES = 4
 """Bytes of the checksum at the end of a chunk."""
 
-ITEM_BYTES = {"float64": 8, "uint8": 1}
+NUMBER_BYTES = {"float64": 8, "uint8": 1}
 """Bytes of a number by data type. Files are not compressed, so that their sizes are known."""
 
 MAX_RUNS, MAX_CHUNK = 2**32, 2**16
-"""Largest numbers of runs of a sweep and of a chunk."""
+"""Largest number of runs of a sweep, and of a chunk."""
 
 PARTIAL = ".partial"
 """Ending of incomplete files that Zarr leaves if a process is killed."""
 
 Name = Annotated[str, StringConstraints(max_length=1000)]
-"""Type of a name in metadata."""
+"""Name in metadata, as text of limited length."""
 
 
 class _Strict(BaseModel):
@@ -59,7 +61,12 @@ class _Strict(BaseModel):
 
 
 class _Attributes(BaseModel):
-    """Attributes of a sweep: the plan as texts and numbers."""
+    """Attributes of a store: the plan of the sweep as texts and numbers, of which two are checked.
+
+    Attributes:
+        runs: number of runs of the sweep.
+        chunk: number of runs of a chunk.
+    """
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, str | int | float]
@@ -125,7 +132,7 @@ class _Array(_Strict):
 
 
 def check_files(path: Path) -> None:
-    """Check the folder of a store: it contains only regular files with the metadata and sizes of a sweep.
+    """Check that the folder of a store has only regular files, with the metadata and sizes of a sweep.
 
     Raises:
         CrosscheckError: naming the first file that fails a check.
@@ -141,14 +148,24 @@ def check_files(path: Path) -> None:
         _check_entry(file)
         array = read_json(file, _Array)
         _check_array(file, array, group.attributes)
-        most = _most_bytes(array)
+        most_bytes = _most_bytes(array)
         for chunk in _files_below(folder):
-            if chunk.suffix != PARTIAL and chunk.name != METADATA and (size := chunk.lstat().st_size) > most:
-                raise CrosscheckError(f"{chunk}: {size} bytes; needed: {most} at most")
+            is_chunk = chunk.suffix != PARTIAL and chunk.name != METADATA
+            if is_chunk and (size := chunk.lstat().st_size) > most_bytes:
+                raise CrosscheckError(f"{chunk}: {size} bytes; needed: {most_bytes} at most")
 
 
 def _check_array(file: Path, array: _Array, sweep: _Attributes) -> None:
-    """Check the consistency of the fields of an array's metadata."""
+    """Check that the fields of an array's metadata are consistent with each other and with the sweep.
+
+    Args:
+        file: file of the metadata, for error messages.
+        array: metadata of the array.
+        sweep: attributes of the store.
+
+    Raises:
+        CrosscheckError: naming the file and the field.
+    """
     codecs, needed_codecs = [codec.name for codec in array.codecs], CODECS[array.data_type]
     if codecs != needed_codecs:
         names, needed = ", ".join(codecs), ", ".join(needed_codecs)
@@ -163,10 +180,10 @@ def _check_array(file: Path, array: _Array, sweep: _Attributes) -> None:
 
 def _most_bytes(array: _Array) -> int:
     """Return the largest size of a chunk in bytes; for numbers this is the exact size."""
-    if array.data_type not in ITEM_BYTES:
-        return size_in_bytes("array_size")
+    if array.data_type not in NUMBER_BYTES:
+        return size_in_bytes("array_size")  # texts: the general limit of the size of arrays in files
     numbers = math.prod(array.chunk_grid.configuration.chunk_shape)
-    return numbers * ITEM_BYTES[array.data_type] + CHECKSUM_BYTES
+    return numbers * NUMBER_BYTES[array.data_type] + CHECKSUM_BYTES
 
 
 def _entries(folder: Path) -> list[Path]:
@@ -201,12 +218,18 @@ def _check_entry(path: Path) -> None:
 
 
 def chunk_file(folder: Path, number: int, dimensions: int) -> Path:
-    """Return the file of a chunk of runs; arrays are chunked along the runs only."""
+    """Return the file of a chunk of runs, such as FOLDER/c/12/0; arrays are divided along the runs only.
+
+    Args:
+        folder: folder of the array.
+        number: index of the chunk.
+        dimensions: number of dimensions of the array.
+    """
     return folder.joinpath(CHUNKS, str(number), *["0"] * (dimensions - 1))
 
 
 def stored_chunks(folder: Path, dimensions: int) -> set[int]:
-    """Return the numbers of the chunks of runs of an array that have a file."""
+    """Return the indices of the chunks that have a file, of an array with a number of dimensions."""
     try:
         names = os.listdir(folder / CHUNKS)
     except FileNotFoundError:
@@ -217,9 +240,10 @@ def stored_chunks(folder: Path, dimensions: int) -> set[int]:
 
 @contextmanager
 def locked(path: Path | None) -> Iterator[None]:
-    """Lock a store against other processes. The operating system removes the lock if the process is killed.
+    """Lock a store at a path against other processes; without a path do nothing.
 
-    Without a lock, two processes with different numbers of runs would overwrite each other's last chunk.
+    The operating system removes the lock if the process is killed. Without a lock, two processes with
+    different numbers of runs would overwrite each other's last chunk.
 
     Raises:
         CrosscheckError: if another process has the lock, and naming a path that cannot be written or is a

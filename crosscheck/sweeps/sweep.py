@@ -1,4 +1,9 @@
-"""Run Monte Carlo and design-of-experiments studies from Python: `sweep`, and its result, a `Sweep`."""
+"""Run Monte Carlo and design-of-experiments studies from Python: `sweep`, and its result, a `Sweep`.
+
+A sweep simulates one scene many times with varied parameters, and keeps some outputs of each run. Its report
+has quantiles of these outputs and the effects of the parameters on them. `Sweep.check` repeats some runs in
+all engines (newton_euler, MuJoCo, Pinocchio) and compares them.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +51,7 @@ if TYPE_CHECKING:
 
 
 class Execution(StepControl, total=False):
-    """Options of `sweep`: integrator and steps as of `newton_euler.simulate`, and where the runs execute."""
+    """Options of `sweep`, described there: integrator and steps, where the runs execute, and progress."""
 
     integrator: IntegratorName
     threads: int | None
@@ -60,23 +65,28 @@ ATOL_PER_RTOL = 0.01
 
 
 def _control(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the complete integrator settings, with default values of settings that are not given."""
+    """Return the complete integrator settings, with default values of settings that are not given.
+
+    Settings are the integrator, its fixed step, s, or its tolerances `rtol` and `atol`, the largest number of
+    steps, and `rest`, the rates below which a mechanism counts as at rest. Those that are None or 0 are left
+    out.
+    """
     method = given.get("integrator", Options.integrator)
     steps = cast(StepControl, {name: value for name, value in given.items() if name != "integrator"})
     options = Options.of(method, steps)
-    chosen = {"integrator": method, "step": options.step, "most_steps": options.most_steps}
+    settings = {"integrator": method, "step": options.step, "most_steps": options.most_steps}
     if options.step is None:
-        chosen |= {
+        settings |= {
             "rtol": options.rtol,
             "atol": given.get("atol", ATOL_PER_RTOL * options.rtol),
             "rest": options.rest,
         }
     # Python numbers, since the record of a sweep is JSON
-    return {name: np.asarray(value).item() for name, value in chosen.items() if value}
+    return {name: np.asarray(value).item() for name, value in settings.items() if value}
 
 
 def _quiet(stage: str) -> None:
-    """Ignore progress."""
+    """Ignore a message about the progress."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,18 +94,18 @@ class Sweep:
     """Result of a sweep.
 
     Attributes:
-        results: plan, runs, and their store.
-        checks: runs that were cross-checked.
+        results: plan of the sweep, its runs, and their store.
+        checks: crosschecks of some runs.
         options: options of the scene or model file.
-        mapping: import report of a model file; None for other scenes.
+        mapping: import report of a model file, which lists how each of its elements was imported; None for
+            other scenes.
 
     Examples:
         >>> swept = sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 100, "peak:reaction_force")
         >>> float(swept.dataset["peak:reaction_force"].sel(joint="pivot").mean()) > 9.0
         True
-        >>> def agreed(of: Sweep) -> bool:
-        ...     return all(not each.differs for each in of.check(1).checks)
-        >>> agreed(swept)
+        >>> checked: Sweep = swept.check(1)
+        >>> all(not each.differs for each in checked.checks)
         True
     """
 
@@ -128,7 +138,7 @@ class Sweep:
 
     @cached_property
     def findings(self) -> Findings:
-        """Distributions of kept outputs, and the parameters that drive them."""
+        """Analysis of the sweep: quantiles of kept outputs, and effects of the parameters on them."""
         start = start_lines(self.mapping, self.results.plan.scene)
         return findings(self.results, self.checks, self.options, start)
 
@@ -147,12 +157,13 @@ class Sweep:
         """Cross-check some extreme runs and some random runs.
 
         Args:
-            runs: number of runs; if None, one of 1,000, at least 2 and at most 6.
+            runs: number of runs to cross-check; if None, one per 1,000 runs of the sweep, at least 2 and at
+                most 6.
             engines: names of the engines.
             progress: called with the name of each stage.
 
         Returns:
-            The sweep with these checks.
+            The sweep with these crosschecks.
 
         Raises:
             CrosscheckError: for an unknown engine.
@@ -168,7 +179,10 @@ class Sweep:
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write numbers, plots and the recording, as `crosscheck sweep --output FOLDER` does.
+        """Write the findings, plots and the recording, as `crosscheck sweep --output FOLDER` does.
+
+        Args:
+            folder: folder of the files.
 
         Returns:
             Paths of the files.
@@ -179,7 +193,9 @@ class Sweep:
         return write(self.findings, self.report, path_of(folder))
 
     def show(self) -> None:
-        """Show the envelope and the extreme runs in the Rerun viewer; in a notebook below the cell.
+        """Show the nominal run, the extreme runs and quantiles over time in the Rerun viewer.
+
+        In a notebook the viewer appears below the cell.
 
         Raises:
             CrosscheckError: if all these runs failed.
@@ -187,21 +203,27 @@ class Sweep:
         from crosscheck.recording.show import show
         from crosscheck.sweeps.recording import log_sweep
 
-        to_show = to_record(self.findings, self.report)
-        if not to_show[1]:
+        to_log = to_record(self.findings, self.report)
+        if not to_log.runs:
             raise CrosscheckError("nothing to show: the nominal run and the extreme runs failed")
-        show(log_sweep, *to_show)
+        show(log_sweep, *to_log)
 
 
 def own_scene(model: Model, scene: Scene) -> Scene:
-    """Return the scene named after the file that it was loaded from; the name in the file may differ."""
+    """Return a scene under the name of the file that it was loaded from; the name in the file may differ.
+
+    Args:
+        model: what the user gave: a scene, a path, or the name of a library scene.
+        scene: the loaded scene.
+    """
     if isinstance(model, Scene) or not isinstance(model, str | os.PathLike):
         return scene
     return replace(scene, name=own_name(os.fspath(model)))
 
 
 def start_lines(mapping: ImportReport | None, scene: Scene) -> tuple[str, ...]:
-    """Return the lines about how a file is excited, and how far the start is from the file's."""
+    """Return lines about the excitation of a model file, and about an initial pose that differs from the
+    file's."""
     if mapping is None:
         return ()
     excited = (line for line in mapping.start if line.startswith("excited"))
@@ -249,17 +271,25 @@ def sweep(
         ('run', 'joint')
     """
     check_choices("option", options, Execution.__annotations__)
-    given = with_excitation(scene, {})
-    read, mapping = load_scene(scene, given)
+    # Load the scene; a crosscheck needs all of its outputs
+    model_options = with_excitation(scene, {})
+    read, mapping = load_scene(scene, model_options)
     loaded = replace(own_scene(scene, read), outputs=frozenset(OUTPUTS))
+    # Make the plan. The remaining options are those of the integrator
     threads, executor = options.pop("threads", None), options.pop("executor", None)
     cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)
     kept = reductions(keep, loaded)
-    texts = tuple(each.text if each.name == each.text else f"{each.name}={each.text}" for each in kept)
-    plan = SweepPlan(loaded, samples_of(vary, sampling, runs, seed), texts, _control(options), 1)
+    plan = SweepPlan(
+        scene=loaded,
+        samples=samples_of(vary, sampling, runs, seed),
+        keep=tuple(each.text if each.name == each.text else f"{each.name}={each.text}" for each in kept),
+        control=_control(options),
+        chunk=1,  # `results_of` chooses the number after it has measured the speed
+    )
     check_names(plan)
-    libraries()
-    warn_of(plan.scene, mobility(plan.lean).nearly)
-    with workers(threads, executor, cluster) as at:
-        results = results_of(plan, None if output is None else path_of(output), at, progress)
-    return Sweep(results, (), given, mapping)
+    libraries()  # raises an error if a package is missing
+    warn_of(plan.scene, mobility(plan.pruned_scene).nearly)  # of nearly redundant constraints
+    # Execute the runs
+    with workers(threads, executor, cluster) as pool:
+        results = results_of(plan, None if output is None else path_of(output), pool, progress)
+    return Sweep(results, options=model_options, mapping=mapping)

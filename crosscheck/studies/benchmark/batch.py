@@ -1,13 +1,16 @@
 """Batch benchmark: runs per second of newton_euler and MuJoCo at an error, on one thread and on all cores.
 
-The runs start from random states that satisfy all constraints. For each engine, a sample of these runs
-selects the fastest setting whose largest error is below the given error. newton_euler computes the poses of
-all bodies at all outputs. `mujoco.rollout` returns MuJoCo's full physics state (time, qpos, qvel) after every
-step; qpos at the outputs is kept, and no poses are computed. Generation of the states, and their conversion
-for each engine, is not timed.
+A batch is many runs of one scene. They start from random states that satisfy all constraints. For each
+engine, a sample of these runs selects the fastest setting whose largest error is at most the given error. A
+setting is a method with its step or tolerance. newton_euler computes the poses of all bodies at all output
+times. `mujoco.rollout` returns MuJoCo's full physics state (time, qpos, qvel) after every step; qpos at the
+output times is kept, and no poses are computed. Generation of the states, and their conversion for each
+engine, is not timed.
 
-newton_euler simulates several runs at once, one in each lane of the processor's vector registers. One run in
-`SCALAR_SAMPLE_EVERY` is also simulated by scalar code, which has bitwise identical results.
+newton_euler simulates several runs at once, one in each lane (element) of the processor's vector registers.
+One run in `SCALAR_SAMPLE_EVERY` is also simulated by scalar code, which has bitwise identical results.
+
+Errors are the largest distance, m, or angle, rad, between the poses of a run and its reference motion.
 """
 
 from __future__ import annotations
@@ -58,7 +61,7 @@ BATCH_REPEATS = 5
 """Number of times that every batch is timed; engines and numbers of threads alternate."""
 
 SAMPLE_RUNS = 20
-"""Number of runs on which settings are chosen."""
+"""Number of runs of the sample on which settings are chosen."""
 
 MAX_POSE_BYTES = 150_000_000
 """Largest memory of the poses of one batch, bytes; larger batches have fewer outputs per run."""
@@ -68,16 +71,16 @@ MUJOCO_TIME_LIMIT = 10.0
 runs."""
 
 SCALAR_SAMPLE_EVERY = 8
-"""Scalar code simulates every 8th run of a batch."""
+"""Scalar code simulates every 8th run of a batch, since it needs several times as long as vector code."""
 
 SAMPLE_TIME_LIMIT = 20.0
-"""Longest duration of a sample, s; slower settings are not tried."""
+"""Longest duration of the sample at one setting, s; slower settings are given up."""
 
 TOLERANCES_PER_DECADE = 8
 """Number of newton_euler's tolerances per factor of ten, as dense as MuJoCo's steps."""
 
 SAMPLE_TRIES = 2
-"""Number of times that a sample is timed at a setting that reaches the error; the shorter time counts."""
+"""Number of times that the sample is timed at a setting that reaches the error; the shorter time counts."""
 
 
 # Engines
@@ -88,8 +91,9 @@ class CompletedBatch(NamedTuple):
 
     Attributes:
         seconds: duration of the simulation, s.
-        setup: time before the simulation to load the scene and to convert states for the engine, s.
-        poses: computes the poses of each run; raises the error of a run that failed.
+        setup: duration before the simulation of loading the scene and converting states for the engine, s.
+        poses: computes the poses of each run, positions and quaternions of all bodies at all output times;
+            raises the error of a run that failed.
         failed: number of runs that failed.
     """
 
@@ -111,7 +115,7 @@ class Engine(Protocol):
     delivers: str
 
     def ladders(self) -> Iterator[Ladder]:
-        """Yield the settings of each method, from coarse to fine."""
+        """Yield a ladder for each method: its settings, from coarse to fine."""
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
         """Simulate one run from each state, with the options of a setting, on a number of threads."""
@@ -120,7 +124,9 @@ class Engine(Protocol):
 class NewtonEulerBatch:
     """newton_euler with several runs at once in vector registers.
 
-    The settings are those of the integrators with error control; fixed steps are slower at every error.
+    The settings are those of the integrators with error control; fixed steps are slower at every error. A
+    formulation is a choice of coordinates (of joints or of bodies), a stabilization a method that keeps
+    constraint violations small.
     """
 
     name = BASELINE_ENGINE
@@ -136,16 +142,18 @@ class NewtonEulerBatch:
             equations = {"formulation": formulation, "stabilization": stabilization}
             for ladder in adaptive_ladders(formulation, stabilization, TOLERANCES_PER_DECADE):
                 load_lanes(compiled, ladder.common["integrator"])  # compile before a sample is timed
+                # `common` has the options that all settings of the ladder share
                 yield ladder._replace(common=ladder.common | equations)
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
         """Simulate one run from each state."""
         start = time.perf_counter()
         batch = simulate_batch(self._scene, states, threads=threads, **options)
-        setup = time.perf_counter() - start - batch.wall_time
-        failed = len(batch.errors)
         return CompletedBatch(
-            batch.wall_time, setup, lambda: [(r.position, r.quaternion) for r in batch], failed
+            seconds=batch.wall_time,
+            setup=time.perf_counter() - start - batch.wall_time,
+            poses=lambda: [(run.position, run.quaternion) for run in batch],
+            failed=len(batch.errors),
         )
 
 
@@ -164,12 +172,13 @@ class NewtonEulerScalar(NewtonEulerBatch):
         chosen = IntegratorOptions(
             **{name: value for name, value in options.items() if name not in equations}
         )
+        # an input vector x has coordinates and velocities, `compiled.size` numbers, then the time and more
         starts = np.tile(compiled.start, (len(states), 1))
         for x, state in zip(starts, states, strict=True):
             x[: compiled.size] = np.concatenate(compiled.system.coordinates(state))
         integrator = Integrator(compiled, self._scene.times, chosen)
         results, failed = np.empty((len(states), *integrator.outputs.shape)), 0
-        # Simulation
+        # Simulation: integrate from x, then compute the outputs of the run
         run_start = time.perf_counter()
         for x, result in zip(starts, results, strict=True):
             try:
@@ -180,10 +189,11 @@ class NewtonEulerScalar(NewtonEulerBatch):
         seconds = time.perf_counter() - run_start
 
         def poses() -> list[Poses]:
+            """Return the poses of all runs; `named` divides the flat outputs of a run into arrays by name."""
             arrays = [named(compiled, result) for result in results]
             return [(each["position"], each["quaternion"]) for each in arrays]
 
-        return CompletedBatch(seconds, run_start - start, poses, failed)
+        return CompletedBatch(seconds, setup=run_start - start, poses=poses, failed=failed)
 
 
 class MuJoCoRollout:
@@ -223,7 +233,9 @@ class MuJoCoRollout:
         run_start = time.perf_counter()
         runs = rollout(starts)
         seconds = time.perf_counter() - run_start
-        return CompletedBatch(seconds, run_start - start, lambda: [rollout.poses(qpos) for qpos in runs])
+        return CompletedBatch(
+            seconds, setup=run_start - start, poses=lambda: [rollout.poses(qpos) for qpos in runs]
+        )
 
 
 # Settings
@@ -245,6 +257,20 @@ class TriedSetting(NamedTuple):
     seconds: float
 
 
+class Batch(NamedTuple):
+    """A batch to simulate.
+
+    Attributes:
+        engine: the engine.
+        setting: the fastest setting that reaches the error.
+        states: initial state of each run.
+    """
+
+    engine: Engine
+    setting: TriedSetting
+    states: Sequence[State]
+
+
 def fastest_setting(
     engine: Engine, states: Sequence[State], exact: Sequence[Poses], error: float, progress: Progress
 ) -> TriedSetting:
@@ -264,16 +290,16 @@ def fastest_setting(
     reaching: list[TriedSetting] = []
     for ladder in engine.ladders():
         progress(f"{len(states)} runs of {engine.name}: {ladder.method}")
-        # The search in a method ends at a setting that takes longer than another one that reaches the error
+        # settings that take longer than the fastest one that reaches the error need not be tried
         longest = min((choice.seconds for choice in reaching), default=SAMPLE_TIME_LIMIT)
 
         def ends_search(n: int, ladder: Ladder = ladder, longest: float = longest) -> bool:
-            """Return True if setting n is accurate enough or too slow; finer settings are too, then."""
+            """Try setting n; return True if it is accurate enough or too slow, as all finer settings are."""
             number = ladder.numbers[n - 1]
             tried.append(_try_setting(engine, *ladder.setting(number), states, exact, error))
             return tried[-1].error <= error or tried[-1].seconds > longest
 
-        # all settings that the bisection tries are recorded in `tried`
+        # find the smallest n by doubling and bisection; `tried` records all settings on the way
         smallest(ends_search, len(ladder.numbers))
         reaching = [choice for choice in tried if choice.error <= error]
     if not reaching:
@@ -286,23 +312,25 @@ def fastest_setting(
 def _try_setting(
     engine: Engine, name: str, options: Options, states: Sequence[State], exact: Sequence[Poses], error: float
 ) -> TriedSetting:
-    """Simulate the sample at a setting, several times if the setting reaches the error.
+    """Simulate the sample at a setting, `SAMPLE_TRIES` times if the setting reaches the error.
 
     Arguments other than the name and the options of the setting are those of `fastest_setting`.
     """
-    seconds, worst = math.inf, math.inf
+    seconds, largest_error = math.inf, math.inf
     for _ in range(SAMPLE_TRIES):
         start = time.perf_counter()
         try:
             with garbage_collection_off(), time_limit(SAMPLE_TIME_LIMIT):
                 done = engine.run(options, states, threads=1)
-            worst = max(max(pose_errors(*pair)) for pair in zip(done.poses(), exact, strict=True))
+            # errors in position, m, and orientation, rad, of each run
+            errors = [pose_errors(*pair) for pair in zip(done.poses(), exact, strict=True)]
+            largest_error = max(max(each) for each in errors)
         except (NewtonEulerError, CrosscheckError):
             return TriedSetting(name, options, math.inf, time.perf_counter() - start)
         seconds = min(seconds, done.seconds)
-        if not worst <= error:
+        if not largest_error <= error:
             break
-    return TriedSetting(name, options, worst, seconds)
+    return TriedSetting(name, options, largest_error, seconds)
 
 
 # Rates
@@ -310,7 +338,7 @@ def _try_setting(
 
 @dataclass(frozen=True)
 class Rate(Timed):
-    """Throughput of one engine on a number of threads.
+    """Throughput of one engine on a number of threads; `Timed` has the median and spread of its `times`.
 
     Attributes:
         engine: name of the engine.
@@ -383,15 +411,15 @@ def with_fewer_outputs(scene: Scene, runs: int) -> Scene:
     if outputs < 2:
         problem = f"poses of two outputs already take more than {MAX_POSE_BYTES:g} bytes"
         raise CrosscheckError(f"--batch {runs}: {problem}; give fewer runs")
-    number = max(1, min(outputs - 1, int(scene.duration / scene.output_period + 1e-9)))
-    return replace(scene, output_period=scene.duration / number)
+    intervals = max(1, min(outputs - 1, int(scene.duration / scene.output_period + 1e-9)))
+    return replace(scene, output_period=scene.duration / intervals)
 
 
 def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -> BatchBenchmark:
     """Measure the throughput of all engines at an error.
 
     Args:
-        given: the scene.
+        given: the scene, with its own outputs.
         runs: number of runs of a batch.
         error: largest allowed error of a run, m and rad.
         progress: called with the name of each stage.
@@ -400,7 +428,7 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
         CrosscheckError: for a scene that cannot be benchmarked, or an error that newton_euler cannot reach.
         NewtonEulerError: if too few random states satisfy the constraints.
     """
-    # Random states, and the reference motions of a sample of them
+    # Random states, and the reference motions of a sample of them; some states have no reference motion
     scene = with_fewer_outputs(poses_only(given), runs)
     progress(f"{runs} random states")
     states = random_states(scene, runs)
@@ -410,7 +438,7 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     # The fastest setting of each engine on the sample
     lanes = NewtonEulerBatch(scene)
     lanes_setting = fastest_setting(lanes, known, poses, error, progress)
-    batches: list[tuple[Engine, TriedSetting, Sequence[State]]] = [(lanes, lanes_setting, states)]
+    batches = [Batch(lanes, lanes_setting, states)]
     missing: dict[str, str] = {}
     try:
         rollout = MuJoCoRollout(scene, given.output_period)
@@ -419,26 +447,26 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
         missing[MuJoCoRollout.name] = reason_of(reason)
     else:
         max_runs = MUJOCO_TIME_LIMIT * len(known) / rollout_setting.seconds
-        batches.append((rollout, rollout_setting, states[: max(len(known), int(max_runs))]))
+        batches.append(Batch(rollout, rollout_setting, states[: max(len(known), int(max_runs))]))
     # Times of the batches; engines and numbers of threads alternate
     cases = [*product(batches, thread_counts())]
     every = min(SCALAR_SAMPLE_EVERY, runs)
-    cases.append(((NewtonEulerScalar(scene), lanes_setting, states[::every]), 1))
+    cases.append((Batch(NewtonEulerScalar(scene), lanes_setting, states[::every]), 1))
     first_batches: dict[str, CompletedBatch] = {}
-    calls = [partial(_time_batch, *batch, threads, first_batches) for batch, threads in cases]
+    calls = [partial(_time_batch, batch, threads, first_batches) for batch, threads in cases]
     times_of_cases = time_alternately(calls, [BATCH_REPEATS] * len(calls), progress)
     # Results
     rates = []
-    for ((engine, setting, batch_states), threads), times in zip(cases, times_of_cases, strict=True):
-        first = first_batches[engine.name]
+    for (batch, threads), times in zip(cases, times_of_cases, strict=True):
+        first = first_batches[batch.engine.name]
         rates.append(
             Rate(
-                engine=engine.name,
-                delivers=engine.delivers,
-                setting=setting.name,
-                error=setting.error,
+                engine=batch.engine.name,
+                delivers=batch.engine.delivers,
+                setting=batch.setting.name,
+                error=batch.setting.error,
                 threads=threads,
-                runs=len(batch_states),
+                runs=len(batch.states),
                 setup=first.setup,
                 failed=first.failed,
                 times=times,
@@ -456,19 +484,13 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     )
 
 
-def _time_batch(
-    engine: Engine,
-    setting: TriedSetting,
-    states: Sequence[State],
-    threads: int,
-    first_batches: dict[str, CompletedBatch],
-) -> float:
+def _time_batch(batch: Batch, threads: int, first_batches: dict[str, CompletedBatch]) -> float:
     """Simulate a batch and return its duration, s; keep the first batch of each engine in `first_batches`."""
-    # Use as much memory as a batch needs. A virtual machine reclaims memory that is free for some seconds,
-    # and the time to get the memory back would be timed.
+    # Write to as much memory as a batch needs. A virtual machine reclaims memory that is free for some
+    # seconds, and the time to get the memory back would be timed.
     np.ones(MAX_POSE_BYTES // 8)
-    done = engine.run(setting.options, states, threads)
-    first_batches.setdefault(engine.name, done)
+    done = batch.engine.run(batch.setting.options, batch.states, threads)
+    first_batches.setdefault(batch.engine.name, done)
     return done.seconds
 
 

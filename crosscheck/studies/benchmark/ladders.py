@@ -1,7 +1,8 @@
 """Settings of each engine for benchmarks, and functions that run the engine at a setting.
 
-A ladder is a list of settings of one method, from coarse to fine tolerances or steps. The time of a run
-includes everything until the poses of all bodies at all outputs are known in the engine's own form:
+A setting is a method (equations of motion and integrator) with its step or tolerance. A ladder is a list of
+settings of one method, from coarse to fine. The time of a run includes everything until the poses of all
+bodies at all outputs are known in the engine's own form:
 
 - newton_euler: integration, positions and quaternions of all bodies (`Trajectory.wall_time`).
 - MuJoCo (`mjcf.benchmark_kernels`): all steps, kinematics at every output, and copies of positions and
@@ -56,7 +57,8 @@ class Ladder(NamedTuple):
 
     Attributes:
         method: name of the method.
-        make_setting: returns the name and the options of setting n; the larger n, the smaller the error.
+        make_setting: returns the name and the options of setting n. The larger n, the smaller the step or
+            tolerance.
         numbers: the values of n that are run, ascending.
         common: options that all settings share.
     """
@@ -150,30 +152,43 @@ def output_interval(scene: Scene) -> float:
 # newton_euler
 
 ATOL_PER_RTOL = (1.0, 1e-2)
-"""Ratios of absolute tolerance (SI units) and relative tolerance that are run."""
+"""Ratios of absolute tolerance (SI units) and relative tolerance (rtol) that are run."""
 
 FINEST_DECADE = 13.5
 """Negative decimal logarithm of the finest rtol, 3e-14. DOP853 accepts no rtol below 2.2e-14."""
 
+FINEST_RADAU_DECADE = 9.5
+"""Negative decimal logarithm of Radau's finest rtol, 3e-10. Radau has order 5, and would need too many steps
+at finer tolerances."""
+
 RADAU_VARIANT = ("relative", "projection")
-"""Formulation and stabilization with which Radau runs; in Cartesian coordinates, its Jacobian would compile
-for half a minute."""
+"""Formulation and stabilization with which the integrator Radau runs.
+
+In Cartesian coordinates, the Jacobian that Radau needs would compile for half a minute.
+"""
 
 
 def adaptive_ladders(formulation: str, stabilization: str, per_decade: int = 2) -> list[Ladder]:
-    """Make the ladders of newton_euler's integrators with error control.
+    """Make the ladders of newton_euler's integrators with error control, all from rtol 10^-2 on.
 
     Args:
-        formulation: "relative" or "cartesian".
+        formulation: coordinates of the equations: "relative" (of joints) or "cartesian" (of bodies).
         stabilization: method that keeps constraint violations small.
         per_decade: number of tolerances per factor of ten.
     """
     prefix = f"{formulation}, {stabilization}"
     kinds = [("DOP853", FINEST_DECADE, ratio) for ratio in ATOL_PER_RTOL]
     if (formulation, stabilization) == RADAU_VARIANT:
-        kinds.append(("Radau", 9.5, ATOL_PER_RTOL[1]))
+        kinds.append(("Radau", FINEST_RADAU_DECADE, ATOL_PER_RTOL[1]))
     return [
-        _tolerance_ladder(f"{prefix}, {name}", 2.0, finest, ratio, per_decade, integrator=name)
+        _tolerance_ladder(
+            f"{prefix}, {name}",
+            coarsest=2.0,
+            finest=finest,
+            atol_per_rtol=ratio,
+            per_decade=per_decade,
+            integrator=name,
+        )
         for name, finest, ratio in kinds
     ]
 
@@ -187,6 +202,7 @@ def _newton_euler(scene: Scene) -> Models:
 def _load_newton_euler(scene: Scene, formulation: FormulationName, stabilization: StabilizationName) -> Model:
     """Compile a scene with one formulation and stabilization of newton_euler."""
     compiled = compile_scene(scene, formulation=formulation, stabilization=stabilization)
+    # compile before runs are timed; Euler needs all functions that DOP853 and RK4 need, and one more
     load(compiled, "Euler")
     if (formulation, stabilization) == RADAU_VARIANT:
         load(compiled, "Radau")
@@ -255,6 +271,7 @@ def _load_mujoco(scene: Scene) -> Model:
         start = time.perf_counter()
         stepper.run()
         seconds = time.perf_counter() - start
+        # one evaluation of the equations per stage of each step; only RK4 has several stages
         stages = 4 if options["integrator"] == "RK4" else 1
         return Run(seconds, stages * options["number"] * (len(scene.times) - 1), stepper.poses)
 
@@ -262,9 +279,12 @@ def _load_mujoco(scene: Scene) -> Model:
 
 
 def intervals(times: Array) -> list[tuple[int, float]]:
-    """Return the intervals between output times (n,), s: pairs of a number of intervals and their length, s.
+    """Return the intervals between output times (n,), s, as MuJoCo's stepper takes them.
 
     All intervals are equally long, except that the last one may be shorter.
+
+    Returns:
+        In order of time, pairs of a number of equal intervals and their length, s.
     """
     first, last = float(times[1] - times[0]), float(times[-1] - times[-2])
     if abs(first - last) <= 1e-9 * first:
@@ -275,14 +295,15 @@ def intervals(times: Array) -> list[tuple[int, float]]:
 # Pinocchio
 
 BAUMGARTE_ALPHAS = (0.0, 3.0, 10.0)
-"""Baumgarte gains alpha, 1/s, which control constraint violations.
+"""Parameters alpha, 1/s, of Baumgarte's stabilization, which feeds back constraint violations with the gains
+alpha^2 and their rates with 2 alpha.
 
 With the scene `tracker`, 30 is not better than 10, and 100 makes the equations stiff.
 """
 
 
 def _pinocchio(scene: Scene) -> Models:
-    """Return functions that load a scene into Pinocchio with each Baumgarte gain.
+    """Return functions that load a scene into Pinocchio with each of `BAUMGARTE_ALPHAS`.
 
     Accelerations come from Pinocchio's `constraintDynamics`. Those of `lcaba`, Pinocchio's articulated-body
     algorithm with constraints, have noise of 1e-9, at which integrators with error control stall.
@@ -294,21 +315,24 @@ def _pinocchio(scene: Scene) -> Models:
 
 
 def _load_pinocchio(scene: Scene, alpha: float) -> Model:
-    """Load a scene into Pinocchio with a Baumgarte gain, 1/s; the integrator is LSODA."""
+    """Load a scene into Pinocchio with a Baumgarte parameter alpha, 1/s; the integrator is LSODA."""
     from urdf.benchmark_kernels import Kinematics, equations_of, lsoda
 
-    equations = equations_of(scene, alpha, None)
+    equations = equations_of(scene, alpha, lcaba=None)
     kinematics = Kinematics(equations)
 
     def run(options: Options) -> Run:
         start = time.perf_counter()
-        rows, evaluations = lsoda(equations, **options)
-        placements = kinematics(rows)
+        states, evaluations = lsoda(equations, **options)  # states at the output times
+        placements = kinematics(states)
         seconds = time.perf_counter() - start
         return Run(seconds, evaluations, partial(kinematics.poses, placements))
 
     method = f"constraintDynamics, alpha {alpha:g}, LSODA"
-    ladders = [_tolerance_ladder(method, 1.0, FINEST_DECADE, ratio) for ratio in ATOL_PER_RTOL]
+    ladders = [
+        _tolerance_ladder(method, coarsest=1.0, finest=FINEST_DECADE, atol_per_rtol=ratio)
+        for ratio in ATOL_PER_RTOL
+    ]
     return Model(ladders, run)
 
 
@@ -317,4 +341,5 @@ ENGINES: dict[str, Callable[[Scene], Models]] = {
     "mujoco": _mujoco,
     "pinocchio": _pinocchio,
 }
-"""Functions that return, for a scene, the loading functions of each variant of an engine, by engine."""
+"""By engine, the function that takes a scene and returns `Models`: a loading function for each variant of the
+engine's equations."""

@@ -1,13 +1,13 @@
 """Reference motion of a benchmark, from which errors of engines are measured, and its uncertainty.
 
-The reference is Pinocchio's motion at a tolerance near the limit of double precision. A looser tolerance is
-used if fewer than two different equations of motion can run at the tight one. Pinocchio's equations share
-nothing with newton_euler, whose speed the benchmark assesses. If Pinocchio cannot run a scene, the reference
-is newton_euler's motion in Cartesian coordinates.
+The reference is Pinocchio's motion at a tolerance near the limit of double precision. There are three
+different equations of motion: Pinocchio's, and newton_euler's in Cartesian (body) and in relative (joint)
+coordinates. If fewer than two of them can run at the tight tolerance, a looser one is used. Pinocchio's
+equations share nothing with newton_euler, whose speed the benchmark assesses. If Pinocchio cannot run a
+scene, the reference is newton_euler's motion in Cartesian coordinates.
 
 The uncertainty is the largest difference of the reference from other runs: the same run at twice the
-tolerance, and both formulations of newton_euler at tight tolerances. An error of Pinocchio would therefore
-show in the uncertainty.
+tolerance, and newton_euler's runs. An error of Pinocchio would therefore show in the uncertainty.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ REFERENCE_RTOLS = (5e-14, 1e-11)
 more."""
 
 BATCH_REFERENCE_RTOL = 1e-12
-"""Relative tolerance of the references of a batch."""
+"""Relative tolerance of the references of a batch: runs of one scene from many initial states."""
 
 RUN_TIME_LIMIT = 10.0
 """Longest duration of a reference run, s."""
 
 
 def pose_errors(poses: Poses, exact: Poses) -> tuple[float, float]:
-    """Compute the largest errors of poses at n outputs of b bodies.
+    """Compute the largest errors of the poses of b bodies at n output times.
 
     Args:
         poses: positions (n, b, 3), m, and quaternions (n, b, 4) in the order (w, x, y, z).
@@ -62,7 +62,8 @@ class Reference:
     Attributes:
         name: engine, integrator and tolerance of the reference.
         poses: poses of all bodies at all outputs.
-        differences: largest differences of each other run from the reference, m and rad, by name of the run.
+        differences: largest difference of each other run from the reference in position, m, and in
+            orientation, rad, by name of the run.
         missing: reason of each run that failed, by name of the run.
     """
 
@@ -98,7 +99,8 @@ def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = REFEREN
         reasons = "; ".join(f"{name}: {reason}" for name, reason in missing.items())
         raise CrosscheckError(f"scene {scene.name!r} has no reference to take errors against: {reasons}")
     (name, exact), *others = runs.items()
-    return Reference(name, exact, {other: pose_errors(poses, exact) for other, poses in others}, missing)
+    differences = {other: pose_errors(poses, exact) for other, poses in others}
+    return Reference(name, exact, differences, missing)
 
 
 def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress) -> dict[str, Poses]:
@@ -144,8 +146,8 @@ def batch_references(
 ) -> tuple[dict[int, Poses], float]:
     """Compute reference poses of runs from several states.
 
-    A state has no reference if its run passes a singular configuration: runs at tight tolerances then fail or
-    differ by more than `error`.
+    A state has no reference if its run passes a singular configuration, at which the mechanism has further
+    degrees of freedom: runs at tight tolerances then fail or differ by more than `error`.
 
     Args:
         scene: the scene.
@@ -154,7 +156,7 @@ def batch_references(
         progress: called with the name of each stage.
 
     Returns:
-        Poses by number of the state, and their largest uncertainty, m or rad.
+        Poses by index of the state, and their largest uncertainty, m or rad.
 
     Raises:
         CrosscheckError: if no state has a reference.
@@ -163,7 +165,11 @@ def batch_references(
     for k, state in enumerate(states):
         progress(f"reference of run {k + 1} of {len(states)}")
         try:
-            made = reference(replace(scene, initial_state=state), lambda _: None, (BATCH_REFERENCE_RTOL,))
+            made = reference(
+                replace(scene, initial_state=state),
+                progress=lambda _: None,
+                rtols=(BATCH_REFERENCE_RTOL,),
+            )
         except CrosscheckError as failure:
             reason = str(failure)
             continue

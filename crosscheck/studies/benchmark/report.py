@@ -1,4 +1,9 @@
-"""Report of the benchmark of whole runs: the time that each engine needs to reach an error, m and rad."""
+"""Report of the benchmark of whole runs: the time that each engine needs to reach an error, m and rad.
+
+The error of a run is the largest distance, m, or angle, rad, between the poses of the bodies in the run and
+in a reference motion. A setting is a method of an engine with its step or tolerance. The input is a
+`Benchmark`, the measured times and errors of all settings; the output are tables, a plot and JSON.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +67,7 @@ class Benchmark:
         reaching = [m for m in self._of(engine) if max(m.error, unknown) <= error]
         return min(reaching, key=lambda m: m.median, default=None)
 
-    def frontier(self, engine: str) -> list[Measurement]:
+    def pareto_optimal(self, engine: str) -> list[Measurement]:
         """Return the Pareto-optimal settings of an engine in time and error, the fastest first."""
         best: list[Measurement] = []
         for m in sorted(self._of(engine), key=lambda m: (m.median, m.error)):
@@ -88,7 +93,10 @@ def parts(result: Benchmark) -> Iterator[Part]:
     )
     yield _times(result)
     yield _settings(result)
-    against = [f"{m:.1e} m, {rad:.1e} rad from {name}" for name, (m, rad) in reference.differences.items()]
+    against = [
+        f"{distance:.1e} m, {angle:.1e} rad from {name}"
+        for name, (distance, angle) in reference.differences.items()
+    ]
     missing = [f"could not run {name}: {reason}" for name, reason in reference.missing.items()]
     yield Lines("the reference differs by", [*against, *missing], folded=True)
     failures: Rows = [[x.engine, x.name, x.reason] for x in result.measured.failures]
@@ -126,8 +134,8 @@ def summary(result: Benchmark, error: float) -> Iterator[Part]:
     errors = TABLE_ERRORS[::2]
     rows: Rows = []
     for engine in ENGINES:
-        every = [result.fastest_setting(engine, each) for each in errors]
-        rows.append([engine, *("-" if m is None else rounded(1e3 * m.median) for m in every)])
+        fastest = [result.fastest_setting(engine, each) for each in errors]
+        rows.append([engine, *("-" if m is None else rounded(1e3 * m.median) for m in fastest)])  # ms
     yield Table(
         "", [*text_columns("ms for an error of"), *number_columns(*(f"{each:.0e}" for each in errors))], rows
     )
@@ -161,7 +169,7 @@ def _settings(result: Benchmark) -> Table:
     rows: Rows = []
     for engine in ENGINES:
         rows.append(engine)
-        for m in result.frontier(engine):
+        for m in result.pareto_optimal(engine):
             errors = [e if e > unknown else unknown for e in (m.error_position, m.error_angle)]
             signs = ["" if e > unknown else "<= " for e in (m.error_position, m.error_angle)]
             rows.append(
@@ -209,7 +217,7 @@ def picture(result: Benchmark) -> bytes:
         points = [m for m in result.measured.measurements if m.engine == engine]
         if points:
             ax.plot(*_points(points).T, ".", color=color, markersize=4, alpha=0.3)
-            ax.plot(*_points(result.frontier(engine)).T, marker=".", color=color, label=engine)
+            ax.plot(*_points(result.pareto_optimal(engine)).T, marker=".", color=color, label=engine)
     ax.axvline(result.reference.uncertainty, color="0.5", linestyle=":", label="uncertainty of the reference")
     ax.set(
         xscale="log",

@@ -5,9 +5,9 @@ fastest interface. newton_euler is called in a native loop. MuJoCo is called by 
 by `mj_step` with a loop in C, which also integrates. Pinocchio has an interface to Python only, so that its
 time includes a call from Python. All interfaces are timed alternately.
 
-The loading time is that of a fresh process: it makes the right-hand side without a compilation cache and
-calls it once. Loading Pinocchio includes two further models in other units, which determine the
-regularization of its constraints.
+The loading time is the time that a fresh process needs to import the engine, make the right-hand side without
+a compilation cache, and call it once. Loading Pinocchio includes two further models in other units, which
+determine the regularization of its constraints.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class RightHandSide(NamedTuple):
 
 @dataclass(frozen=True)
 class Timing(Timed):
-    """Times of one interface to an engine's right-hand side.
+    """Times of one interface to an engine's right-hand side; `Timed` has their median and spread.
 
     Attributes:
         way: the interface: engine and function, a key of `RIGHT_HAND_SIDES`.
@@ -85,7 +85,12 @@ class Timing(Timed):
 
 
 def _newton_euler(scene: Scene, formulation: FormulationName) -> RightHandSide:
-    """Make newton_euler's native right-hand side, which a native loop calls."""
+    """Make newton_euler's native right-hand side, which a native loop calls.
+
+    Args:
+        scene: the scene.
+        formulation: coordinates of the equations: "relative" (of joints) or "cartesian" (of bodies).
+    """
     compiled = compile_scene(scene, formulation=formulation, stabilization="none")
     call = partial(time_function, compiled.function("derivative"), compiled.start)
     return RightHandSide(call, compiled.operations["derivative"])
@@ -99,11 +104,11 @@ def _mj_forward(scene: Scene) -> RightHandSide:
 
 
 def _mj_step(scene: Scene) -> RightHandSide:
-    """Make MuJoCo's steps with the Euler integrator, in a loop in C."""
+    """Make MuJoCo's steps with the Euler integrator, in a loop in C; a step evaluates the equations once."""
     from mjcf.benchmark_kernels import steps
 
-    call = steps(scene)
-    return RightHandSide(lambda count: Timer(partial(call, count)).timeit(1))
+    take_steps = steps(scene)
+    return RightHandSide(lambda count: Timer(partial(take_steps, count)).timeit(1))
 
 
 def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
@@ -116,7 +121,7 @@ def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
     """
     from urdf.benchmark_kernels import equations_of
 
-    return RightHandSide(Timer(equations_of(scene, 0.0, lcaba).acceleration).timeit)
+    return RightHandSide(Timer(equations_of(scene, alpha=0.0, lcaba=lcaba).acceleration).timeit)
 
 
 def _aba(scene: Scene) -> RightHandSide:
@@ -144,32 +149,38 @@ def time_right_hand_sides(
     """Time one right-hand side of each engine at a scene's initial state, and its loading.
 
     Args:
-        scene: the scene; its control laws must be native.
+        scene: the scene, without controllers that are Python functions.
         progress: called with the name of each stage.
         ways: names of interfaces, keys of `RIGHT_HAND_SIDES`; all of them if None.
 
     Raises:
         CrosscheckError: for a scene that cannot be benchmarked.
     """
+    # Measure the loading time of each interface in a separate process, and load the interface here
     scene = poses_only(scene)
-    loaded, ready = {}, {}
+    timings, sides = {}, {}
     for way in RIGHT_HAND_SIDES if ways is None else ways:
         progress(f"loading {way}")
         (found,) = run_in_processes(
-            partial(measure_loading, scene), [way], 1, lambda *_: None, lambda _: LOADING_TIME_LIMIT
+            partial(measure_loading, scene),
+            tasks=[way],
+            processes=1,
+            done=lambda *_: None,
+            limit=lambda _: LOADING_TIME_LIMIT,
         )
-        loaded[way] = Timing(way, reason=str(found)) if isinstance(found, ProcessLostError) else found
-        if not loaded[way].reason:
-            ready[way] = RIGHT_HAND_SIDES[way](scene)
-    times = dict(zip(ready, _times(list(ready.values()), progress), strict=True))
-    return [replace(each, times=times.get(way, ())) for way, each in loaded.items()]
+        timings[way] = Timing(way, reason=str(found)) if isinstance(found, ProcessLostError) else found
+        if not timings[way].reason:
+            sides[way] = RIGHT_HAND_SIDES[way](scene)
+    # Time one call of each interface
+    times = dict(zip(sides, _times(list(sides.values()), progress), strict=True))
+    return [replace(timing, times=times.get(way, ())) for way, timing in timings.items()]
 
 
 def _times(sides: Sequence[RightHandSide], progress: Progress) -> list[tuple[float, ...]]:
     """Return the durations of a call, s, of each right-hand side in all its batches, which alternate."""
     counts = [_calls_per_batch(side.repeat) for side in sides]
-    seconds = [side.repeat(count) for side, count in zip(sides, counts, strict=True)]
-    batches = [int(min(MAX_BATCHES, max(3.0, MAX_TOTAL_TIME / s))) for s in seconds]
+    batch_seconds = [side.repeat(count) for side, count in zip(sides, counts, strict=True)]
+    batches = [int(min(MAX_BATCHES, max(3.0, MAX_TOTAL_TIME / seconds))) for seconds in batch_seconds]
     calls = [partial(_time_per_call, side, count) for side, count in zip(sides, counts, strict=True)]
     return time_alternately(calls, batches, progress)
 
@@ -219,8 +230,11 @@ def fastest_other(timings: Iterable[Timing]) -> Timing | None:
 
 
 def parts(timings: Sequence[Timing]) -> list[Part]:
-    """Make the report: time, operations and loading time of each right-hand side."""
-    best = fastest_other(timings)
+    """Make the report: time, operations and loading time of each right-hand side.
+
+    The column `ratio` is the time divided by that of the fastest right-hand side of another engine.
+    """
+    fastest = fastest_other(timings)
     rows: Rows = []
     for t in timings:
         cells = ["-"] * 5
@@ -229,12 +243,12 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
                 "-" if t.operations is None else str(t.operations),
                 f"{t.median * 1e6:.3g}",
                 t.spread,
-                "-" if best is None else f"{t.ratio(best):.3g}",
+                "-" if fastest is None else f"{t.ratio(fastest):.3g}",
                 f"{t.load:.2f}",
             ]
         rows.append([t.way, *cells])
     heads = number_columns("operations", "time, us", "spread", "ratio", "load, s")
-    notes = [] if best is None else [f"ratio: to {best.way}, the fastest of the others"]
+    notes = [] if fastest is None else [f"ratio: to {fastest.way}, the fastest of the others"]
     notes.append("load: in a fresh process, without a cache")
     notes += [f"{t.way} cannot run the scene: {t.reason}" for t in timings if t.reason]
     return [Table("", [*text_columns("right-hand side"), *heads], rows), Lines("", notes)]

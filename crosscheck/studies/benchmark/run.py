@@ -1,7 +1,8 @@
 """`crosscheck bench`: run one of the four benchmarks, write its files, and make its report.
 
 The benchmarks are whole runs, one right-hand side (evaluation of the equations of motion), batches of runs,
-and parameter sensitivities.
+and parameter sensitivities (derivatives of runs with respect to parameters). A setting is a method of an
+engine with its step or tolerance.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class BenchmarkRequest(NamedTuple):
         scene: the scene.
         source: name of the library scene, or path of the file, that the scene was loaded from.
         options: options of the scene that the user set.
-        error: largest error, m and rad, of the compared settings.
+        error: error of poses, m and rad, that the compared settings reach.
         runs: number of runs of a batch; not used by the other benchmarks.
     """
 
@@ -56,7 +57,7 @@ class BenchmarkResult(NamedTuple):
     """Result of a benchmark.
 
     Attributes:
-        data: all measurements, for JSON.
+        data: all measurements, for the JSON file.
         parts: parts of the report.
         picture: plot as the bytes of a PNG file, if the benchmark has one.
         verdict: the result in one line, or empty.
@@ -92,22 +93,25 @@ def bench(
     if not SMALLEST_ERROR <= wanted.error < math.inf:
         needed = f"{SMALLEST_ERROR:g} or more (m and rad), the best accuracy of references"
         raise CrosscheckError(f"--error is {wanted.error:g}; needed: {needed}")
-    names, measure_kind = KINDS[kind]
+    files, measure_kind = KINDS[kind]
     folder = output or usual_folder(Path("output/bench"), wanted.source, "benchmark")
-    paths = [folder / name for name in names]
+    json_path = folder / files.json
+    plot_path = folder / files.plot if files.plot else None
+    paths = [path for path in (json_path, plot_path) if path]
     check_no_source(paths, [wanted.source])
     check_writable(*paths)
     # Measure; the load of the machine by other programs is that before the measurement
-    where = machine()
+    machine_data = machine()
     found = measure_kind(wanted, progress)
     # Make the report and write the files
-    head = f"{where['processor']}, {where['cores']} cores, load {where['load']:g} by others"
+    processor, cores, load = (machine_data[name] for name in ("processor", "cores", "load"))
+    head = f"{processor}, {cores} cores, load {load:g} by others"
     parts = [Lines("", [head]), *found.parts]
     summary = [*(found.parts if found.summary is None else found.summary), Lines("", [head])]
     whole = Report(f"bench {wanted.title}", found.verdict, Cell(""), parts, summary=summary)
-    pictures = {paths[1]: found.picture} if found.picture else {}
-    data = {"source": wanted.source, "options": dict(wanted.options), "machine": where, **found.data}
-    write_files({paths[0]: as_json(data, whole, pictures), **pictures})
+    pictures = {plot_path: found.picture} if plot_path and found.picture else {}
+    data = {"source": wanted.source, "options": dict(wanted.options), "machine": machine_data, **found.data}
+    write_files({json_path: as_json(data, whole, pictures), **pictures})
     return whole, paths
 
 
@@ -118,11 +122,11 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
     measured = measure({name: engine(scene) for name, engine in ENGINES.items()}, motion.poses, progress)
     result = report.Benchmark(wanted.title, scene, motion, measured)
     return BenchmarkResult(
-        report.data(result),
-        list(report.parts(result)),
-        report.picture(result),
-        report.verdict(result, wanted.error),
-        list(report.summary(result, wanted.error)),
+        data=report.data(result),
+        parts=list(report.parts(result)),
+        picture=report.picture(result),
+        verdict=report.verdict(result, wanted.error),
+        summary=list(report.summary(result, wanted.error)),
     )
 
 
@@ -144,10 +148,17 @@ def _sensitivities(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkRes
     return BenchmarkResult({"sensitivities": [asdict(cost) for cost in costs]}, sensitivities.parts(costs))
 
 
-KINDS: dict[str, tuple[tuple[str, ...], Callable[[BenchmarkRequest, Progress], BenchmarkResult]]] = {
-    "runs": (("bench.json", "work_precision.png"), _whole_runs),
-    "rhs": (("rhs.json",), _right_hand_sides),
-    "batch": (("batch.json",), _batch),
-    "sensitivities": (("sensitivities.json",), _sensitivities),
+class FileNames(NamedTuple):
+    """Names of the files of a benchmark: its measurements, and its plot (None if it has no plot)."""
+
+    json: str
+    plot: str | None = None
+
+
+KINDS: dict[str, tuple[FileNames, Callable[[BenchmarkRequest, Progress], BenchmarkResult]]] = {
+    "runs": (FileNames("bench.json", "work_precision.png"), _whole_runs),
+    "rhs": (FileNames("rhs.json"), _right_hand_sides),
+    "batch": (FileNames("batch.json"), _batch),
+    "sensitivities": (FileNames("sensitivities.json"), _sensitivities),
 }
-"""Each kind of benchmark: names of its files (JSON first, then the plot), and the function that measures."""
+"""By kind of benchmark, the names of its files and the function that measures."""

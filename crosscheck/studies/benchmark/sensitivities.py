@@ -2,9 +2,9 @@
 
 Sensitivities are derivatives of the motion with respect to parameters, which newton_euler integrates with the
 motion. The parameters are masses of bodies, or one coordinate of a joint point. With a parameter of geometry,
-a run also searches for singular configurations, where derivatives do not exist. Runs with and without
-sensitivities alternate, at the same tolerance; their times are CPU times. Compilation and the derivatives of
-initial states are not timed.
+a run also searches for singular configurations (with further degrees of freedom), where derivatives do not
+exist. Runs with and without sensitivities alternate, at the same tolerance; their times are CPU times.
+Compilation and the derivatives of initial states are not timed.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ REPEATS = 21
 
 @dataclass(frozen=True)
 class SensitivityCost(Timed):
-    """Times of a run with sensitivities.
+    """Times of a run with sensitivities; `Timed` has the median and spread of its `times`.
 
     Attributes:
         parameters: number of parameters; 0 for the run without sensitivities.
         kind: "masses" or "joint points"; empty for the run without sensitivities.
-        operations: number of floating-point operations in one evaluation of all derivatives with respect to
-            time.
+        operations: number of floating-point operations in one evaluation of the time derivatives of the
+            motion and of its sensitivities.
         times: CPU time of each repeat, s.
     """
 
@@ -69,13 +69,14 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost
     # The run without sensitivities
     plain = compile_scene(scene)
     calls = [_cpu_timer(lambda: integrate_intervals(plain, plain.start.copy(), options))]
-    described = [(0, "", plain.operations["derivative"])]
+    described = [(0, "", plain.operations["derivative"])]  # first three attributes of `SensitivityCost`
     # Runs with sensitivities: compile, and run once
     for kind, names in wanted:
         progress(f"compiling derivatives, parameters: {len(names)}")
-        code = tangent_code(scene, names, None)
+        code = tangent_code(scene, names, formulation=None)
         run = TangentRun(code, options, ["output"])
         try:
+            # initial state for the scene's own parameter values, and its derivatives
             start = Starts(code, names)(own_numbers(scene, names))
             _run_with_sensitivities(run, *start)
         except SensitivityError:  # the run comes near a singular configuration

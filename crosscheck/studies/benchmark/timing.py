@@ -39,10 +39,10 @@ class Timed:
         return f"{(high - low) / self.median:.0%}"
 
     def ratio(self, other: Timed) -> float:
-        """Return the ratio of these times to those of another record.
+        """Return the ratio of the times of this record to those of another record.
 
-        If both records have as many times, they were timed alternately, and the ratio is the median of the
-        ratios of all turns: a change of the machine's speed affects both times of a turn alike.
+        Records with the same number of times were timed alternately, in turns. Their ratio is the median of
+        the ratios of all turns, since a change of the machine's speed affects both times of a turn alike.
         """
         if len(self.times) != len(other.times):
             return self.median / other.median
@@ -56,8 +56,8 @@ def time_alternately(
 
     Args:
         calls: functions that return the time that they took, s.
-        repeats: number of repeats of each call. In each turn every call runs once; the repeats of a call with
-            fewer repeats than turns are spread evenly.
+        repeats: number of repeats of each call. There are as many turns as the largest of these numbers. In
+            a turn each call runs at most once; the repeats of a call are spread evenly over the turns.
         progress: called at five of the turns.
 
     Returns:
@@ -66,7 +66,7 @@ def time_alternately(
     times: list[list[float]] = [[] for _ in calls]
     turns, messages = max(repeats, default=0), 5
     for turn in range(turns):
-        # turn * n % turns < n holds in n of the turns, evenly spaced
+        # the condition (turn * n) % turns < n holds in n of the turns, evenly spaced
         if turn * messages % turns < messages:
             progress(f"timing {len(calls)} settings alternately: {turn + 1} of {turns}")
         for call, count, row in zip(calls, repeats, times, strict=True):
@@ -77,7 +77,8 @@ def time_alternately(
 
 
 def machine() -> dict[str, Any]:
-    """Describe the machine: processor, cores, current load, system, versions of packages."""
+    """Describe the machine: processor, number of cores, mean number of running processes in the last minute
+    (load), system, and versions of packages."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),

@@ -1,8 +1,9 @@
 """Work-precision benchmark: run time and error of every engine at each of its settings.
 
-The time of a setting includes everything until the poses of all bodies at all outputs are known. Loading,
-compilation and the first run are measured separately. The error is the largest difference from the reference
-motion of `crosscheck.studies.benchmark.reference`, over all bodies and outputs.
+A setting is a method (equations of motion and integrator) with its step or tolerance. A ladder is a list of
+settings of one method, from coarse to fine. The time of a setting includes everything until the poses of all
+bodies at all outputs are known, but not loading, compilation and the first run. The error is the largest
+difference from the reference motion of `crosscheck.studies.benchmark.reference`, over all bodies and outputs.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ LADDER_TIME_LIMIT = 1.5
 """CPU time of a run, s, above which finer settings of the same method are not tried."""
 
 RUN_TIME_LIMIT = 3.0
-"""Longest duration of a run, s."""
+"""Longest duration of a run, s; longer runs are aborted."""
 
 ENGINE_TIME_LIMIT = 20.0
 """CPU time of an engine, s, after which no further method of the engine is tried."""
@@ -61,7 +62,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Measurement(Timed):
-    """Time and error of one setting.
+    """Time and error of one setting; `Timed` has the median and spread of its `times`.
 
     Attributes:
         engine: name of the engine.
@@ -114,7 +115,7 @@ def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> 
 
     Args:
         engines: functions that load the scene, by engine and variant of its equations.
-        exact: reference poses.
+        exact: reference poses: positions and quaternions of all bodies at all outputs.
         progress: called with the name of each stage.
     """
     # Run each setting once, from coarse to fine

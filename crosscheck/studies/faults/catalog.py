@@ -1,7 +1,8 @@
 """Catalog of the faults that are injected into an engine's model of a scene, one at a time.
 
-Faults with a size change a number by a relative size, for example the mass of a body by 1e-3. Faults without
-a size are confusions, such as a reversed axis, a missing body or another joint type.
+A study injects these faults and measures which ones crosscheck detects and locates. Faults with a size change
+a number by a relative size, for example the mass of a body by 1e-3. Faults without a size are confusions,
+such as a reversed axis, a missing body or another joint type.
 """
 
 from __future__ import annotations
@@ -28,20 +29,21 @@ FAULT_SIZES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 """Relative sizes of faults. Shifts are relative to the mechanism's size; changes of direction are in rad."""
 
 MAX_FAULTS_OF_KIND = 36
-"""Largest number of faults of one kind and size; if there are more, evenly spaced ones are taken."""
+"""Largest number of faults of one kind and size in mechanisms of up to `MAX_BODIES_FOR_ALL` bodies; if there
+are more, evenly spaced ones are taken."""
 
 MAX_BODIES_FOR_ALL = 8
-"""Largest number of bodies with which `MAX_FAULTS_OF_KIND` holds.
+"""Number of bodies up to which `MAX_FAULTS_OF_KIND` holds.
 
-In larger mechanisms the number falls with the square of the number of bodies, since more kinds reach the
-limit and each comparison takes longer.
+In larger mechanisms the limit falls with the square of the number of bodies, since more kinds reach the limit
+and each comparison takes longer.
 """
 
 REFERENCE_GRAVITY = 9.81
 """Gravity, m/s^2, to which faults of gravity are relative in a scene without gravity."""
 
 VALUE_FAULTS = {"stiffness": "gain", "damping": "damping", "target": "actuator reference"}
-"""Kind of fault by the attribute of a controller or joint spring that has the wrong value."""
+"""Kind of fault, by the attribute of a controller or joint spring that has the wrong value."""
 
 SKEW_AXIS = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
 """Unit vector that is no principal axis; faulty inertias are rotated about it."""
@@ -56,11 +58,11 @@ class Fault:
         element: name of the body or joint at fault, or "gravity".
         detail: entry, direction or value at fault; may be empty.
         size: relative size, see `FAULT_SIZES`; None for a fault without a size.
-        inject: function that returns the scene with the fault.
-        expected: names of bodies, joints and terms that a correct diagnosis may name.
-        neighbors: further names that a diagnosis from motion alone may name: the bodies at a joint.
+        inject: function that takes the scene and returns the scene with the fault.
+        expected: names of bodies, joints and terms of which a correct diagnosis names one.
+        neighbors: further names that are accepted of a diagnosis from motion alone: the bodies at a joint.
         closure_shift: for a wrong point of a loop-closing joint, the shift (3,) of the point on the second
-            body, m; else None.
+            body, m, world frame; else None.
         hinge: for a dropped velocity term, the name of its hinge, see `velocity_terms`; else None. The fault
             is then in an engine's equations, and `inject` changes nothing.
     """
@@ -88,7 +90,7 @@ class Fault:
 
 
 def catalog(scene: Scene, sizes: Sequence[float] = FAULT_SIZES) -> list[Fault]:
-    """List the faults of a scene: the faults with a size, at each of the sizes, then those without a size."""
+    """List the faults of a scene: the faults with a size, at each of `sizes`, then those without a size."""
     maximum = max_faults_of_kind(len(scene.mechanism.bodies))
     faults = list[Fault]()
     for size in sizes:
@@ -148,7 +150,8 @@ def _body_faults(scene: Scene, size: float) -> Iterator[Fault]:
 def _joint_faults(scene: Scene, size: float) -> Iterator[Fault]:
     """Yield faults of a size in points and axes of each joint.
 
-    Joints outside the spanning tree (cuts) close loops. A wrong point on one of their bodies opens a loop.
+    The spanning tree connects each body to the ground by one path of joints. Joints outside the tree (cuts)
+    close loops. A wrong point of such a joint on one of its bodies opens a loop.
     """
     length, cuts = scene.mechanism.size, SpanningTree(scene.mechanism).cuts
     for index, joint in enumerate(scene.mechanism.joints):
@@ -159,18 +162,30 @@ def _joint_faults(scene: Scene, size: float) -> Iterator[Fault]:
             yield Fault("joint point", joint.name, label, size, moved, expected, neighbors)
             if index in cuts:
                 opened = injection.closure_point(joint.name, shift)
-                yield Fault("closure point", joint.name, label, size, opened, expected, neighbors, shift)
+                yield Fault(
+                    "closure point",
+                    joint.name,
+                    label,
+                    size,
+                    opened,
+                    expected,
+                    neighbors,
+                    closure_shift=shift,
+                )
         for label, tilted in injection.tilted_axes(joint, size).items():
             yield Fault("axis direction", joint.name, label, size, tilted, expected, neighbors)
 
 
 def _force_faults(scene: Scene, size: float) -> Iterator[Fault]:
     """Yield faults of a size in the values of controllers, joint springs and armatures (rotor inertias)."""
+    # Controllers and joint springs, but not forces on bodies and sampled controllers
     for field in ("control", "forces"):
         for index, force in enumerate(getattr(scene, field)):
             if isinstance(force, OnBodies | HeldLaw):
                 continue
-            detail = "" if field == "control" else "spring of its ball" if force.on_ball else "spring"
+            detail = ""
+            if field == "forces":
+                detail = "spring of its ball" if force.on_ball else "spring"
             for name, kind in VALUE_FAULTS.items():
                 value = getattr(force, name, None)
                 # a stiffness or damping of 0 has no relative fault, a target of 0 has an absolute one
@@ -181,10 +196,10 @@ def _force_faults(scene: Scene, size: float) -> Iterator[Fault]:
                         value = (1.0 + size) * value if value else size * _target_unit(scene, force)
                     changed = injection.entry_values(field, index, **{name: value})
                     yield Fault(kind, force.joint, detail, size, changed, frozenset({force.joint}))
+    # Armatures; a body at the joint with more inertia would move in the same way
     for index, armature in enumerate(scene.armatures):
         other = injection.entry_values("armatures", index, inertia=(1.0 + size) * armature.inertia)
         joint = scene.mechanism.joint(armature.joint)
-        # a body with more inertia moves in the same way
         expected = connected_bodies(joint) | {armature.joint}
         detail = "of its ball" if armature.on_ball else ""
         yield Fault("armature", armature.joint, detail, size, other, expected)
@@ -231,16 +246,23 @@ def _joint_confusions(scene: Scene) -> Iterator[Fault]:
     """Yield faults without a size of joints: reversed axis, another joint type, missing loop closure."""
     cuts = SpanningTree(scene.mechanism).cuts
     for index, joint in enumerate(scene.mechanism.joints):
-        fault = Fault("", joint.name, "", None, injection.missing_joint(joint.name), frozenset({joint.name}))
-        fault = replace(fault, neighbors=connected_bodies(joint))
+        missing = Fault(
+            "missing closure",
+            joint.name,
+            "",
+            None,
+            injection.missing_joint(joint.name),
+            expected=frozenset({joint.name}),
+            neighbors=connected_bodies(joint),
+        )
         for name in joint.axis_names:
             turned = injection.joint_axes(joint.name, {name: -getattr(joint, name)})
-            yield replace(fault, kind="axis sign", detail=name, inject=turned)
+            yield replace(missing, kind="axis sign", detail=name, inject=turned)
         for kind, axes in confused_kinds(scene, joint).items():
             other = injection.joint_kind(joint, kind, **axes)
-            yield replace(fault, kind="joint type", detail=f"{joint.kind} as {kind}", inject=other)
-        if index in cuts:
-            yield replace(fault, kind="missing closure")
+            yield replace(missing, kind="joint type", detail=f"{joint.kind} as {kind}", inject=other)
+        if index in cuts:  # joints of the spanning tree cannot be missing
+            yield missing
 
 
 def _velocity_term_faults(scene: Scene) -> Iterator[Fault]:
@@ -249,11 +271,16 @@ def _velocity_term_faults(scene: Scene) -> Iterator[Fault]:
     for tree_joint in tree.joints:
         joint = tree.joint(tree_joint.joint)
         if tree_joint.motions and tree_joint.motions[-1].kind == "hinge":
-            expected = frozenset({joint.name})
-            term = Fault(
-                "velocity term", joint.name, "", None, injection.no_change, expected, connected_bodies(joint)
+            yield Fault(
+                "velocity term",
+                joint.name,
+                "",
+                None,
+                injection.no_change,
+                expected=frozenset({joint.name}),
+                neighbors=connected_bodies(joint),
+                hinge=joint.name,
             )
-            yield replace(term, hinge=joint.name)
 
 
 def confused_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
@@ -261,8 +288,8 @@ def confused_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
 
     The first coordinates of both kinds are the same, so that elements that act on them remain valid.
     """
-    # Joints with elements that act on their coordinates
-    driven = {key[0] for coupling in couplings(scene) for key in coupling.factors}
+    # Joints with elements that act on their coordinates; a coordinate is given as (joint, index)
+    driven = {joint_name for coupling in couplings(scene) for joint_name, _ in coupling.factors}
     driven |= {law.joint for law in scene.joint_forces} | {a.joint for a in scene.armatures}
     driven |= scene.loaded_balls
     driven |= {motion.joint for motion in scene.motions}

@@ -1,10 +1,15 @@
 """Search for injected faults: which faults are detected, and whether the diagnosis locates them correctly.
 
-There are two searches. `find_faults` injects faults into the model of one engine; the comparison of engines
-must detect them. `find_in_reading` injects faults into a scene that was read from a model file; the
-verification of the scene against the file must detect them. This scene has random controls, so that every
-actuator acts. A fault that is not detected must change nothing: newton_euler's equations are then the same
+A fault is a single error in a model, such as a wrong mass. There are two searches. `find_faults` injects
+faults into the model of one engine (newton_euler, MuJoCo or Pinocchio); the comparison of the engines'
+equations of motion must detect them. `find_in_reading` injects faults into a scene that was read from a model
+file; the verification of the scene against the file must detect them. This scene has random controls, so that
+every actuator acts. A fault that is not detected must be unobservable: newton_euler's equations are the same
 with and without the fault.
+
+A check compares one value of two engines with a tolerance. A level is a group of checks. `Samples` are the
+equations of one engine, evaluated at some states. The diagnosis of all checks names the outlier, the engine
+that differs from the others, and the body, joint or term at fault.
 """
 
 from __future__ import annotations
@@ -43,11 +48,11 @@ Fewer states do not separate the components of gravity.
 """
 
 SMALLEST_REQUIRED = 1e-4
-"""Relative size down to which all faults of engines must be detected."""
+"""Smallest relative size of the faults of engines that must all be detected."""
 
-MOTION_LEVELS = EQUATION_LEVELS[1:]
-"""Levels (groups of checks) that compare the motion: all levels except the first, which compares the numbers
-of the model, such as masses."""
+MODEL_LEVELS, MOTION_LEVELS = EQUATION_LEVELS[:1], EQUATION_LEVELS[1:]
+"""Levels (functions that yield their checks) that compare the numbers of the model, such as masses, and that
+compare its motion: poses, velocities, energies, accelerations and reactions."""
 
 REFUSED = "refused"
 """Level of the detection of a fault with which an engine, or the mechanism, raises an error."""
@@ -60,6 +65,9 @@ READING = "the reading"
 class Detection(Check):
     """First failing check that shows a fault. At the level `REFUSED`, `quantity` is the text of an error.
 
+    The other attributes are those of `Check`: level, compared quantity, names of the compared engines, value,
+    tolerance, and body, joint or term of the largest difference (`where`).
+
     Attributes:
         outlier: engine that the diagnosis finds to differ from the others; empty if the checks do not
             determine one.
@@ -69,7 +77,7 @@ class Detection(Check):
 
     @classmethod
     def of(cls, found: Check | Diagnosis, outlier: str = "") -> Detection:
-        """Make the detection of a failing check, or of the check that a diagnosis explains."""
+        """Make a detection from a failing check, or from a diagnosis, which has the values of a check."""
         return cls(
             level=found.level,
             quantity=found.quantity,
@@ -88,9 +96,11 @@ class FaultResult:
     Attributes:
         fault: the fault.
         engine: name of the engine with the fault, or `READING`.
-        detection: detection by all levels of equations; None if all checks pass.
-        detection_by_motion: detection by `MOTION_LEVELS` alone; None if all their checks pass.
-        observable: True if the fault, or a larger one of its kind, changes a pose, velocity, energy,
+        detection: detection by all levels of equations, or by the verification against a file; None if all
+            checks pass.
+        detection_by_motion: detection by `MOTION_LEVELS` alone; None if all their checks pass, and for faults
+            in the reading.
+        observable: True if the fault, or the same fault of another size, changes a pose, velocity, energy,
             acceleration or reaction. If no check of motion fails, newton_euler's equations with and without
             the fault are compared to find this out.
         model_difference: for a fault that is not detected, the first failing check between newton_euler's
@@ -119,12 +129,16 @@ class FaultResult:
 
     @property
     def located_by_motion(self) -> bool:
-        """True if the diagnosis from motion alone names the engine and the element, or a body next to it."""
+        """True if the diagnosis from motion alone names the engine with the fault, and the element at fault
+        or a body next to it."""
         return self._names(self.detection_by_motion, self.fault.expected | self.fault.neighbors)
 
-    def _names(self, detection: Detection | None, right: frozenset[str]) -> bool:
-        """Return True if a detection names the engine with the fault and one of the elements `right`."""
-        if detection is None or detection.where not in right:
+    def _names(self, detection: Detection | None, elements: frozenset[str]) -> bool:
+        """Return True if a detection names the engine with the fault, and one of the elements.
+
+        Two engines alone determine no outlier: then it is enough that the detection names none.
+        """
+        if detection is None or detection.where not in elements:
             return False
         return detection.outlier == self.engine or (self.few_engines and not detection.outlier)
 
@@ -137,7 +151,7 @@ class FaultSearch:
         found: result for each fault.
         engines: names of the engines with faults, or `READING`. Engines take the faults alternately.
         left_out: for each engine that cannot express the scene, the reason.
-        smallest: relative size down to which all faults must be detected.
+        smallest: smallest relative size of the faults that must all be detected.
     """
 
     found: tuple[FaultResult, ...]
@@ -169,10 +183,12 @@ def find_faults(
     if not engines:
         raise fault_free.refusals[names[0]]
     faults = catalog(scene, sizes)
-    counted = _with_progress(faults, progress)
-    found = [find_fault(fault, engines[number % len(engines)], fault_free) for number, fault in counted]
+    found = [
+        find_fault(fault, engines[number % len(engines)], fault_free)
+        for number, fault in _with_progress(faults, progress)
+    ]
     left_out = {name: str(error) for name, error in fault_free.refusals.items()}
-    return FaultSearch(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
+    return FaultSearch(tuple(_with_other_sizes(found)), tuple(engine.name for engine in engines), left_out)
 
 
 def _with_progress(faults: Sequence[Fault], progress: Callable[[str], None]) -> Iterator[tuple[int, Fault]]:
@@ -183,15 +199,18 @@ def _with_progress(faults: Sequence[Fault], progress: Callable[[str], None]) -> 
         yield number, fault
 
 
-def _observable(found: Sequence[FaultResult]) -> Iterator[FaultResult]:
-    """Mark a fault as observable if the same fault of another size is: its size is only too small."""
+def _with_other_sizes(found: Sequence[FaultResult]) -> Iterator[FaultResult]:
+    """Yield the results; a fault becomes observable if the same fault of another size is observable."""
     observable = {each.fault.identity for each in found if each.observable}
     for each in found:
         yield replace(each, observable=each.fault.identity in observable)
 
 
 def samples_of(scene: Scene) -> Samples:
-    """Evaluate newton_euler's equations at the initial state and at random states."""
+    """Return newton_euler's equations of a scene with the states at which comparisons evaluate them.
+
+    The states are the initial state and random states that satisfy all constraints.
+    """
     states = initial_state(scene), *random_states(scene, RANDOM_STATES)
     return Samples(Relative(scene), States(scene, states))
 
@@ -203,13 +222,14 @@ class FaultFree:
         scene: the scene without a fault.
         engines: engines that can express the scene, by name, newton_euler first.
         refusals: errors of the other engines, by name.
-        samples: newton_euler's equations, evaluated at the states.
+        samples: newton_euler's equations with these states.
 
     Raises:
         CrosscheckError: if the engines disagree on the scene.
     """
 
     def __init__(self, scene: Scene) -> None:
+        # Equations of each engine
         self.scene, self.samples = scene, samples_of(scene)
         self.engines: dict[str, Engine] = {}
         self.refusals: dict[str, NewtonEulerError] = {}
@@ -222,6 +242,7 @@ class FaultFree:
                 continue
             self.engines[name] = engine
             self._samples_of_engine[name] = Samples(system, self.samples.states)
+        # Checks of each pair of engines, which must all pass
         pairs = combinations(self._samples_of_engine, 2)
         self._checks = {
             pair: list(self._compare(pair, self._samples_of_engine, EQUATION_LEVELS)) for pair in pairs
@@ -251,13 +272,12 @@ class FaultFree:
         samples = self._samples_of_engine | {name: faulty}
         checks: list[Check] = []
         try:
-            for pair, known in self._checks.items():
-                checks += self._compare(pair, samples, levels) if name in pair else known
+            for pair, fault_free_checks in self._checks.items():
+                checks += self._compare(pair, samples, levels) if name in pair else fault_free_checks
         except NewtonEulerError as error:
             return _refusal(error, name)
-        for found in diagnose(tuple(samples), checks)[:1]:
-            return Detection.of(found, found.outlier)
-        return None
+        diagnoses = diagnose(tuple(samples), checks)
+        return Detection.of(diagnoses[0], diagnoses[0].outlier) if diagnoses else None
 
 
 def find_fault(fault: Fault, engine: Engine, fault_free: FaultFree) -> FaultResult:
@@ -268,26 +288,42 @@ def find_fault(fault: Fault, engine: Engine, fault_free: FaultFree) -> FaultResu
         engine: engine whose model gets the fault.
         fault_free: equations of all engines for the scene without the fault.
     """
-    # Evaluate the engine's equations with the fault
-    name, own, few_engines = engine.name, fault_free.samples, len(fault_free.engines) < 3
+    # Make the engine's equations with the fault
+    name, without_fault, few_engines = engine.name, fault_free.samples, len(fault_free.engines) < 3
     try:
-        samples = Samples(_with_fault(fault, engine, fault_free.scene), own.states)
+        with_fault = Samples(_with_fault(fault, engine, fault_free.scene), without_fault.states)
     except NewtonEulerError as error:
         refusal = _refusal(error, name)
-        return FaultResult(fault, name, refusal, refusal, observable=True, few_engines=few_engines)
+        return FaultResult(
+            fault,
+            name,
+            detection=refusal,
+            detection_by_motion=refusal,
+            observable=True,
+            few_engines=few_engines,
+        )
     # Compare the engines, by all levels and by the levels of motion alone. If the numbers of the model agree,
     # the first detection already comes from the levels of motion.
-    detection = fault_free.detect(name, samples, EQUATION_LEVELS)
+    detection = fault_free.detect(name, with_fault, EQUATION_LEVELS)
     by_motion = detection
     if detection is not None and detection.level == "model":
-        by_motion = fault_free.detect(name, samples, MOTION_LEVELS)
+        by_motion = fault_free.detect(name, with_fault, MOTION_LEVELS)
     if by_motion is not None:
         return FaultResult(fault, name, detection, by_motion, observable=True, few_engines=few_engines)
-    # Compare newton_euler's equations with and without the fault: does the fault change anything?
-    faulty = Samples(_without_term(fault, Relative(fault.inject(fault_free.scene))), own.states)
-    observable = _first_failing(own, faulty, MOTION_LEVELS) is not None
-    difference = None if detection else _first_failing(faulty, samples, EQUATION_LEVELS[:1])
-    return FaultResult(fault, name, detection, None, observable, difference, few_engines)
+    # Compare newton_euler's equations with and without the fault: does the fault change the motion?
+    expected = Samples(_without_term(fault, Relative(fault.inject(fault_free.scene))), without_fault.states)
+    observable = _first_failing(without_fault, expected, MOTION_LEVELS) is not None
+    # If no engine differs: does the engine's model have the fault at all?
+    model_difference = None if detection else _first_failing(expected, with_fault, MODEL_LEVELS)
+    return FaultResult(
+        fault,
+        name,
+        detection,
+        detection_by_motion=None,
+        observable=observable,
+        model_difference=model_difference,
+        few_engines=few_engines,
+    )
 
 
 def _first_failing(one: Samples, other: Samples, levels: Sequence[Level]) -> Detection | None:
@@ -302,7 +338,8 @@ def _first_failing(one: Samples, other: Samples, levels: Sequence[Level]) -> Det
 
 
 def _refusal(error: NewtonEulerError, engine: str) -> Detection:
-    """Return the error of an engine as a detection at the joint or body that the error names."""
+    """Return the error of an engine as a detection at the joint or body that the error quotes in its
+    attribute `joint` or `element`."""
     element = getattr(error, "joint", getattr(error, "element", ""))
     named = re.search(r"'(.*)'", element)
     where = named[1] if named else element
@@ -319,42 +356,43 @@ def find_in_reading(
         progress: called with the number of faults so far, after every tenth fault.
         faults: the faults; all `misreadings` of the scene if None.
     """
-    # the last pair has random controls, in which every actuator acts
+    # pairs of the file's model and the scene with the same controls; the last pair has random controls
     reference, scene = report.references[-1]
-    own = samples_of(scene)
+    without_fault = samples_of(scene)
     faults = list(misreadings(scene)) if faults is None else faults
     found = [
-        _find_fault_in_reading(fault, reference, own, report) for _, fault in _with_progress(faults, progress)
+        _find_fault_in_reading(fault, reference, without_fault, report)
+        for _, fault in _with_progress(faults, progress)
     ]
-    return FaultSearch(tuple(found), (READING,), {}, smallest=0.0)
+    return FaultSearch(tuple(found), (READING,), left_out={}, smallest=0.0)
 
 
 def _find_fault_in_reading(
-    fault: Fault, reference: ReferenceModel, own: Samples, report: ImportReport
+    fault: Fault, reference: ReferenceModel, without_fault: Samples, report: ImportReport
 ) -> FaultResult:
     """Verify a scene with one fault against the file's own model.
 
     Args:
         fault: the fault.
         reference: the file's own model.
-        own: newton_euler's equations without the fault, evaluated at some states.
+        without_fault: newton_euler's equations without the fault, with some states.
         report: import report of the file.
     """
     # The first failing check of the verification
     try:
-        injected = fault.inject(own.states.scene)
+        injected = fault.inject(without_fault.states.scene)
         checks = verify(reference, Relative(injected))
         failing = next((check for check in checks if not check.agrees), None)
     except NewtonEulerError as error:
         where = fault.element if fault.element in str(error) else ""
         refusal = Detection(REFUSED, str(error), (READING,), np.nan, np.nan, where, outlier=READING)
-        return FaultResult(fault, READING, refusal, None, observable=True)
-    # If the verification passes: does the fault change the motion?
+        return FaultResult(fault, READING, refusal, detection_by_motion=None, observable=True)
+    # If the verification passes: does the fault change the motion? Reactions are not part of a file
     if failing is None:
-        faulty = Samples(Relative(injected), own.states)
-        rows = compare_pair(("right", "wrong"), [own], [faulty], MOTION_LEVELS)
+        with_fault = Samples(Relative(injected), without_fault.states)
+        rows = compare_pair(("right", "wrong"), [without_fault], [with_fault], MOTION_LEVELS)
         observable = any(not (row.agrees or row.quantity.startswith("reaction")) for row in rows)
-        return FaultResult(fault, READING, None, None, observable)
+        return FaultResult(fault, READING, detection=None, detection_by_motion=None, observable=observable)
     # Does the failing check name the element at fault?
     named = any(_is_named(element, failing.where, report) for element in fault.expected | fault.neighbors)
     where = fault.element if named else failing.where
@@ -367,7 +405,7 @@ def _find_fault_in_reading(
         where=where,
         outlier=READING,
     )
-    return FaultResult(fault, READING, detection, None, observable=True)
+    return FaultResult(fault, READING, detection, detection_by_motion=None, observable=True)
 
 
 def _is_named(element: str, where: str, report: ImportReport) -> bool:
@@ -380,15 +418,16 @@ def _is_named(element: str, where: str, report: ImportReport) -> bool:
     """
     if element in (where, EVERYTHING) or repr(element) in where:
         return True
-    named = where.split(":")[0]
-    return any(entry.element == named and repr(element) in entry.how for entry in report.entries)
+    # `where` begins with an element of the file; the report tells how it was imported, as which elements
+    element_of_file = where.split(":")[0]
+    return any(entry.element == element_of_file and repr(element) in entry.how for entry in report.entries)
 
 
 def _with_fault(fault: Fault, engine: Engine, scene: Scene) -> System:
     """Return the engine's equations of motion for the scene with the fault.
 
-    A mechanism with a loop that does not close raises an error before any engine evaluates it. For MuJoCo
-    such a fault is therefore injected into the compiled model.
+    A scene whose loop cannot be closed raises an error before an engine evaluates it. A wrong point of a
+    loop-closing joint is therefore injected into MuJoCo's compiled model, where it is an anchor.
     """
     if fault.closure_shift is None or engine.name != "mujoco":
         return _without_term(fault, engine.systems(fault.inject(scene))[0])
@@ -400,5 +439,5 @@ def _with_fault(fault: Fault, engine: Engine, scene: Scene) -> System:
 
 
 def _without_term(fault: Fault, system: System) -> System:
-    """Return the equations without the velocity term that the fault drops; unchanged for other faults."""
+    """Return the equations without the velocity term that the fault drops; for other faults, unchanged."""
     return system if fault.hinge is None else without_velocity_term(system, fault.hinge)

@@ -1,7 +1,8 @@
 """Functions that make scenes with a single fault, such as a wrong mass or a missing joint.
 
 A function such as `mass("rod", 1e-3)` does not change a scene. It returns an `Injection`: a function that
-takes a scene and returns the scene with the fault.
+takes a scene and returns the scene with the fault. Vectors of bodies and joints are in the world frame at the
+initial pose, except where a body frame is mentioned.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def with_mechanism(scene: Scene, bodies: Iterable[Body], joints: Iterable[Joint]
 
 
 def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Injection:
-    """Replace attributes of bodies. Inertias that no real body has are allowed, as typing errors cause them.
+    """Replace attributes of bodies. Unphysical inertias are allowed, since a wrong entry can cause them.
 
     Args:
         change: for each body to change, by name, a function that returns the new values of its attributes.
@@ -157,10 +158,10 @@ def joint_row(joint: Joint, name: str, number: int, change: Callable[[Array], Ar
 
     def changed(j: Joint) -> Joint:
         rows = np.array(getattr(j, name))
-        other = change(rows[number])
-        moved = other - rows[number] if name == "offsets" else np.zeros(3)
-        rows[number] = other
-        return replace(j, **{name: rows, "point_on_second": j.reaction_point + moved})  # type: ignore[arg-type]
+        new_row = change(rows[number])
+        shift = new_row - rows[number] if name == "offsets" else np.zeros(3)
+        rows[number] = new_row
+        return replace(j, **{name: rows, "point_on_second": j.reaction_point + shift})  # type: ignore[arg-type]
 
     return change_joint(joint.name, changed)
 
@@ -217,8 +218,8 @@ def missing_entry(field: str, index: int) -> Injection:
 
     def inject(scene: Scene) -> Scene:
         entries = getattr(scene, field)
-        rest: Any = {field: (*entries[:index], *entries[index + 1 :]), "initial_state": None}
-        return replace(scene, **rest)
+        changed: Any = {field: (*entries[:index], *entries[index + 1 :]), "initial_state": None}
+        return replace(scene, **changed)
 
     return inject
 
@@ -227,9 +228,9 @@ def coupling(index: int, other: JointCoupling | None) -> Injection:
     """Replace the coupling with an index by another one, or remove the coupling if `other` is None."""
 
     def inject(scene: Scene) -> Scene:
-        mechanism, found = scene.mechanism, list(scene.mechanism.couplings)
-        found[index : index + 1] = [] if other is None else [other]
-        changed = Mechanism(mechanism.bodies, mechanism.joints, found)
+        mechanism, couplings = scene.mechanism, list(scene.mechanism.couplings)
+        couplings[index : index + 1] = [] if other is None else [other]
+        changed = Mechanism(mechanism.bodies, mechanism.joints, couplings)
         return replace(scene, mechanism=changed, initial_state=None)
 
     return inject
@@ -249,6 +250,7 @@ def tilted_axes(joint: Joint, angle: float) -> dict[str, Injection]:
       axes about their common normal.
     - Compound joint: each slide and each hinge is tilted about two perpendicular directions across it.
     """
+    # Compound joint
     names = joint.axis_names
     if isinstance(joint, Compound):
         found: dict[str, Injection] = {}
@@ -258,14 +260,16 @@ def tilted_axes(joint: Joint, angle: float) -> dict[str, Injection]:
                     tilt = turned_about(about, angle).__matmul__
                     found[f"{name}[{k}] about {label}"] = joint_row(joint, name, k, tilt)
         return found
-    values = [np.asarray(getattr(joint, name)) for name in names]
-    if len(values) == 1:
-        across = zip("uw", perpendicular_pair(values[0]), strict=True)
+    # Joint with one axis, and joint without an axis
+    axes = [np.asarray(getattr(joint, name)) for name in names]
+    if len(axes) == 1:
+        across = zip("uw", perpendicular_pair(axes[0]), strict=True)
         turns = {f"about {label}": turned_about(about, angle) for label, about in across}
         return {label: _turned_axes(joint, turn, names) for label, turn in turns.items()}
-    if not values:
+    if not axes:
         return {}
-    a, b = values
+    # Universal joint
+    a, b = axes
     return {
         f"{names[0]} about the other": _turned_axes(joint, turned_about(b, angle), names[:1]),
         f"{names[1]} about the other": _turned_axes(joint, turned_about(a, angle), names[1:]),

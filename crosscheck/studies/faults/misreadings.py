@@ -1,5 +1,6 @@
-"""Catalog of misreadings: single mistakes that a reader of model files could make.
+"""Catalog of misreadings: single mistakes that the code that reads MJCF and URDF files could make.
 
+A study injects each mistake into a scene that was read from a file, and verifies the scene against the file.
 Numbers of bodies and joints, and points of forces, have relative errors of 1e-1 and 1e-6. Strengths of forces
 are doubled, halved, set to zero, negated, or have a relative error of 1e-6. Joints are confused with other
 kinds or read as rigid. Loops stay open or are closed at another point. Each mistake is a `Fault`: a function
@@ -46,11 +47,11 @@ PERMUTED_AXES = [1, 2, 0]
 """Order of the components of a vector that is read in a wrong order."""
 
 EVERYTHING = "all bodies"
-"""Element of a fault that is in all bodies, such as wrong initial velocities."""
+"""Name of the element of a fault that is in all bodies, such as wrong initial velocities."""
 
 SHIFTED_ATTRIBUTES = ("rest", "target", "point", "point_on_first", "point_on_second")
-"""Attributes of forces and controllers that are coordinates or points. They get shifts in addition to
-factors, since no factor changes 0."""
+"""Attributes of forces and controllers that are coordinates or points. They are shifted as well as multiplied
+by factors, since no factor changes 0."""
 
 
 def misreadings(scene: Scene) -> Iterator[Fault]:
@@ -64,9 +65,9 @@ def misreadings(scene: Scene) -> Iterator[Fault]:
     ]
     numbers = *number_faults(scene, SMALL_SHIFT), *number_faults(scene, LARGE_SHIFT)
     for fault in (*numbers, *confusion_faults(scene), *of_joints):
-        coupled = (c.name for c in scene.mechanism.couplings if fault.element in _coupled_joints(c))
-        if fault.kind != "quaternion order":  # a reader is free to choose the frames of bodies
-            yield replace(fault, expected=fault.expected.union(coupled))
+        couplings = (c.name for c in scene.mechanism.couplings if fault.element in _coupled_joints(c))
+        if fault.kind != "quaternion order":  # a reader of files is free to choose the frames of bodies
+            yield replace(fault, expected=fault.expected.union(couplings))
     # Controllers and forces
     for field in ("control", "forces"):
         for index, force in enumerate(getattr(scene, field)):
@@ -82,7 +83,7 @@ def misreadings(scene: Scene) -> Iterator[Fault]:
             for k in _other_coordinates(scene, armature.joint, armature.coordinate):
                 moved = injection.entry_values("armatures", index, coordinate=k)
                 yield _fault("armature", armature.joint, f"on coordinate {k}", moved)
-    # Prescribed motions, couplings and initial velocities
+    # Prescribed motions ("equality" in MJCF), couplings and initial velocities
     for index, motion in enumerate(scene.motions):
         yield _fault("equality", motion.joint, "dropped", injection.missing_entry("motions", index))
     for index, coupling in enumerate(scene.mechanism.couplings):
@@ -113,13 +114,16 @@ def _scaled_velocities(factor: float) -> injection.Injection:
 
 
 def _joint_faults(scene: Scene, joint: Joint) -> Iterator[Fault]:
-    """Yield faults of a joint: wrong offsets or order of its hinges, read as rigid, missing."""
+    """Yield faults of a joint: wrong offsets or order of its hinges, read as rigid, missing.
+
+    An offset is the vector (3,), m, between the axes of two successive hinges of a compound joint.
+    """
     name, offsets = joint.name, getattr(joint, "offsets", ())
     for k, offset in enumerate(offsets):
-        for angle in (SMALL_SHIFT, LARGE_SHIFT):
-            shift = angle * scene.mechanism.size * SKEW_AXIS
+        for relative_size in (SMALL_SHIFT, LARGE_SHIFT):
+            shift = relative_size * scene.mechanism.size * SKEW_AXIS
             moved = injection.joint_row(joint, "offsets", k, lambda row, shift=shift: row + shift)  # type: ignore[misc]
-            yield _fault("offset", name, f"{k} moved by {angle:g}", moved)
+            yield _fault("offset", name, f"{k} moved by {relative_size:g}", moved)
         for what, factor in FACTORS.items() if np.any(offset) else ():
             other = injection.joint_row(joint, "offsets", k, lambda row, factor=factor: factor * row)  # type: ignore[misc]
             yield _fault("offset", name, f"{k} {what}", other)
@@ -128,14 +132,14 @@ def _joint_faults(scene: Scene, joint: Joint) -> Iterator[Fault]:
         yield _fault("axis", name, "hinges in the other order", turned)
     if not isinstance(joint, Fixed):
         yield _fault("joint", name, "read as rigid", _read_as_rigid(joint))
-    with suppress(NewtonEulerError):  # raised for a joint that alone connects a body
-        injection.missing_joint(name)(_without_joint_elements(scene, name))
-        yield _fault(
-            "equality",
-            name,
-            "dropped",
-            lambda s: injection.missing_joint(name)(_without_joint_elements(s, name)),
-        )
+
+    def without_joint(scene: Scene) -> Scene:
+        """Return the scene without the joint and the elements that act on it."""
+        return injection.missing_joint(name)(_without_joint_elements(scene, name))
+
+    with suppress(NewtonEulerError):  # raised for a joint that is the only one of a body
+        without_joint(scene)
+        yield _fault("equality", name, "dropped", without_joint)
 
 
 def _without_joint_elements(scene: Scene, joint: str) -> Scene:
@@ -174,12 +178,13 @@ def _force_faults(scene: Scene, field: str, index: int, force: Law | Force) -> I
         index: index of the element in the list.
         force: the force or controller.
     """
-    # Numbers that are multiplied by a factor, and vectors whose components are permuted
+    # Numbers that are multiplied by a factor, and vectors whose components are permuted. Springs and dampers
+    # accept no negative numbers.
     for name in force.parameters:
         value = getattr(force, name)
         if isinstance(value, Mapping):
             continue  # gains on other coordinates do not occur in model files
-        if name in SHIFTED_ATTRIBUTES and _is_slack(force):
+        if name in SHIFTED_ATTRIBUTES and _has_no_stiffness(force):
             continue
         for what, factor in FACTORS.items() if np.any(value) else ():
             if factor >= 0.0 or isinstance(force, PD | Wrench):
@@ -188,15 +193,15 @@ def _force_faults(scene: Scene, field: str, index: int, force: Law | Force) -> I
         if isinstance(value, np.ndarray) and np.ptp(value):
             yield _value_fault(field, index, force, name, "permuted", value[PERMUTED_AXES])
     # Points and coordinates that are shifted
-    if not _is_slack(force):
+    if not _has_no_stiffness(force):
         for name in SHIFTED_ATTRIBUTES:
-            for angle in (SMALL_SHIFT, LARGE_SHIFT) if hasattr(force, name) else ():
+            for shift in (SMALL_SHIFT, LARGE_SHIFT) if hasattr(force, name) else ():
                 value = getattr(force, name)
                 if isinstance(value, TimeFunction):
                     continue  # functions of time do not occur in model files
                 unit = scene.mechanism.size if _is_length(scene, force) else 1.0
-                moved = value + angle * unit * (SKEW_AXIS if isinstance(value, np.ndarray) else 1.0)
-                yield _value_fault(field, index, force, name, f"moved by {angle:g}", moved)
+                moved = value + shift * unit * (SKEW_AXIS if isinstance(value, np.ndarray) else 1.0)
+                yield _value_fault(field, index, force, name, f"moved by {shift:g}", moved)
     # The frame of a wrench, the coordinate of a joint, and a missing element
     if isinstance(force, Wrench):
         other = "body" if force.frame == "world" else "world"
@@ -207,12 +212,22 @@ def _force_faults(scene: Scene, field: str, index: int, force: Law | Force) -> I
     yield _fault(type(force).__name__, _element_name(force), "dropped", injection.missing_entry(field, index))
 
 
-def _is_slack(force: Law | Force) -> bool:
-    """Return True if a force or controller has no stiffness, so that its rest position has no effect."""
+def _has_no_stiffness(force: Law | Force) -> bool:
+    """Return True for a spring or PD controller without stiffness, whose rest position has no effect."""
     return isinstance(force, PD | JointSpring | BallSpring) and not force.stiffness
 
 
 def _value_fault(field: str, index: int, force: Law | Force, name: str, what: str, value: object) -> Fault:
+    """Return the fault that an attribute of a force or controller has a wrong value.
+
+    Args:
+        field: list of the scene that contains the element: "control" or "forces".
+        index: index of the element in the list.
+        force: the element.
+        name: name of the attribute.
+        what: description of the mistake.
+        value: the wrong value.
+    """
     injected = injection.entry_values(field, index, **{name: value})
     return _fault(f"{name} of {type(force).__name__}", _element_name(force), what, injected)
 
@@ -258,8 +273,9 @@ def _faulty_couplings(scene: Scene, coupling: JointCoupling) -> Iterator[tuple[s
                 yield f"driven by coordinate {k}", replace(coupling, driver_coordinate=k)
         return
     assert isinstance(coupling, LinearCoupling)
+    # A linear coupling is a sum of terms that is 0. A wrong coefficient of the first term is equivalent to
+    # wrong coefficients of all other terms.
     for n, (joint, coordinate, coefficient) in enumerate(coupling.terms):
-        # a wrong first factor is equivalent to wrong factors of all other terms
         for what, factor in factors.items() if n else ():
             terms = [*coupling.terms]
             terms[n] = joint, coordinate, factor * coefficient

@@ -1,4 +1,10 @@
-"""Report of fault injection: detection and location rates, and the missed faults with their reasons."""
+"""Report of fault injection: detection and location rates, and the missed faults with their reasons.
+
+A fault is a single error that is injected into the model of an engine, or into a scene that was read from a
+model file (`READING`). A fault is detected if a check of crosscheck fails; a fault is located if the
+diagnosis names the engine with the fault and the body, joint or term at fault. "By motion alone" leaves out
+the checks of the model's numbers, such as masses. A fault is observable if it changes the motion.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +23,13 @@ from crosscheck.studies.faults.find import (
 )
 
 REQUIRED_LOCATION_RATE = 0.95
-"""Smallest fraction of the required faults that must be located at the right body, joint or term."""
+"""Smallest fraction of the required faults (see `_required`) that must be located."""
 
-NO_CHANGE = (
+UNOBSERVABLE_MEANS = (
     "with and without the fault newton_euler has the same poses, velocities, energies, accelerations and "
     f"reactions at {RANDOM_STATES + 1} states, to round-off"
 )
-"""Explanation of unobservable faults in the report."""
+"""Explanation of the word "unobservable" in the report."""
 
 
 class Count(NamedTuple):
@@ -31,8 +37,8 @@ class Count(NamedTuple):
 
     Attributes:
         total: number of faults that can be detected.
-        detected: number of detected faults.
-        located: number of faults that were located correctly.
+        detected: number of these faults that were detected.
+        located: number of these faults that were located correctly.
     """
 
     total: int
@@ -68,7 +74,7 @@ def report(title: str, search: FaultSearch, wall_time: float) -> Report:
         search: results of the search.
         wall_time: duration of the search, s.
     """
-    unable = [
+    left_out = [
         f"no fault injected into {engine}, which cannot express the scene: {why}"
         for engine, why in search.left_out.items()
     ]
@@ -85,13 +91,16 @@ def report(title: str, search: FaultSearch, wall_time: float) -> Report:
     heads = text_columns("fault", "engine", "observable", "found", "by motion alone")
     parts: list[Part] = [
         table(search),
-        Lines("", [*unable, *finding_lines(search)]),
+        Lines("", [*left_out, *finding_lines(search)]),
         Table(f"all {len(rows)} faults", heads, rows, folded=True),
     ]
-    word = Cell("FOUND", "holds") if holds(search) else Cell("MISSED", "fails")
+    judged = Cell("FOUND", "holds") if holds(search) else Cell("MISSED", "fails")
     title_line = f"{len(search.found)} faults injected into {', '.join(search.engines)}, in {wall_time:.0f} s"
-    few: list[Part] = [table(search, every=False), Lines("", [*unable, *finding_lines(search, every=False)])]
-    return Report(title_line, verdict(title, search), word, parts, wall_time, few)
+    summary: list[Part] = [
+        table(search, every=False),
+        Lines("", [*left_out, *finding_lines(search, every=False)]),
+    ]
+    return Report(title_line, verdict(title, search), judged, parts, wall_time, summary)
 
 
 def table(search: FaultSearch, every: bool = True) -> Table:
@@ -103,7 +112,7 @@ def table(search: FaultSearch, every: bool = True) -> Table:
     """
     sizes = dict.fromkeys(found.fault.size for found in search.found)
     kinds = dict.fromkeys(found.fault.kind for found in search.found)
-    groups = {kind: [found for found in search.found if found.fault.kind == kind] for kind in kinds}
+    by_kind = {kind: [found for found in search.found if found.fault.kind == kind] for kind in kinds}
     by_size = {
         "without a size" if size is None else f"by {size:g}": [
             found for found in search.found if found.fault.size == size
@@ -111,14 +120,15 @@ def table(search: FaultSearch, every: bool = True) -> Table:
         for size in sizes
     }
     if not every:
-        groups = {kind: faults for kind, faults in groups.items() if list(_misses(faults, search))}
+        by_kind = {kind: faults for kind, faults in by_kind.items() if list(_misses(faults, search))}
     rows: Rows = []
-    for group in (groups, by_size):
-        rows += [_row(name, faults, search) for name, faults in group.items()]
+    for groups in (by_kind, by_size):
+        rows += [_row(name, faults, search) for name, faults in groups.items()]
     names = ["faults", "detected", "located"]
     if search.engines != (READING,):
+        # observable faults; of these, faults that were detected and located by motion alone
         names += ["moving", "by motion", "located"]
-    head = "kind, and size" if groups else "size"
+    head = "kind, and size" if by_kind else "size"
     return Table("", [*text_columns(head), *number_columns(*names)], rows)
 
 
@@ -130,12 +140,12 @@ def _row(name: str, faults: Sequence[FaultResult], search: FaultSearch) -> list[
     return [name, *(str(number) for count in counts for number in count)]
 
 
-def _judged(detection: Detection | None, right: bool) -> str | Cell:
+def _judged(detection: Detection | None, located: bool) -> str | Cell:
     """Format the detection of a fault, empty if there is none; a wrong location is shown as doubtful."""
     if detection is None:
         return ""
     text = f"level {detection.level!r}, {detection.quantity}, at {detection.where}"
-    return Cell(text, "holds" if right else "doubtful")
+    return Cell(text, "holds" if located else "doubtful")
 
 
 def finding_lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
@@ -149,23 +159,25 @@ def finding_lines(search: FaultSearch, every: bool = True) -> Iterator[str]:
     hidden = [found for found in search.found if not found.observable and found.model_difference is None]
     names = dict.fromkeys(" ".join(filter(None, found.fault.identity)) for found in hidden)
     if names and every:
-        yield f"unobservable, {NO_CHANGE}: {'; '.join(names)}"
+        yield f"unobservable, {UNOBSERVABLE_MEANS}: {'; '.join(names)}"
     elif names:
         yield f"unobservable, since they change nothing: {len(hidden)} faults"
 
 
 def _misses(faults: Sequence[FaultResult], search: FaultSearch) -> Iterator[str]:
-    """Yield one line for each missed or wrongly located fault."""
+    """Yield one line for each missed or wrongly located fault; and for faults that differ in size only, one
+    line for the largest that the motion alone does not locate."""
     for found in faults:
         if (found.is_detectable and not found.located) or found.model_difference:
             yield _outcome(found, found.detection)
     if search.engines != (READING,):
-        blurred = {
-            x.fault.identity: x
-            for x in faults[::-1]
-            if x.observable and not x.located_by_motion and not x.model_difference
+        # the largest fault comes first in `faults`, and so is the last that enters the dictionary
+        not_located_by_motion = {
+            found.fault.identity: found
+            for found in faults[::-1]
+            if found.observable and not found.located_by_motion and not found.model_difference
         }
-        for found in blurred.values():  # one line for the largest fault of a kind, which comes first
+        for found in not_located_by_motion.values():
             yield f"by motion alone, {_outcome(found, found.detection_by_motion)}"
 
 
@@ -198,8 +210,9 @@ def holds(search: FaultSearch) -> bool:
 
 def _required(search: FaultSearch) -> list[FaultResult]:
     """Return the faults that must be detected: those without a size, and those that are large enough."""
-    sizes = [(found, found.fault.size) for found in search.found]
-    return [found for found, size in sizes if size is None or size >= search.smallest]
+    return [
+        found for found in search.found if found.fault.size is None or found.fault.size >= search.smallest
+    ]
 
 
 def verdict(title: str, search: FaultSearch) -> str:

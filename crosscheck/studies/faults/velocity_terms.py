@@ -1,8 +1,9 @@
 """Fault "dropped velocity term": equations of motion without a term of the angular acceleration of one hinge.
 
-The term is omega x axis v: omega is the angular velocity (3,) of the hinge's first body, axis the unit vector
-(3,) of the hinge, v its rate. A scene cannot have this fault, therefore the fault is injected into the
-equations of an engine: the difference between newton_euler's equations with and without the fault is added.
+A study of crosscheck injects such faults into engines, and measures which ones crosscheck detects. The term
+is omega x axis v: omega is the angular velocity (3,) of the hinge's first body, axis the unit vector (3,) of
+the hinge, v its rate. A scene cannot have this fault, therefore the fault is injected into the equations of
+an engine: the difference between newton_euler's equations with and without the fault is added.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ def without_velocity_term(system: System, joint: str) -> System:
 
     Args:
         system: equations of an engine.
-        joint: name of a joint of the spanning tree whose last motion is a hinge.
+        joint: name of a joint whose last motion is a hinge. It belongs to the spanning tree, whose joints
+            are the coordinates; other joints close loops.
     """
     return cast(System, _WithoutVelocityTerm(system, joint))
 
@@ -51,19 +53,22 @@ class _FaultyRelative(Relative):
             q: coordinates (nq,).
             v: velocities (nv,).
         """
-        # The dropped term of the hinge
+        # The dropped term of the hinge, whose velocity is the last one of its joint. `path` of a body has the
+        # indices of the velocities between the ground and the body; the columns of `angular` map these
+        # velocities to the angular velocity of the body.
         links = list(super().links(q, v))
         (joint,) = (each for each in self.tree.joints if self.tree.joint(each.joint).name == self.hinge)
-        place, child = joint.v.stop - 1, links[joint.child]
-        turning = child.angular[:, -1] * v[place]  # axis v
-        term = cross(child.frame.angular_velocity - turning, turning)
-        # A point on the hinge axis, in the current pose
+        hinge_index, child = joint.v.stop - 1, links[joint.child]
+        axis_v = child.angular[:, -1] * v[hinge_index]
+        term = cross(child.frame.angular_velocity - axis_v, axis_v)
+        # A point on the hinge axis, in the current pose. `points` are on the joint's second body; `apart` is
+        # their displacement from the points on its first body, which is the child if not `forward`.
         apart = 0.0 if joint.forward else self.tree.joint(joint.joint).point_gap
         arm = self.mechanism.bodies[joint.child].center_of_mass - (joint.points[-1] - apart)
         point = child.frame.position - child.frame.rotation @ arm
         # Remove the term from the accelerations of all bodies that the hinge carries
         for body, link in enumerate(links):
-            if place in link.path:
+            if hinge_index in link.path:
                 links[body] = replace(
                     link,
                     acceleration=link.acceleration - cross(term, link.frame.position - point),
@@ -83,7 +88,8 @@ class _FaultyRelative(Relative):
 class _WithoutVelocityTerm:
     """Equations of an engine, plus the change that the fault makes in newton_euler's equations.
 
-    Methods have the arguments and results of `System`; q and v are coordinates and velocities of the engine.
+    Methods have the arguments and results of `System`, whose other members are those of the engine. The
+    arguments q and v are coordinates and velocities of the engine, which may differ from newton_euler's.
     """
 
     def __init__(self, system: System, hinge: str) -> None:

@@ -38,8 +38,8 @@ class Bound:
     Attributes:
         quantity: name of the measured quantity.
         unit: unit of the quantity.
-        survives: limit of values that pass: the largest one, or the smallest one if `at_least`. It is NaN for
-            cases without an answer, in which the engine should raise an error.
+        survives: limit of values that pass: the largest such value, or the smallest one if `at_least`. It is
+            NaN for cases without an answer, in which the engine should raise an error.
         degrades: limit of values that are inaccurate but still useful. Beyond this limit the engine fails.
         reason: reason for the two limits.
         at_least: True if large values are good, False if small values are good.
@@ -217,14 +217,13 @@ def run_cases(cases: Sequence[Case], progress: Progress) -> list[CaseResult]:
         run_case,
         [cases[k] for k in order],
         PROCESSES,
-        lambda count, case: progress(f"{count} of {len(cases)} cases, last ({case.topic}) {case.name}"),
-        lambda case: case.time_limit,
+        done=lambda count, case: progress(f"{count} of {len(cases)} cases, last ({case.topic}) {case.name}"),
+        limit=lambda case: case.time_limit,
     )
-    rows = dict(zip(order, found, strict=True))
-    # an error stands for a process that ended early or reached the time limit
-    lost = {
-        k: CaseResult(cases[k], "fails", str(row))
-        for k, row in rows.items()
-        if isinstance(row, ProcessLostError)
-    }
-    return [(rows | lost)[k] for k in range(len(cases))]  # type: ignore[misc]
+    results: dict[int, CaseResult] = {}
+    for k, result in zip(order, found, strict=True):
+        if isinstance(result, ProcessLostError):  # the process ended early or reached the time limit
+            results[k] = CaseResult(cases[k], "fails", str(result))
+        else:
+            results[k] = result
+    return [results[k] for k in range(len(cases))]

@@ -1,7 +1,9 @@
 """Stress cases (g) and (h): initial states that violate the constraints, and singular configurations.
 
-At a singular configuration a mechanism has more freedom than elsewhere, or its drive has none, as at the dead
-centers of a slider-crank.
+A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting, an integrator with
+its options; a bound judges the value. `full` selects all cases rather than the short form of continuous
+integration. At a singular configuration a mechanism has more degrees of freedom than elsewhere, or its drive
+cannot move it, as at the dead centers of a slider-crank.
 """
 
 from __future__ import annotations
@@ -48,17 +50,17 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import CONSISTENT_STARTS, assemble, initial_state
 
-# (g) Starts that violate the constraints. Measured are the state after assembly (which moves bodies until
-# the constraints hold) and the run of each engine from the violated state.
+# (g) Initial states (starts) that violate the constraints. The cases measure the state after assembly, which
+# moves bodies until the constraints hold, and the run of each engine from the violating state.
 
 START_OFFSETS = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
-"""Displacements of each body, m, and rotations, rad, in random directions."""
+"""Displacements, m, and rotations, rad, of each body in random directions."""
 
 START_DURATION = 5.0
-"""Duration of runs from a violated start, s."""
+"""Duration of runs from a violating start, s."""
 
 START_OUTPUTS = 50
-"""Number of output periods of runs from a violated start."""
+"""Number of output periods of runs from a violating start."""
 
 ASSEMBLED = Bound(
     "constraint violation after assembly",
@@ -70,7 +72,8 @@ ASSEMBLED = Bound(
 """Bound on the constraint violation of the state after assembly."""
 
 VIOLATED_START = refusal("constraint violation at the start", "m or rad")
-"""Bound of scenes whose initial state violates the constraints by more than the tolerance."""
+"""Bound of scenes whose initial state violates the constraints by more than `CLOSURE_TOLERANCE`: the engine
+must raise an error."""
 
 START_SETTINGS: tuple[Setting, ...] = (
     *STABILIZED_SETTINGS,
@@ -80,24 +83,24 @@ START_SETTINGS: tuple[Setting, ...] = (
     pinocchio_setting(stabilization="projection"),
     pinocchio_setting(stabilization="none"),
 )
-"""Settings that run from a violated start."""
+"""Settings that run from a violating start."""
 
 
 def violated_start_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (g), all of them or (unless `full`) the short form."""
     for offset in START_OFFSETS if full else START_OFFSETS[1::2]:
         name = f"tracker, bodies {offset:.0e} m and rad off"
-        # The assembly of a violated state
+        # The assembly of a violating state
         setting = Setting("newton_euler", {"function": "assemble"})
         yield Case(name, setting, ASSEMBLED, partial(measure_assembled_violation, offset))
-        # A scene with a violated initial state, which must raise an error
+        # A scene with a violating initial state, which must raise an error
         if offset > CLOSURE_TOLERANCE:
             setting = Setting("all", {"argument": "Scene(initial_state=...)"})
             names = ("joint", "initial state")
             yield Case(
                 name, setting, VIOLATED_START, partial(measure_rejected_start, offset), required_texts=names
             )
-        # Runs from the violated state, without the check of initial states
+        # Runs from the violating state, without the check of initial states
         degraded = 10.0 * max(offset, CLOSURE_TOLERANCE)
         reason = "the violation decreases, or at least does not grow"
         bound = Bound("constraint violation at the end", "m or rad", CLOSURE_TOLERANCE, degraded, reason)
@@ -114,9 +117,9 @@ def displaced_state(scene: Scene, offset: float) -> State:
     rng = np.random.default_rng(0)
     state = copy.deepcopy(initial_state(scene))
     for body in range(1, len(state.position)):
-        shift, turn = (offset * d / np.linalg.norm(d) for d in rng.standard_normal((2, 3)))
+        shift, rotation_vector = (offset * d / np.linalg.norm(d) for d in rng.standard_normal((2, 3)))
         state.position[body] += shift
-        state.quaternion[body] = product(from_rotation_vector(turn), state.quaternion[body])
+        state.quaternion[body] = product(from_rotation_vector(rotation_vector), state.quaternion[body])
     return state
 
 
@@ -179,8 +182,8 @@ SLIDER_BOUND = Bound(
 """Bound on the error of the slider's position in the slider-crank."""
 
 WINDOWS = (1, 2, 10)
-"""Numbers of windows (parallelograms in a row) of the scene `four_bar`. When all bars lie flat, each window
-can fold in its own way: the configuration is singular."""
+"""Numbers of windows (parallelograms in a row) of the scene `four_bar`. If all bars lie flat, each window can
+fold as a parallelogram or as an antiparallelogram: the configuration is singular."""
 
 FLAT_SPEED = 4.0
 """Initial angular velocity of bars that start flat, rad/s."""
@@ -200,7 +203,8 @@ CRANK_LENGTH, ROD_LENGTH, CRANK_SPEED = 0.2, 0.7, 12.0
 """Lengths, m, and prescribed angular velocity of the crank, rad/s, of `centered_slider_crank`."""
 
 UNREACHABLE_TARGETS = (-0.2, 0.2)
-"""Targets of the tracker's sliders, m from the initial pose. The sliders can travel less than half as far."""
+"""Targets of the sliders of the solar tracker, m from the initial pose. The sliders can travel less than half
+as far."""
 
 
 def singular_cases(full: bool) -> Iterator[Case]:
@@ -232,10 +236,11 @@ def singular_cases(full: bool) -> Iterator[Case]:
 
 
 def centered_slider_crank() -> Scene:
-    """Return a slider-crank with a prescribed angular velocity of the crank about y, outstretched at first.
+    """Return a slider-crank with a prescribed angular velocity of the crank about y, for 2 s.
 
-    The slider moves on a line through the crank's axis. Crank and rod are in line twice per revolution. These
-    dead centers are singular for a drive at the slider, and regular for the drive at the crank.
+    Crank and rod are outstretched at first. The slider moves on a line through the crank's axis. Crank and
+    rod are in line twice per revolution. These dead centers are singular for a drive at the slider, and
+    regular for the drive at the crank.
     """
     x, y, z = np.eye(3)
     pin, wrist = CRANK_LENGTH * x, (CRANK_LENGTH + ROD_LENGTH) * x
@@ -255,7 +260,13 @@ def centered_slider_crank() -> Scene:
     outputs: frozenset[OutputName] = frozenset({"violation"})
     mechanism = Mechanism(bodies, joints)
     return Scene(
-        "slider_crank", mechanism, 2.0, 0.02, -STANDARD_GRAVITY * z, motions=(motion,), outputs=outputs
+        "slider_crank",
+        mechanism,
+        duration=2.0,
+        output_period=0.02,
+        gravity=-STANDARD_GRAVITY * z,
+        motions=(motion,),
+        outputs=outputs,
     )
 
 
@@ -266,8 +277,9 @@ def position_of_slider(scene: Scene, run: Trajectory) -> Measurement:
     and the length l of the rod. The note has the constraint drift.
     """
     angle = CRANK_SPEED * run.time
-    wanted = CRANK_LENGTH * np.cos(angle) + np.sqrt(ROD_LENGTH**2 - (CRANK_LENGTH * np.sin(angle)) ** 2)
-    error = float(np.max(np.abs(run.position[:, 3, 0] - wanted)))
+    exact = CRANK_LENGTH * np.cos(angle) + np.sqrt(ROD_LENGTH**2 - (CRANK_LENGTH * np.sin(angle)) ** 2)
+    slider_x = run.position[:, 3, 0]  # body 3 is the slider
+    error = float(np.max(np.abs(slider_x - exact)))
     return Measurement(error, f"drift {largest_drift(run):.1e} m or rad")
 
 
@@ -297,8 +309,10 @@ def with_flat_start(scene: Scene, windows: int) -> Scene:
 
 
 def overdrawn_tracker(target: float) -> Scene:
-    """Return the tracker with an unreachable target of both sliders, m; it oscillates at the ends of its
-    travel."""
+    """Return the tracker with an unreachable target of both sliders, m from the initial pose.
+
+    The sliders oscillate at the ends of their travel.
+    """
     scene = load("tracker")
     control = tuple(replace(law, target=target) for law in scene.control if isinstance(law, PD))
     return with_duration(replace(scene, control=control), 2.0, 100, "violation", "energy", "velocities")

@@ -1,6 +1,9 @@
 """Stress cases (e), (f) and (k): stiff control gains, extreme mass ratios, and extreme or invalid numbers.
 
-Each function `..._cases` yields the cases of a topic; the `measure_...` functions measure their values.
+A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting, an integrator with
+its options; a bound judges the value. Each function `..._cases` yields the cases of a topic, the
+`measure_...` functions measure their values. `full` selects all cases rather than the short form of
+continuous integration.
 """
 
 from __future__ import annotations
@@ -47,8 +50,8 @@ from newton_euler.model.trajectory import Trajectory
 # (e) Stiff gains: control of the tracker's sliders
 
 GAINS = ((50.0, 20.0), (1e4, 1e2), (1e6, 1e3), (1e6, 1e6), (1e2, 1e6), (1e6, 1e2))
-"""PD gains K_p, N/m, and K_d, N s/m, of the tracker's sliders: those of the paper that describes the tracker,
-then stiffer gains. The last pair has little damping."""
+"""PD gains K_p, N/m, and K_d, N s/m, of the two sliders of the scene `tracker`: those of the paper that
+describes the tracker, then stiffer gains. The last pair has little damping."""
 
 STIFF_BOUND = Bound(
     "position error",
@@ -75,9 +78,9 @@ STIFF_SETTINGS: tuple[Setting, ...] = (
 def stiff_gain_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (e), all of them or (unless `full`) the short form.
 
-    The short form simulates 0.1 s, long enough for the stiff part of the motion.
+    The short form has two pairs of gains and simulates 0.1 s, long enough for the stiff part of the motion.
     """
-    duration, limit = (0.5, 9.0) if full else (0.1, 5.0)
+    duration, limit = (0.5, 9.0) if full else (0.1, 5.0)  # s; the limit is CPU time
     for stiffness, damping in GAINS if full else GAINS[2:4]:
         for setting in STIFF_SETTINGS:
             name = f"tracker, {duration:g} s, K_p {stiffness:g}, K_d {damping:g}"
@@ -100,14 +103,17 @@ def stiff_tracker(stiffness: float, damping: float, duration: float) -> tuple[Sc
     control = tuple(
         PD(law.joint, stiffness, damping, law.target) for law in scene.control if isinstance(law, PD)
     )
-    scene = with_duration(replace(scene, control=control), duration, round(duration / 0.01))
+    scene = with_duration(replace(scene, control=control), duration, periods=round(duration / 0.01))
     return scene, newton_euler_setting(integrator="Radau", rtol=1e-8, atol=1e-11).simulate(scene)
 
 
 def measure_distance_from_reference(
     stiffness: float, damping: float, duration: float, setting: Setting
 ) -> Measurement:
-    """Measure the largest distance, m, of a run of `stiff_tracker` from its reference motion."""
+    """Measure the largest distance, m, of a run of `stiff_tracker` from its reference motion.
+
+    Gains and duration are those of `stiff_tracker`; `setting` has the engine and its options.
+    """
     scene, reference = stiff_tracker(stiffness, damping, duration)
     run = setting.simulate(scene)
     return Measurement(largest_distance(run, reference), f"{run.settings['steps']} steps")
@@ -145,7 +151,7 @@ def mass_ratio_cases(full: bool) -> Iterator[Case]:
     for ratio in MASS_RATIOS if full else (1e-8, 1.0, 1e8):
         for setting in MASS_SETTINGS if full else TYPICAL_SETTINGS:
             # Four-bar linkage, for 0.5 s: in this time the bars do not reach the singular flat configuration
-            loop = with_duration(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, 10)
+            loop = with_duration(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, periods=10)
             angle = partial(simulate_and_measure, loop, parallelogram_error)
             yield Case(
                 f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}",
@@ -155,9 +161,8 @@ def mass_ratio_cases(full: bool) -> Iterator[Case]:
                 time_limit=20.0,
             )
             # Chain of two rods
-            chain = with_duration(
-                _changed(load("chain", N=2), "rod_1", ratio), 2.0, 20, "energy", "velocities"
-            )
+            rods = _changed(load("chain", N=2), "rod_1", ratio)
+            chain = with_duration(rods, 2.0, 20, "energy", "velocities")  # 20 output periods
             energy = partial(simulate_and_measure, chain, largest_energy_error)
             yield Case(
                 f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY_BOUND, energy, time_limit=20.0
@@ -210,16 +215,16 @@ NO_END_POSITION = refusal("end position", "m")
 """Bound of cases in which the engine must raise an error."""
 
 
-def block(mass: float = 1.0, **more: object) -> Scene:
-    """Return the scene of a block on a rail along x without gravity.
+def block(mass: float = 1.0, **options: object) -> Scene:
+    """Return the scene of a block on a rail along x without gravity, with an output every 0.1 s.
 
     Args:
         mass: mass of the block, kg.
-        **more: other arguments of `Scene`, such as forces.
+        **options: other arguments of `Scene`, such as forces.
     """
     body = Body("block", mass, np.zeros(3), mass * np.eye(3))
     rail = Prismatic("rail", "ground", "block", np.zeros(3), axis=PUSH_DIRECTION, actuated=True)
-    return Scene("block", Mechanism([Body.ground(), body], [rail]), PUSH_DURATION, 0.1, **more)  # type: ignore[arg-type]
+    return Scene("block", Mechanism([Body.ground(), body], [rail]), PUSH_DURATION, 0.1, **options)  # type: ignore[arg-type]
 
 
 def _sampled(invalid: Callable[[float], object]) -> Scene:
@@ -232,7 +237,7 @@ def _sampled(invalid: Callable[[float], object]) -> Scene:
         return 1.0 if time < 0.25 else invalid(time)  # type: ignore[return-value]
 
     law: Controller = control
-    return block(control=(Sampled("rail", law, 0.1),))
+    return block(control=(Sampled("rail", law, period=0.1),))
 
 
 def _pushed(force: float, mass: float = 1.0) -> Scene:
@@ -283,12 +288,15 @@ WITH_ANSWER: dict[str, tuple[float, float]] = {
 
 
 def floating_point_cases(full: bool) -> Iterator[Case]:
-    """Yield the cases of topic (k), all of them or (unless `full`) those of four settings."""
+    """Yield the cases of topic (k), all of them or (unless `full`) those of four settings.
+
+    The four settings are both formulations of newton_euler, MuJoCo with RK4, and Pinocchio.
+    """
     few = (*FLOATING_POINT_SETTINGS[:2], *FLOATING_POINT_SETTINGS[-3::2])
     for setting in FLOATING_POINT_SETTINGS if full else few:
-        for name, (_, names) in WITHOUT_ANSWER.items():
+        for name, (_, texts) in WITHOUT_ANSWER.items():
             yield Case(
-                name, setting, NO_END_POSITION, partial(measure_end_position, name), required_texts=names
+                name, setting, NO_END_POSITION, partial(measure_end_position, name), required_texts=texts
             )
         for name in WITH_ANSWER:
             yield Case(name, setting, VELOCITY_BOUND, partial(measure_end_velocity, name))

@@ -1,7 +1,9 @@
 """Stress cases (a) and (b): constraint drift and energy error of long runs, and the largest usable steps.
 
-Topic (a) runs scenes for up to 10,000 s. Topic (b) searches for the largest step, or the loosest tolerance of
-adaptive integrators, whose motion is still usable.
+A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting, an integrator with
+its options; a bound judges the value. Topic (a) runs scenes for up to 10,000 s. Topic (b) searches for the
+largest step, or the loosest tolerance of adaptive integrators, whose motion is still usable. `full` selects
+all cases rather than the short form of continuous integration.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,15 +44,28 @@ LONG_RUN_OUTPUTS = 200
 """Number of output periods of a long run."""
 
 LAST_DIGIT = 4.0 * np.finfo(float).eps
-"""Relative change of an initial state that changes the rounding of all results."""
+"""Relative change of an initial state in its last digits, which changes the rounding of all results."""
 
 DRIFT_BOUND = Bound("drift", "m or rad", 1e-6, 1e-4, "a thousandth of a millimeter on a machine of 0.1 m")
 """Bound on the largest constraint violation in a long run."""
 
-LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
-    "pendulum": (
-        20.0,
-        {
+
+class LongRuns(NamedTuple):
+    """Long runs of a scene.
+
+    Attributes:
+        shorter: factor by which runs of the short form are shorter.
+        settings: settings by duration of the full form, s.
+    """
+
+    shorter: float
+    settings: dict[float, tuple[Setting, ...]]
+
+
+LONG_RUNS = {
+    "pendulum": LongRuns(
+        shorter=20.0,
+        settings={
             1e4: (
                 *STABILIZED_SETTINGS,
                 newton_euler_setting(integrator="Radau", rtol=1e-6, atol=1e-8),
@@ -61,21 +77,25 @@ LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
             100.0: (pinocchio_setting(),),
         },
     ),
-    "four_bar": (
-        20.0,
-        {
+    "four_bar": LongRuns(
+        shorter=20.0,
+        settings={
             1e3: (newton_euler_setting("relative"), mujoco_setting("implicitfast", 2e-3)),
             200.0: (newton_euler_setting("cartesian"), mujoco_setting("RK4", 2e-3)),
             10.0: (
-                *(newton_euler_setting(form, how) for how in ("baumgarte", "none") for form in FORMULATIONS),
+                *(
+                    newton_euler_setting(formulation, stabilization)
+                    for stabilization in ("baumgarte", "none")
+                    for formulation in FORMULATIONS
+                ),
                 pinocchio_setting(),
                 pinocchio_setting(stabilization="projection"),
             ),
         },
     ),
-    "tracker": (
-        40.0,
-        {
+    "tracker": LongRuns(
+        shorter=40.0,
+        settings={
             3600.0: (
                 *STABILIZED_SETTINGS,
                 newton_euler_setting(integrator="Radau", rtol=1e-8, atol=1e-10),
@@ -87,11 +107,7 @@ LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
         },
     ),
 }
-"""Long runs of each scene: a factor, and settings by the duration, s, of the full form.
-
-The short form divides durations by the factor. Runs of the tracker can be much shorter: it comes to rest, and
-its errors do not grow.
-"""
+"""Long runs by scene. Short runs of the tracker suffice, since it comes to rest and errors do not grow."""
 
 REFERENCE_RUN_DURATIONS = {"pendulum": 1e4, "four_bar": 1e3}
 """Durations, s, of runs with `REFERENCE_SETTING`, by scene."""
@@ -99,19 +115,19 @@ REFERENCE_RUN_DURATIONS = {"pendulum": 1e4, "four_bar": 1e3}
 
 def long_run_cases(full: bool) -> Iterator[Case]:
     """Yield the cases of topic (a), all of them or (unless `full`) the short form."""
-    for scene, (shorter, runs) in LONG_RUNS.items():
-        for duration, settings in runs.items():
+    for scene, runs in LONG_RUNS.items():
+        for duration, settings in runs.settings.items():
             for setting in settings:
                 # The energy error needs the work of controllers. To integrate this work, MuJoCo would call
                 # Python at every step, so only the drift is measured.
                 measures_drift = scene == "tracker" and setting.engine == "mujoco"
                 bound = DRIFT_BOUND if measures_drift else ENERGY_BOUND
-                yield _long_run(scene, setting, duration, 1.0 if full else shorter, bound)
+                yield _long_run(scene, setting, duration, 1.0 if full else runs.shorter, bound)
     for scene, duration in REFERENCE_RUN_DURATIONS.items():
         thousands = duration / 1000.0
         reason = "1e-11 per thousand seconds, the error expected at tolerances of 1e-13"
         bound = replace(ENERGY_BOUND, survives=1e-11 * thousands, degrades=1e-9 * thousands, reason=reason)
-        yield _long_run(scene, REFERENCE_SETTING, duration, 1.0 if full else LONG_RUNS[scene][0], bound)
+        yield _long_run(scene, REFERENCE_SETTING, duration, 1.0 if full else LONG_RUNS[scene].shorter, bound)
 
 
 def _long_run(scene: str, setting: Setting, duration: float, shorter: float, bound: Bound) -> Case:
@@ -125,7 +141,7 @@ def _long_run(scene: str, setting: Setting, duration: float, shorter: float, bou
         bound: bound on the value; it selects what is measured.
     """
     measure = measure_drift if bound is DRIFT_BOUND else measure_energy
-    limit = 10.0 if shorter > 1.0 else 150.0 if duration >= 1e3 else 40.0
+    limit = 10.0 if shorter > 1.0 else 150.0 if duration >= 1e3 else 40.0  # s of CPU time
     time = duration / shorter
     return Case(f"{scene}, {time:g} s", setting, bound, partial(measure, scene, time), time_limit=limit)
 
@@ -147,15 +163,15 @@ def measure_energy(name: str, duration: float, setting: Setting) -> Measurement:
     """
     scene = with_duration(load(name), duration, LONG_RUN_OUTPUTS, "violation", "energy", "velocities")
     run = setting.simulate(scene)
-    found = balance_of(scene, run)
-    exchanged = max(found.exchanged, _exchanged_energy(name))
-    errors = np.abs(found.residual) / exchanged
+    balance = balance_of(scene, run)  # its `residual` is the energy error (n,), J
+    exchanged = max(balance.exchanged, _exchanged_energy(name))
+    errors = np.abs(balance.residual) / exchanged
     growth_text = growth(scene.times, np.maximum.accumulate(errors))
     note = f"drift {largest_drift(run):.1e} m or rad; {growth_text}"
     if np.max(errors) < ENERGY_BOUND.survives:
         other = with_changed_last_digit(scene)
         residual = balance_of(other, setting.simulate(other)).residual
-        rounding = float(np.max(np.abs(residual - found.residual))) / exchanged
+        rounding = float(np.max(np.abs(residual - balance.residual))) / exchanged
         note = f"accumulated round-off {rounding:.1e}; {note}"
     return Measurement(float(np.max(errors)), note)
 
@@ -170,9 +186,11 @@ def with_changed_last_digit(scene: Scene) -> Scene:
 
 @lru_cache
 def _exchanged_energy(name: str) -> float:
-    """Return the energy, J, that the motion of a library scene exchanges in the scene's usual duration.
+    """Return the energy, J, that the motion of a library scene exchanges, from a run with the scene's own
+    duration and outputs.
 
-    The outputs of a long run are too far apart to find this energy.
+    The outputs of a long run are too far apart to find this energy: the largest change of the total energy
+    plus the largest kinetic energy.
     """
     scene = load(name)
     return balance_of(scene, newton_euler_setting().simulate(scene)).exchanged
@@ -191,7 +209,7 @@ def measure_drift(name: str, duration: float, setting: Setting) -> Measurement:
 
 
 def growth(times: Array, envelope: Array) -> str:
-    """Fit the growth of errors with time, and format it, as "grows like t^0.50" or "does not grow".
+    """Fit the growth of errors with time by a power, and format it: "grows like t^0.50" or "does not grow".
 
     The first tenth of the run is ignored.
 
@@ -272,7 +290,7 @@ def measure_largest(name: str, setting: Setting) -> Measurement:
     adaptive = setting.options["integrator"] in ADAPTIVE
 
     def candidate(n: int) -> float:
-        """Return the step, s, of n steps per output period; or tolerance n, of ten tolerances per decade."""
+        """Return the step, s, for n steps per output period; or the tolerance 10^(-n / 10)."""
         return float(10.0 ** (-n / 10.0)) if adaptive else scene.output_period / n
 
     def succeeds(n: int) -> bool:
@@ -286,7 +304,7 @@ def measure_largest(name: str, setting: Setting) -> Measurement:
             return False
         return largest_distance(run, reference) < USABLE_ERROR * scene.mechanism.size
 
-    # 120 tolerances: from 1 to 1e-12
+    # n is the smallest number that succeeds, or None; the last one of 120 tolerances is 1e-12
     n = smallest(succeeds, 120 if adaptive else MAX_STEPS_PER_OUTPUT)
     if n is None:
         return Measurement(float("nan"), "no candidate is small enough")

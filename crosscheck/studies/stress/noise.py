@@ -2,7 +2,7 @@
 
 Overconstrained mechanisms move only if their dimensions are exact, such as parallel axes. With rounded
 numbers an engine must recognize redundant constraints, or the mechanism locks. Each case compares the motion
-of a noisy mechanism with the motion of the exact one.
+of a noisy mechanism, in one engine at one setting, with the motion of the exact mechanism.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ BODY_INERTIA = 0.01 * np.eye(3)
 """Inertia matrix of the bodies, kg m^2."""
 
 X, Y, Z = np.eye(3)
+"""Unit vectors (3,) along the axes of the world frame; positions below are multiples of them, m."""
 
 NOISES = (1e-12, 1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 """Largest errors of joint axes, rad, and of joint points, m. The largest noise exceeds the tolerance of
 redundant constraints and locks the mechanisms."""
 
 NOISE_SENSITIVITY = 20.0
-"""Largest change of a position, m, per noise, rad or m: bodies of 0.4 m turn by 1.5 rad, and errors act on
-levers of 0.1 m."""
+"""Largest change of a position, m, divided by the noise, rad or m. Bodies of 0.4 m turn by 1.5 rad, and the
+noise acts on levers of 0.1 m."""
 
 ENGINE_ERRORS = {"newton_euler": 1e-8, "pinocchio": 1e-8, "mujoco": 1e-5}
 """Position error, m, that each engine may have without noise."""
@@ -48,7 +49,8 @@ ENGINE_ERRORS = {"newton_euler": 1e-8, "pinocchio": 1e-8, "mujoco": 1e-5}
 def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
     """Return a four-bar parallelogram of hinges along y, closed by a weld, for `duration`, s.
 
-    The axis of one hinge is tilted out of its direction by `tilt`, rad.
+    The axis of one hinge is tilted out of its direction by `tilt`, rad. Gravity has a horizontal component of
+    3 m/s^2, so that the linkage moves.
     """
     elbow, wrist, foot = 0.2 * Z, 0.4 * X + 0.2 * Z, 0.4 * X
     bodies = [

@@ -2,8 +2,9 @@
 
 A consistent state satisfies all constraints. At each state the equations of an engine are compared with
 newton_euler's equations in joint coordinates, as `crosscheck run` does: masses, kinematics, accelerations and
-reactions, with tolerances of round-off times the condition number. For some mechanisms, newton_euler's
-compiled (native) code is compared with the same equations evaluated in Python.
+reactions. Tolerances are round-off times the condition number of the equations that determine the
+accelerations. For some mechanisms, newton_euler's compiled (native) code is compared with the same equations
+evaluated in Python.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ TOLERANCE_RATIO = Bound(
     1.0,
     "tolerances of `crosscheck run`: round-off times the condition of the mechanism",
 )
-"""Bound on the worst value of a mechanism, in units of its tolerance."""
+"""Bound on the compared value of a mechanism that is largest in units of its tolerance."""
 
 COMPARED_SYSTEMS = (
     Setting("newton_euler", {"formulation": "cartesian"}),
@@ -134,16 +135,16 @@ def compare_on_mechanism(scene: Scene, setting: Setting) -> WorstCheck | None:
     states = States(scene, (initial_state(scene),))
     try:
         pair = [Samples(Relative(scene), states)], [Samples(_system(setting.engine, scene), states)]
-        rows = [row for row in compare_pair(("relative", setting.engine), *pair) if row.judged]
+        checks = [check for check in compare_pair(("relative", setting.engine), *pair) if check.judged]
     except (NewtonEulerError, CrosscheckError, np.linalg.LinAlgError) as error:
         return WorstCheck(np.inf, str(error))
-    worst = max(rows, key=_tolerance_ratio)
+    worst = max(checks, key=_tolerance_ratio)
     return WorstCheck(_tolerance_ratio(worst), f"{worst.level}: {worst.quantity} {worst.value:.1e}")
 
 
-def _tolerance_ratio(row: Check) -> float:
+def _tolerance_ratio(check: Check) -> float:
     """Return the value of a check divided by its tolerance; infinity for NaN."""
-    ratio = row.value / row.tolerance
+    ratio = check.value / check.tolerance
     return np.inf if np.isnan(ratio) else ratio
 
 
@@ -169,10 +170,12 @@ def native_code_difference(scene: Scene, formulation: str) -> float | None:
     code = CompiledEquations(scene, formulation)
     system = code.system
     x = code.packed(*system.coordinates(initial_state(scene)))
-    # native code returns dq/dt, dv/dt, and the smallest relative pivot of the elimination
+    # Native code returns dq/dt, dv/dt, and a pivot ratio of the elimination that solves for dv/dt: its
+    # smallest pivot relative to the typical one. Without a positive ratio the elimination failed
     *derivatives, pivot_ratio = code.function("derivative")(x)
     if not pivot_ratio > 0.0:
         return None
+    # The largest difference of accelerations in units of angles and of mechanism sizes
     units, size = system.velocity_units, scene.mechanism.size
     exact = system.acceleration(x[: system.nq], x[system.nq : code.size]) / units
     scale = max(float(np.max(np.abs(exact))), STANDARD_GRAVITY / size)

@@ -1,7 +1,8 @@
 """Report of a stress test: numbers of cases that each engine passes, and the cases that do not pass.
 
-Results of cases go in. A report for the terminal, `stress.json` and `stress.md` come out. A row of a table is
-a topic or a case, a column is an engine.
+A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting; a bound judges the
+value. A topic is a group of cases. Results of cases go in. A report for the terminal, `stress.json` and
+`stress.md` come out. A row of a table is a topic or a case, a column is an engine.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ FIRST_COLUMN = "newton_euler"
 """Engine of the first column of tables."""
 
 LAST_COLUMN = "all"
-"""Heading of the last column of tables, for cases that do not depend on the engine."""
+"""Name of the engine, and heading of the last column, of cases that do not depend on the engine."""
 
 
-def report(rows: Sequence[CaseResult], full: bool, wall_time: float) -> Report:
+def report(results: Sequence[CaseResult], full: bool, wall_time: float) -> Report:
     """Make the report: numbers of passed cases by engine, and the cases that do not pass, by topic.
 
     Args:
-        rows: results of all cases.
+        results: results of all cases.
         full: True if all cases ran, False for the short form.
         wall_time: duration of the test, s.
     """
@@ -54,80 +55,84 @@ def report(rows: Sequence[CaseResult], full: bool, wall_time: float) -> Report:
         "An engine refuses if it raises an error with a reason: correct for a case without an answer, "
         "a shortcoming otherwise. All cases, with values and reasons, are in stress.json."
     )
-    parts: list[Part] = [_summary(rows), Lines("about", [preface], folded=True)]
+    parts: list[Part] = [_summary(results), Lines("about", [preface], folded=True)]
     for letter, (topic, _) in TOPICS.items():
-        of_topic = [row for row in rows if row.case.topic == letter]
+        of_topic = [result for result in results if result.case.topic == letter]
         if of_topic:
             bounds = dict.fromkeys(map(_bound, of_topic))
             parts.append(Lines(f"bounds of ({letter})", list(bounds), folded=True))
             parts.append(_cases(f"({letter}) {topic}", of_topic, _engines(of_topic)))
-    passes = sum(row.passes for row in rows)
-    return Report("Stress", f"{passes} of {len(rows)} cases pass", Cell(""), parts, wall_time)
+    passes = sum(result.passes for result in results)
+    return Report("Stress", f"{passes} of {len(results)} cases pass", Cell(""), parts, wall_time)
 
 
-def _bound(row: CaseResult) -> str:
+def _bound(result: CaseResult) -> str:
     """Format the bound of a case with its reason."""
-    bound = row.case.bound
+    bound = result.case.bound
     what = f"{bound.quantity} {bound}" if bound.has_answer else "cases without an answer"
     return f"{what}: {bound.reason}"
 
 
-def _cases(title: str, rows: Sequence[CaseResult], engines: Sequence[str]) -> Table:
-    """Tabulate cases: a row for each case that does not pass in every engine, and one row for the others."""
+def _cases(title: str, results: Sequence[CaseResult], engines: Sequence[str]) -> Table:
+    """Tabulate cases: a row for each case that does not pass in every engine, and one row for the others.
+
+    The tests of several engines or settings with the same name are one case of the table.
+    """
     heads = [*text_columns("case"), *number_columns(*engines), Column("not passed", below=True)]
-    cells: Rows = []
-    lost = dict.fromkeys(row.case.name for row in rows if not row.passes)
-    for name in lost:
-        of_case = [row for row in rows if row.case.name == name]
-        failing = "; ".join(_failure_text(row) for row in of_case if not row.passes)
-        cells.append([name, *(_passes(of_case, engine) for engine in engines), failing])
-    if others := [row for row in rows if row.case.name not in lost]:
-        count = len({row.case.name for row in others})
-        cells.append([f"{count} others", *(_passes(others, engine) for engine in engines), ""])
-    return Table(title, heads, cells, folded=True)
+    rows: Rows = []
+    not_passed = dict.fromkeys(result.case.name for result in results if not result.passes)
+    for name in not_passed:
+        of_case = [result for result in results if result.case.name == name]
+        failing = "; ".join(_failure_text(result) for result in of_case if not result.passes)
+        rows.append([name, *(_passes(of_case, engine) for engine in engines), failing])
+    if others := [result for result in results if result.case.name not in not_passed]:
+        count = len({result.case.name for result in others})
+        rows.append([f"{count} others", *(_passes(others, engine) for engine in engines), ""])
+    return Table(title, heads, rows, folded=True)
 
 
-def _failure_text(row: CaseResult) -> str:
+def _failure_text(result: CaseResult) -> str:
     """Format engine, setting, verdict and value of a case that does not pass."""
-    setting, value = row.case.setting, "" if row.value is None else f" {row.value:.1e}"
-    return f"{setting.engine}, {setting}: {row.verdict}{value}"
+    setting, value = result.case.setting, "" if result.value is None else f" {result.value:.1e}"
+    return f"{setting.engine}, {setting}: {result.verdict}{value}"
 
 
-def _passes(rows: Sequence[CaseResult], engine: str) -> str:
+def _passes(results: Sequence[CaseResult], engine: str) -> str:
     """Format the number of cases of an engine that pass; empty if the engine has no case."""
-    passes = [row.passes for row in rows if row.case.setting.engine == engine]
+    passes = [result.passes for result in results if result.case.setting.engine == engine]
     return f"{sum(passes)} of {len(passes)}" if passes else ""
 
 
-def _engines(rows: Sequence[CaseResult]) -> list[str]:
+def _engines(results: Sequence[CaseResult]) -> list[str]:
     """List the engines of the cases in the order of columns: newton_euler, others by name, "all"."""
-    found = {row.case.setting.engine for row in rows}
+    found = {result.case.setting.engine for result in results}
     return sorted(found, key=lambda name: (name == LAST_COLUMN, name != FIRST_COLUMN, name))
 
 
-def counts(rows: Sequence[CaseResult]) -> dict[str, dict[str, str]]:
+def counts(results: Sequence[CaseResult]) -> dict[str, dict[str, str]]:
     """Return texts such as "3 of 4" (number of passed cases) by title of the topic and by engine."""
     table = {}
     for letter, (topic, _) in TOPICS.items():
-        of_topic = [row for row in rows if row.case.topic == letter]
+        of_topic = [result for result in results if result.case.topic == letter]
         if of_topic:
-            table[f"({letter}) {topic}"] = {engine: _passes(of_topic, engine) for engine in _engines(rows)}
+            title = f"({letter}) {topic}"
+            table[title] = {engine: _passes(of_topic, engine) for engine in _engines(results)}
     return table
 
 
-def _summary(rows: Sequence[CaseResult]) -> Table:
+def _summary(results: Sequence[CaseResult]) -> Table:
     """Tabulate the numbers of passed cases: a row for each topic, a column for each engine."""
-    found = counts(rows)
-    engines = [Column(engine, numeric=True) for engine in next(iter(found.values()), {})]
-    lines: Rows = [[topic, *cells.values()] for topic, cells in found.items()]
-    return Table("passed cases", [Column(""), *engines], lines)
+    counts_of_topics = counts(results)
+    engines = [Column(engine, numeric=True) for engine in next(iter(counts_of_topics.values()), {})]
+    rows: Rows = [[topic, *cells.values()] for topic, cells in counts_of_topics.items()]
+    return Table("passed cases", [Column(""), *engines], rows)
 
 
-def write(rows: Sequence[CaseResult], found: Report, full: bool, folder: Path) -> list[Path]:
+def write(results: Sequence[CaseResult], found: Report, full: bool, folder: Path) -> list[Path]:
     """Write stress.json and stress.md into a folder; return their paths.
 
     Args:
-        rows: results of all cases.
+        results: results of all cases.
         found: the report of these results.
         full: as for `report`.
         folder: folder of the files.
@@ -138,8 +143,8 @@ def write(rows: Sequence[CaseResult], found: Report, full: bool, folder: Path) -
     paths = [folder / name for name in STRESS_FILES]
     data = {
         "form": "full" if full else "ci",
-        "passed": counts(rows),
-        "rows": [row.entry for row in rows],
+        "passed": counts(results),
+        "rows": [result.entry for result in results],
     }
     contents = render.as_json(data, found), render.markdown(found, folded=True).encode()
     write_files(dict(zip(paths, contents, strict=True)))

@@ -1,7 +1,8 @@
 """Helpers of all stress tests: engine settings, error measures of runs, and two exact reference motions.
 
-A setting is an engine with options of its simulation function. The reference motions, each computed
-independently of the engines, are those of a parallelogram linkage and of a free symmetric top.
+A stress test measures the errors of engines (newton_euler, MuJoCo, Pinocchio) in demanding runs. A setting is
+an engine with options of its simulation function. The reference motions, each computed independently of the
+engines, are those of a parallelogram linkage and of a free symmetric top.
 """
 
 from __future__ import annotations
@@ -65,25 +66,28 @@ SIMULATE: dict[str, Callable[..., Trajectory]] = {
 
 
 def newton_euler_setting(
-    formulation: str = "relative", stabilization: str = "projection", **more: Any
+    formulation: str = "relative", stabilization: str = "projection", **options: Any
 ) -> Setting:
     """Return a setting of newton_euler.
 
     Args:
         formulation: "relative" (joint coordinates) or "cartesian" (coordinates of all bodies).
         stabilization: how constraint violations are kept small: "projection", "baumgarte" or "none".
-        **more: other options, such as `integrator`, `rtol`, `atol` and `step`.
+        **options: other options, such as `integrator`, `rtol`, `atol` and `step`.
     """
-    return Setting("newton_euler", {"formulation": formulation, "stabilization": stabilization, **more})
+    return Setting("newton_euler", {"formulation": formulation, "stabilization": stabilization, **options})
 
 
-def mujoco_setting(integrator: str = "RK4", timestep: float = 1e-3, **more: Any) -> Setting:
+def mujoco_setting(integrator: str = "RK4", timestep: float = 1e-3) -> Setting:
     """Return a setting of MuJoCo with an integrator of MuJoCo and a timestep, s."""
-    return Setting("mujoco", {"integrator": integrator, "timestep": timestep, **more})
+    return Setting("mujoco", {"integrator": integrator, "timestep": timestep})
 
 
 def pinocchio_setting(**options: Any) -> Setting:
-    """Return a setting of Pinocchio, whose equations an integrator of newton_euler integrates."""
+    """Return a setting of Pinocchio with options such as `integrator`.
+
+    An integrator of newton_euler integrates Pinocchio's equations.
+    """
     return Setting("pinocchio", options)
 
 
@@ -124,17 +128,18 @@ def with_duration(scene: Scene, duration: float, periods: int, *names: OutputNam
 
 
 def balance_of(scene: Scene, run: Trajectory) -> Balance:
-    """Return the energy balance of a run that saved energies and velocities."""
+    """Return the energy balance of a run that saved energies and velocities.
+
+    Its `residual` (n,) is the energy balance error, J. Its `exchanged` is the energy that the motion
+    exchanges, J: the largest change of the total energy plus the largest kinetic energy.
+    """
     found = energy_balance(scene, run)
     assert found is not None
     return found
 
 
 def largest_energy_error(scene: Scene, run: Trajectory) -> float:
-    """Return the largest energy balance error in a run, divided by the energy that the motion exchanges.
-
-    The exchanged energy is the largest change of the total energy plus the largest kinetic energy.
-    """
+    """Return the largest energy balance error in a run, divided by the energy that the motion exchanges."""
     found = balance_of(scene, run)
     return float(np.max(np.abs(found.residual))) / found.exchanged
 
@@ -153,26 +158,26 @@ def largest_distance(first: Trajectory, second: Trajectory) -> float:
 def parallelogram_angle(scene: Scene) -> Array:
     """Compute the exact angle (n,) of the bars of the scene `four_bar` at its output times, rad.
 
-    The scene has N parallelograms in a row: N + 1 parallel bars on hinges at their feet, and N couplers
-    between the tops. The masses may differ from those of the scene library. The angle a of all bars is
-    measured clockwise from upright. All bars are 1 m long; m is the total mass of the bars, c that of the
+    The scene has N parallelograms (windows) in a row: N + 1 parallel bars on hinges at their feet, and N
+    couplers between the tops. The masses may differ from those of the scene library. The angle a of all bars
+    is measured clockwise from upright. All bars are 1 m long; m is the total mass of the bars, c that of the
     couplers. The equation of motion (m / 3 + c) a'' = (m / 2 + c) g sin a is integrated from the initial
     state of the scene.
     """
     from scipy.integrate import solve_ivp
 
+    # Coefficients of the equation. The order of the bodies is ground, N + 1 bars, N couplers
     bodies = scene.mechanism.bodies
-    # order of the bodies: ground, N + 1 bars, N couplers
     windows = (len(bodies) - 2) // 2
     bars, couplers = bodies[1 : windows + 2], bodies[windows + 2 :]
-    inertia = sum(bar.mass for bar in bars) / 3.0 + sum(coupler.mass for coupler in couplers)
-    weight = sum(bar.mass for bar in bars) / 2.0 + sum(coupler.mass for coupler in couplers)
+    inertia = sum(bar.mass for bar in bars) / 3.0 + sum(coupler.mass for coupler in couplers)  # m / 3 + c
+    static_mass = sum(bar.mass for bar in bars) / 2.0 + sum(coupler.mass for coupler in couplers)  # m / 2 + c
     state = initial_state(scene)
     # The quaternions of a scene that starts with flat bars are not those of upright bars. The angle is
     # therefore computed from positions. Angular velocity about z is counterclockwise.
     start = [bar_angles(state.position[None, :2], bodies)[0], -state.angular_velocity[1, 2]]
     solution = solve_ivp(
-        lambda t, y: [y[1], weight / inertia * STANDARD_GRAVITY * np.sin(y[0])],
+        lambda t, y: [y[1], static_mass / inertia * STANDARD_GRAVITY * np.sin(y[0])],
         (0.0, scene.duration),
         start,
         method="DOP853",
@@ -190,10 +195,10 @@ def bar_angles(position: Array, bodies: tuple[Body, ...]) -> Array:
         position: positions (n, b, 3) of b bodies, or of the first ones, m.
         bodies: bodies of the mechanism.
     """
-    # The bar stands upright on the x axis in the pose in which the mechanism is defined
+    # The bar stands upright along y on the x axis in the pose in which the mechanism is defined
     foot = bodies[1].center_of_mass * [1.0, 0.0, 0.0]
-    along = position[:, 1] - foot
-    return np.asarray(np.arctan2(along[:, 0], along[:, 1]))
+    foot_to_center = position[:, 1] - foot
+    return np.asarray(np.arctan2(foot_to_center[:, 0], foot_to_center[:, 1]))
 
 
 def parallelogram_error(scene: Scene, run: Trajectory) -> float:
@@ -216,16 +221,17 @@ def symmetric_top(axial: float, transverse: float, spin: Array, duration: float,
     mechanism = Mechanism([Body.ground(), top], [Free("floating", "ground", "top", np.zeros(3))])
     state = State.initial(mechanism)
     state.angular_velocity[1] = spin
-    wanted: frozenset[OutputName] = frozenset({"velocities", "energy"})
-    return Scene("top", mechanism, duration, duration / periods, initial_state=state, outputs=wanted)
+    outputs: frozenset[OutputName] = frozenset({"velocities", "energy"})
+    return Scene("top", mechanism, duration, duration / periods, initial_state=state, outputs=outputs)
 
 
 def top_error(scene: Scene, run: Trajectory) -> float:
     """Return the largest error of the orientation in a run of `symmetric_top`, rad.
 
-    The exact orientation is R(t) = exp(t L / I) exp(t w (1 - A / I) e). A and I are the axial and transverse
-    moments of inertia, L is the angular momentum, and w is the angular velocity about the axis e. L / I is
-    the velocity of precession (Landau, Lifshitz, Mechanics, section 33).
+    The exact orientation is R(t) = exp(t L / I) exp(t w (1 - A / I) e), where exp is the rotation by a
+    vector. A and I are the axial and transverse moments of inertia, L is the angular momentum, and w is the
+    angular velocity about the axis e. L / I is the velocity of precession (Landau, Lifshitz, Mechanics,
+    section 33).
     """
     axial, transverse = (float(scene.mechanism.bodies[1].inertia[k, k]) for k in (0, 1))
     spin = initial_state(scene).angular_velocity[1]

@@ -1,6 +1,7 @@
 """Topics of stress tests, such as stiff gains or singular configurations, and the function that runs them.
 
-A topic has a letter, a title, and a function that yields its cases. `crosscheck stress` calls `stress`.
+A case measures one value of one engine at one setting. A topic is a group of cases, with a letter, a title,
+and a function that yields its cases. `crosscheck stress` calls `stress`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
     "k": ("floating-point traps", extremes.floating_point_cases),
     "l": ("noise in overconstrained loops", noise.cases),
 }
-"""Title of each topic, and a function of `full` that yields its cases, by the topic's letter."""
+"""Title of each topic, and the function that yields its cases, by the topic's letter. The argument of the
+function is True for all cases, False for the short form."""
 
 
 def stress(letters: str, full: bool, progress: Progress) -> list[CaseResult]:

@@ -11,7 +11,7 @@ from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
 from crosscheck.solar.day import following, tracker_day
 from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, seconds_of_day, sun_over
-from crosscheck.solar.report import hours, table_of_commands, verdict
+from crosscheck.solar.report import hours, table_of_set_points, verdict
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import wind_over_day
 from crosscheck.support.errors import CrosscheckError
@@ -110,7 +110,7 @@ def test_a_windy_day_is_told_of(tmp_path):
     assert np.flatnonzero(day.stowed).tolist() == list(range(6, 19))
     assert not (day.faces & day.stowed).any()
     assert "; lies flat for 12.0 h of daylight, in winds from 6 m/s on" in verdict(day)
-    rows = table_of_commands(day).decode().splitlines()
+    rows = table_of_set_points(day).decode().splitlines()
     assert rows[0].endswith(",wind_m_per_s")
     assert rows[1 + 9].endswith(",9")
 
@@ -191,7 +191,7 @@ def test_work_of_actuators_is_what_they_lift(day):
     scene, force = day.scene, day.loads.actuator_force
     masses = np.array([body.mass for body in scene.mechanism.bodies])
     height = 9.81 * (day.poses.position[:, 1:, 2] @ masses[1:])
-    moved = np.diff(np.stack(list(day.commands.values()), axis=1), axis=0)
+    moved = np.diff(np.stack(list(day.set_points.values()), axis=1), axis=0)
     done = np.sum(0.5 * (force[1:] + force[:-1]) * moved, axis=1)
     small = np.max(np.abs(moved), axis=1) < 1e-3  # m; the way back at night is one step
     # J: h^3 / 12 of the trapezoidal rule, slopes of 15 N over 0.1 m squared

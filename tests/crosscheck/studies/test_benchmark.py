@@ -191,7 +191,7 @@ def test_the_cheapest_setting_is_the_fastest_that_is_exact_enough(tracker):
     assert found.fastest_setting("newton_euler", 1e-4).name == "coarse"
     assert found.fastest_setting("newton_euler", 1e-5).name == "fine"
     assert found.fastest_setting("mujoco", 1e-6) is None
-    assert [m.name for m in found.frontier("newton_euler")] == ["coarse", "fine"]
+    assert [m.name for m in found.pareto_optimal("newton_euler")] == ["coarse", "fine"]
     # none is more exact than the reference is known
     assert result(tracker, uncertainty=1e-9).fastest_setting("pinocchio", 1e-9).name == "fine"
     assert result(tracker, uncertainty=2e-9).fastest_setting("pinocchio", 1e-9) is None

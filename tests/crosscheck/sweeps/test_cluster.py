@@ -82,7 +82,7 @@ def test_a_worker_that_dies_loses_nothing(cluster, tmp_path):
 
         found = sweep(*ARGUMENTS, cluster=client, output=tmp_path, progress=kill)
         assert first not in client.run(os.getpid).values()
-    assert found.results.made == 90
+    assert found.results.executed == 90
     assert_equal(found, sweep(*ARGUMENTS))
 
 

@@ -410,7 +410,7 @@ def test_an_unsettled_number_hides_no_wrong_one(monkeypatch):
 
 
 def test_a_check_that_an_engine_was_in_the_way_of_is_made_again(monkeypatch, tmp_path):
-    def fail(*arguments):
+    def fail(*arguments, **options):
         raise CrosscheckError("the engine is not there")
 
     short, vary = replace(load("pendulum"), duration=0.1), {"dumbbell.mass": "uniform(1, 2)"}
@@ -426,7 +426,7 @@ def test_a_check_that_an_engine_was_in_the_way_of_is_made_again(monkeypatch, tmp
 def test_a_run_on_which_engines_differ_is_named(monkeypatch):
     wrong = Check("dynamics", "a fault", ("newton_euler", "mujoco"), 2.0, 1.0, "dumbbell")
 
-    def planted(*arguments):
+    def planted(*arguments, **options):
         result = Crosscheck.__new__(Crosscheck)
         result.__dict__.update(
             scene=arguments[0],

@@ -52,11 +52,11 @@ def test_an_interrupted_sweep_goes_on(reference, tmp_path):
     assert 0 < there < 60
     told.clear()
     found = sweep(*ARGUMENTS, output=tmp_path, progress=told.append)
-    assert found.results.made == 60 - there
+    assert found.results.executed == 60 - there
     assert any(line.startswith(f"{there} of 60 runs") for line in told)
     assert f"; {there} were stored" in found.report.title
     assert_equal(found, reference)
-    assert sweep(*ARGUMENTS, output=tmp_path).results.made == 0
+    assert sweep(*ARGUMENTS, output=tmp_path).results.executed == 0
 
 
 def test_an_interrupted_command_says_what_is_stored(tmp_path, capsys, monkeypatch):
@@ -93,9 +93,9 @@ def test_a_sweep_goes_on_with_more_runs(tmp_path, monkeypatch, sampling):
         with pytest.raises(KeyboardInterrupt):
             sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path)
     found = sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path)
-    assert found.results.made == 96 - 24
+    assert found.results.executed == 96 - 24
     assert_equal(found, sweep(scene, vary, 96, keep, sampling=sampling))
-    assert sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path).results.made == 0
+    assert sweep(scene, vary, 96, keep, sampling=sampling, output=tmp_path).results.executed == 0
 
 
 def test_a_small_sweep_that_goes_on_has_as_few_files_as_a_large_one(tmp_path, monkeypatch):
@@ -105,7 +105,7 @@ def test_a_small_sweep_that_goes_on_has_as_few_files_as_a_large_one(tmp_path, mo
     arguments = short, {"dumbbell.mass": "uniform(1, 2)"}
     sweep(*arguments, 10, "peak:reaction_force", output=tmp_path)
     found = sweep(*arguments, 6000, "peak:reaction_force", output=tmp_path, progress=told.append)
-    assert found.results.made == 5990
+    assert found.results.executed == 5990
     assert any(line.startswith("10 of 6,000 runs") for line in told)
     assert "5,990 made" in found.report.title
     # 512 runs, a power of 2, take a second
@@ -190,7 +190,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(reference, tmp_path, monkeypa
         with pytest.raises(CrosscheckError, match=r"cannot write .*sweep\.zarr: No space left on device"):
             sweep(*ARGUMENTS, output=tmp_path)
     found = sweep(*ARGUMENTS, output=tmp_path)
-    assert 0 < found.results.made < 60
+    assert 0 < found.results.executed < 60
     assert_equal(found, reference)
 
 
@@ -288,7 +288,7 @@ def test_a_folder_that_another_process_works_at_is_refused_until_that_ends(tmp_p
             sweep(scene, vary, 2 * runs, keep, output=tmp_path)
         assert len(found.check(1, ["newton_euler"]).checks) == 1
         other.kill()
-    assert sweep(scene, vary, 2 * runs, keep, output=tmp_path).results.made == runs
+    assert sweep(scene, vary, 2 * runs, keep, output=tmp_path).results.executed == runs
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):
@@ -343,14 +343,14 @@ def test_runs_of_a_damaged_chunk_are_named_and_made_again(reference, copied, nam
         (file,) = file.iterdir()
     HARM[harm](file, random)
     found = sweep(*ARGUMENTS, output=copied)
-    assert found.results.made == 7
+    assert found.results.executed == 7
     (line,) = found.results.repaired
     assert str(file) in line
     assert "runs 21 to 27 " in line
     assert line in str(found.report.summary[-1].lines)
     assert_equal(found, reference)
     again = sweep(*ARGUMENTS, output=copied)
-    assert (again.results.made, again.results.repaired) == (0, ())
+    assert (again.results.executed, again.results.repaired) == (0, ())
 
 
 @pytest.mark.slow  # a sweep for each bit
@@ -381,7 +381,7 @@ def test_a_run_that_stopped_keeps_its_reason(tmp_path):
         (file,) = [path for path in (tmp_path / STORE_NAME / name / "c").rglob("*") if path.is_file()]
         file.unlink()
         found = sweep(*arguments, sampling="grid", output=tmp_path)
-        assert found.results.made == 2
+        assert found.results.executed == 2
         assert list(found.errors) == [1]
 
 

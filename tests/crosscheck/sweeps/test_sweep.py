@@ -229,8 +229,8 @@ def test_numbers_of_numpy_are_numbers(tmp_path):
     scene, vary, _, keep = ARGUMENTS
     options = {"rtol": np.float32(1e-6), "most_steps": np.int64(10**6), "output": tmp_path}
     found = sweep(scene, vary, np.int64(8), keep, seed=np.int32(3), **options)
-    assert sweep(scene, vary, 8, keep, seed=3, **options).results.made == 0
-    assert found.results.made == 8
+    assert sweep(scene, vary, 8, keep, seed=3, **options).results.executed == 0
+    assert found.results.executed == 8
 
 
 @pytest.mark.parametrize("runs", [-1, 1.5, "2", 0])
