@@ -476,9 +476,9 @@ class CompiledEquations:
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace (dq/dt, dv/dt, pivot ratio).
 
-        The pivot ratio is the smallest quotient of a pivot of the elimination and its usual size, the
-        largest value in some configurations that are not singular. The ratio is about 1 far from a singular
-        configuration, and at most 0 if the elimination fails.
+        The pivot ratio is the smallest quotient of a pivot of the elimination and its reference magnitude.
+        The reference is the largest value of the pivot in some configurations that are not singular. The
+        ratio is about 1 far from a singular configuration, and at most 0 if the elimination fails.
         """
         acceleration, pivot_ratio = system.sparse_acceleration(q, v, used_by(system))
         return [*system.rate(q, v), *acceleration, minimum(pivot_ratio, 1.0)]
@@ -547,8 +547,8 @@ class CompiledEquations:
     def _trace_ratio(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the pivot ratio of the constraint Jacobian alone, without masses."""
         rows = dimensionless_rows(system, system.phi_and_jacobian(q)[1], self.rows.numbers)
-        usual_pivots = constraint_scales(self.system, self._independent, self.exchangeable)
-        return [minimum(gram_factor(rows, used_by(system), usual_pivots).pivot_ratio, 1.0)]
+        reference_pivots = constraint_scales(self.system, self._independent, self.exchangeable)
+        return [minimum(gram_factor(rows, used_by(system), reference_pivots).pivot_ratio, 1.0)]
 
     def pivot_ratio(self, x: Array) -> float:
         """Evaluate the pivot ratio at x (inputs,) in the same way as integrators do.
@@ -583,7 +583,7 @@ class CompiledEquations:
             weights = np.random.default_rng(0).choice([-1.0, 1.0], (MAX_ROW_SUMS, count))
         positions = [used.numbers.index(number) for number in exchange.numbers]  # indices into `rows`
         least: Scalar = 0.0  # minus the square of the largest share
-        for row_weights in weights / np.array(exchange.units):  # units: usual magnitudes of the rows
+        for row_weights in weights / np.array(exchange.units):  # units: magnitudes of the rows
             # sum of the left-out rows: a flag is 0 for a row in use, which therefore adds nothing
             left_out: dict[int, Scalar] = {}
             for position, number, weight in zip(positions, exchange.numbers, row_weights, strict=True):

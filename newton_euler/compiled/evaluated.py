@@ -133,13 +133,13 @@ class EvaluatedSystem(Callbacks):
         self._phi_units = system.phi_units[self._kept]
         self._rank = constraint_rank(system)
         self.evaluations = 0
-        self._usual_ratio = 0.0
+        self._reference_ratio = 0.0
         # DOP853 alone avoids steps that end at a singular configuration, where a run could continue on
         # another branch of the motion; without projection it does not look for singular configurations
         watches = options.integrator == "DOP853" and options.projection and self._rank > 0
         if watches:
             states = mobility(system.scene).states
-            self._usual_ratio = max(
+            self._reference_ratio = max(
                 (self._ratio(self._jacobian(system.coordinates(state)[0])) for state in states), default=0.0
             )
         # marks of the first elements of quaternions, which the integrator normalizes
@@ -217,10 +217,10 @@ class EvaluatedSystem(Callbacks):
     def _derivative(self, q: Array, v: Array) -> Array:
         """Compute dq/dt and dv/dt, followed by the pivot ratio, one vector (n + 1,)."""
         rates, ratio = self._rates(q, v), 1.0
-        if self._usual_ratio > 0.0:
+        if self._reference_ratio > 0.0:
             # above `DENSE_PIVOT_RATIO`, by which the integrator knows a singular state: these equations have
             # no second form to evaluate there
-            ratio = max(self._ratio(self._jacobian(q)) / self._usual_ratio, 2.0 * DENSE_PIVOT_RATIO)
+            ratio = max(self._ratio(self._jacobian(q)) / self._reference_ratio, 2.0 * DENSE_PIVOT_RATIO)
         return np.append(rates, ratio)
 
     def jacobian(self, q: Array, v: Array) -> Array:

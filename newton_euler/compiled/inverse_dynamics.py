@@ -208,7 +208,7 @@ class InverseDynamics:
         """Raise an error for the first state without a positive pivot ratio or finite results.
 
         Args:
-            pivot_ratio: (n,) smallest pivot of the elimination relative to its usual size.
+            pivot_ratio: (n,) smallest pivot of the elimination relative to its reference magnitude.
             results: (n, k) results of the elimination.
             q: (n, nq) coordinates.
 

@@ -73,7 +73,7 @@ class TangentCode(CompiledScene):
         """Names of the programs of rates of state and tangent, in the order in which they are tried.
 
         The first is faster. The last is also accurate if constraints are nearly dependent. The pivot ratio,
-        the smallest ratio of a pivot of the elimination to its usual magnitude, is small there.
+        the smallest ratio of a pivot of the elimination to its reference magnitude, is small there.
         """
         return (RATES,) if self.formulation == "relative" else (UNREFINED, RATES)
 

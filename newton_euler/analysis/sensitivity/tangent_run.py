@@ -40,8 +40,8 @@ MASS_RATIO = "masses differ too much: beside heavy bodies, light ones amplify th
 
 PIVOT_SPACING = 0.1
 """Largest motion, rad or sizes of the mechanism, between two states of a run at which pivot ratios are
-evaluated. A pivot ratio is the smallest ratio of a pivot of the constraint equations to its usual magnitude;
-it vanishes at a singular configuration."""
+evaluated. A pivot ratio is the smallest ratio of a pivot of the constraint equations to its reference
+magnitude; it vanishes at a singular configuration."""
 
 PIVOT_REFINEMENT = 20
 """Number of points on each side of a minimum at which pivot ratios are evaluated again, twice in a row."""
