@@ -21,7 +21,7 @@ from newton_euler.reading.small_motions import MovingBody
 EXCITED = "excited"
 """Beginning of the line of an import report on inputs and velocities that the file does not have."""
 
-OWN_MOTION = "yours: --set key=KEY --set excitation=off"
+OWN_MOTION = "without that: --set excitation=off"
 """How to judge another motion than the excited one."""
 
 MIN_CAUSE = 0.01
