@@ -40,6 +40,9 @@ BAND_WORDS = {Band.ACCURATE: "ACCURATE", Band.USABLE: "OFF", Band.WRONG: "WRONG"
 WORDS = (*BAND_WORDS.values(), DIVERGED)
 """Words for runs, in the order of the counts in the table."""
 
+MIN_OPENING, MIN_LOOP_ANGLE = 1e-6, math.radians(1e-3)
+"""Smallest violations of loop constraints, m and rad, that a row has."""
+
 MAX_CAUSES = 2
 """Number of causes in a row."""
 
@@ -91,8 +94,8 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
     parts = [each for each in (True, False) if error.part(each) >= 0.1 * error.relative]
     sizes = " and ".join(size(error, each) for each in parts)
     loops = LoopError(**own_run["loop_error"])
-    opening = f"; loops open by {length(loops.opening)}" if loops.opening else ""
-    opening += f"; loops turn by {angle(loops.angle)}" if loops.angle else ""
+    opening = f"; loops open by {length(loops.opening)}" if loops.opening >= MIN_OPENING else ""
+    opening += f"; loops turn by {angle(loops.angle)}" if loops.angle >= MIN_LOOP_ANGLE else ""
     return OwnRunResult(
         word=DIVERGED if stopped else BAND_WORDS[Band(own_run["band"])],
         settings=own_run["settings"],
