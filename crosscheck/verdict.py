@@ -128,9 +128,7 @@ class Verdict:
         """Raise `AssertionError`, with verdict and worst check of each level, unless all engines agree.
 
         Args:
-            allow_reduced: True to accept a model of which some elements (contacts, joint limits, dry
-            friction)
-                would act but are not simulated.
+            allow_reduced: True to accept a model with elements that act and are not simulated.
 
         Raises:
             AssertionError: if an engine differs, stops or cannot represent the model.

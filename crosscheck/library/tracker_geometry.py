@@ -186,13 +186,14 @@ def close_exactly(design: Design) -> dict[str, Array]:
     point of the universal joint moves with the column (3), both legs keep their lengths (2), leg 6 stays in
     its vertical plane (1).
     """
-    # Fifteen unknowns: 11 coordinates of joint points at the initial position, then, for the horizontal pose,
-    # the center of the panel (3) and the angle of the column
+    # start values of fifteen unknowns: 11 coordinates of joint points at the initial position, then, for the
+    # horizontal pose, the center of the panel (3) and the angle of the column
     slider, foot, universal, ball_6, ball_5 = design.points()
     on_panel = [CENTERS[6] + PANEL_ROTATION @ s for s in (universal, ball_6, ball_5)]
     start = np.concatenate([slider[[0, 2]], foot[2:], on_panel[0], on_panel[1][[0, 2]], on_panel[2]])
     horizontal_center, _ = design.panel(0.0, 0.0, 0.0)
 
+    # the equations as functions of the unknowns
     def unpack(x: Array) -> dict[str, Array]:
         """Return the joint points (3,), m, by name of the joint."""
         slider_6 = np.array([x[0], slider[1], x[1]])

@@ -88,7 +88,7 @@ def find_mistakes(
         reading: the log.
         options: options of the user.
         data: numbers of the log with these options.
-        compared: the log beside its reference with these options; None if the log fits no state.
+        compared: the log and its reference with these options; None if the log fits no state.
     """
     found: list[Mistake] = []
     end = time.process_time() + MAX_SEARCH_S
@@ -109,7 +109,7 @@ def find_mistakes(
         before = None if compared is None else compared.error
         if before is not None and best[0].error.relative * MISTAKE_FACTOR >= before.relative:
             break
-        # further mistakes are searched beside this one
+        # search further mistakes in addition to this one
         compared, other = best
         found.append(Mistake(other.columns, other.what, other.option, before, compared.error))
         options = other.options
@@ -219,7 +219,7 @@ def _delay(compared: ComparedLog) -> Iterator[Mistake]:
 
 
 def mistake_line(mistake: Mistake) -> str:
-    """Word a wrong reading in one line: columns, other reading, both errors, and the option to give."""
+    """Format a wrong reading in one line: columns, other reading, both errors, and the option to give."""
     first, *others = mistake.columns
     columns = f"column {quoted(first)}"
     if others:

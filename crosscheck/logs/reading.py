@@ -1,4 +1,4 @@
-"""A log as its options read it, beside the reference solution from its start."""
+"""A log as its options read it, and the reference solution from its start."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EQUAL_SPACING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ComparedLog:
-    """A log beside the reference solution from its start.
+    """A log and the reference solution from its start.
 
     Attributes:
         data: numbers of the log.
@@ -222,7 +222,7 @@ def _output_period(times: Array) -> float:
 
 
 def _reference(scene: Scene) -> Trajectory:
-    """Simulate the reference; a run that stops early counts as far as it came."""
+    """Simulate the reference; a run that stops early counts up to its end."""
     try:
         return simulate(scene, **native_method(scene, refined=False))
     except StoppedError as error:

@@ -126,7 +126,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def exceeded_text(judgement: Judgement, exceeded: Sequence[AllowedError]) -> str:
-    """Word the errors that exceed what the user allows, or why the run has no error."""
+    """Format the errors that exceed what the user allows, or why the run has no error."""
     if judgement.stopped:
         return f"the run with your settings diverged: {judgement.stopped}"
     parts = []
@@ -150,7 +150,7 @@ def in_unit(value: float, kind: ErrorKind) -> str:
 
 
 def length(value: float) -> str:
-    """Word a length in m, mm, um or nm with two or three digits."""
+    """Format a length in m, mm, um or nm with two or three digits."""
     for unit, scale in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9)):
         if value >= scale:
             return f"{value / scale:.3g} {unit}"

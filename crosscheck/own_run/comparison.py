@@ -21,7 +21,7 @@ from newton_euler.reading.file_run import FileRun, FileSimulation
 from newton_euler.runs.simulate import simulate
 
 MAX_STEPS = 200_000
-"""Largest number of time steps of the judged run; a longer run is judged as far as that."""
+"""Largest number of time steps of the judged run; a longer run is judged up to this number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +106,11 @@ class Comparison:
         return self.simulation.evaluations(settings) * self.scene.duration <= self.simulation.max_evaluations
 
     def error(self, run: FileRun) -> RunError:
-        """Compare a run with the reference, as far as a comparison means something."""
+        """Compare a run with the reference, up to the time `until`."""
         return run_error(self.until_end(run.trajectory), self.reference, self.scale)
 
     def apart(self, one: FileRun, two: FileRun) -> RunError:
-        """Compare two runs, as far as a comparison means something."""
+        """Compare two runs, up to the time `until`."""
         return run_error(self.until_end(one.trajectory), two.trajectory, self.scale)
 
     def until_end(self, run: Trajectory) -> Trajectory:

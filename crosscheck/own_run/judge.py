@@ -213,7 +213,7 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
     reference. A change that brings the run no closer to the reference shows no error of the property.
 
     Args:
-        compared: the file beside its reference.
+        compared: the file with its reference.
         run: the judged run.
         of_position: whether causes are sorted by errors of positions, see `RunError.part`.
 

@@ -1,6 +1,6 @@
 """Find settings that reduce the error of a model file's run. Every remedy is measured by a run.
 
-In: the file beside its reference solution, and the judged run. Out: at most two remedies: the most accurate
+In: the file with its reference solution, and the judged run. Out: at most two remedies: the most accurate
 settings that cost no more than those of the file, and the cheapest settings that reach the error `TARGET`.
 """
 
@@ -63,7 +63,7 @@ def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> list[M
     """Try other settings than those of the file.
 
     Args:
-        compared: the file beside its reference.
+        compared: the file with its reference.
         run: the judged run.
         error: error of the judged run.
 

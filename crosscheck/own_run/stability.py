@@ -324,7 +324,7 @@ def model_changes(
 
 
 def _weakened(elements: tuple[ForceElement, ...], divisor: int) -> str:
-    """Word the division of elements' values."""
+    """Format the division of elements' values."""
     first = elements[0]
     if len(elements) == 1:
         return f"{first.name} {float(f'{first.value / divisor:.3g}'):g} instead of {first.value:g}"

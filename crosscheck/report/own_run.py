@@ -22,7 +22,7 @@ EXCITED = "excited"
 """Beginning of the line of an import report on inputs and velocities that the file does not have."""
 
 OWN_MOTION = "without that: --set excitation=off"
-"""How to judge another motion than the excited one."""
+"""Option that judges the motion of the file without inputs and velocities of crosscheck."""
 
 MIN_CAUSE = 0.01
 """Smallest error by a cause that is listed, divided by the error of the largest cause."""
@@ -44,7 +44,7 @@ SAME_RUN_TIME = 1.25
 def own_run_lines(
     judgement: Judgement, start: Sequence[str] = (), allowed: Sequence[AllowedError] = ()
 ) -> Lines:
-    """Word a judgement, the result first.
+    """Format a judgement, the result first.
 
     Args:
         judgement: the judgement.
@@ -184,7 +184,7 @@ def headline(judgement: Judgement) -> str:
 
 
 def size(error: RunError, by_position: bool) -> str:
-    """Word the error of positions, or of rotations."""
+    """Format the error of positions, or of rotations."""
     return length(error.position) if by_position else angle(error.rotation)
 
 

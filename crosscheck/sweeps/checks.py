@@ -204,7 +204,7 @@ def result_line(checked: Sequence[CheckedRun], extremes: Collection[int]) -> str
         checked: the crosschecks.
         extremes: indices of all extreme runs, including those that were not cross-checked.
     """
-    # How many runs were cross-checked, as "4 runs (2 of 6 extremes, 2 at random)"
+    # the number of cross-checked runs, as "4 runs (2 of 6 extremes, 2 at random)"
     count, random = len(checked), sum(each.why == CHOSEN_AT_RANDOM for each in checked)
     unchecked = len(set(extremes).difference(each.run for each in checked))
     of_extremes = (

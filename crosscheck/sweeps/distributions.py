@@ -65,7 +65,7 @@ class Distribution:
     numbers: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        # As many numbers as the kind has names; all finite, and deviations positive
+        # check that there is a finite number for each name of the kind, and that deviations are positive
         names = KINDS[self.kind]
         if self.kind == "values":
             names = tuple(f"number {k + 1}" for k in range(len(self.numbers)))

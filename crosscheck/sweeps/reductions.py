@@ -31,7 +31,7 @@ REDUCTION_PATTERN = re.compile(
 """Form of the text of a reduction: [NAME=]KIND[(TIMES)]:EXPRESSION."""
 
 REDUCTION_FORM = "[NAME=]KIND:OUTPUT, as peak:reaction_force"
-"""The same form with an example, for error messages."""
+"""Form of the text and an example, for error messages."""
 
 OUTPUT_TIME_TOLERANCE = 1e-9
 """Largest difference between a requested time and an output time, divided by the output period."""

@@ -62,7 +62,7 @@ class MassMatrices(NamedTuple):
 
     bodies: Array
     armatures: Array
-    """Of the rotor inertias of motors."""
+    """Mass matrix of the rotor inertias of motors."""
 
 
 class Forces(NamedTuple):

@@ -341,5 +341,5 @@ ENGINES: dict[str, Callable[[Scene], Models]] = {
     "mujoco": _mujoco,
     "pinocchio": _pinocchio,
 }
-"""By engine, the function that takes a scene and returns `Models`: a loading function for each variant of the
+"""Functions by engine that take a scene and return `Models`: a loading function for each variant of the
 engine's equations."""

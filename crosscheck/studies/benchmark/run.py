@@ -161,4 +161,4 @@ KINDS: dict[str, tuple[FileNames, Callable[[BenchmarkRequest, Progress], Benchma
     "batch": (FileNames("batch.json"), _batch),
     "sensitivities": (FileNames("sensitivities.json"), _sensitivities),
 }
-"""By kind of benchmark, the names of its files and the function that measures."""
+"""Names of files, and function that measures, for each kind of benchmark."""
