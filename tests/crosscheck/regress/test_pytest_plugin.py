@@ -85,8 +85,9 @@ def test_a_run_with_a_large_error_fails_with_cause_and_fix(suite):
     done.assert_outcomes(failed=1)
     text = done.stdout.str()
     assert "INACCURATE: errors of the run with your settings: relative " in text
-    for part in ("your settings", "cause ", "fix ", 'timestep="'):
+    for part in ("your settings", "cause "):
         assert part in text
+    assert re.search(r'fix +\w+="', text), "an attribute to change"
     recording = re.search(r"look: crosscheck view (\S+)", text)
     assert recording is not None
     assert Path(recording[1]).is_file()
