@@ -69,8 +69,9 @@ def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> list[M
 
     Returns:
         Settings with at most `MIN_GAIN` of the error: the most accurate ones of similar cost, and the
-        cheapest ones that reach `TARGET`, or else the most accurate ones of all. If the judged run diverged
-        and no settings of similar cost complete, the cheapest settings that complete come first.
+        cheapest ones that reach `TARGET`, or else the most accurate ones of all. If the judged run diverged,
+        its error counts as the whole motion; if no settings of similar cost complete, the cheapest settings
+        that complete come first.
     """
     # every kind of settings at the time step of the file, or the first ones that complete at smaller steps
     same_step = ((1.0, settings) for settings in compared.simulation.alternatives(1))
@@ -82,7 +83,8 @@ def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> list[M
     remedies = [trial.remedy for trial in trials]
     for trial in trials[:KINDS_REFINED]:
         remedies.extend(_refined(compared, run, trial))
-    better = [each for each in remedies if run.stopped or each.error.relative < MIN_GAIN * error.relative]
+    own_error = 1.0 if run.stopped else error.relative
+    better = [each for each in remedies if each.error.relative < MIN_GAIN * own_error]
     return list(_chosen(better, bool(run.stopped)))
 
 

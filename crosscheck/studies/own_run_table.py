@@ -117,7 +117,7 @@ def _repeat(path: Path, summary: Path, script: Path) -> list[dict[str, float] | 
 
     The error of a run that diverges is None. If the script fails, the list is shorter.
     """
-    command = [sys.executable, *(str(each.resolve()) for each in (script, path, summary))]
+    command = [sys.executable, "-P", *(str(each.resolve()) for each in (script, path, summary))]
     try:
         done = subprocess.run(
             command, cwd=summary.parent, capture_output=True, text=True, timeout=MAX_REPEAT_TIME, check=False

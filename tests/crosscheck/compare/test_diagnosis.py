@@ -287,7 +287,7 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
 @pytest.mark.parametrize("other", [MJ, PIN])
 @pytest.mark.parametrize(
     ("scene_name", "kind", "method"),
-    [("tracker", PD, "at_joint"), ("andrews", PointSpring, "pull")],
+    [("tracker", PD, "at_joint"), ("andrews", PointSpring, "force_on_first")],
 )
 def test_of_two_engines_the_one_with_wrong_forces_is_blamed(
     scene_name, kind, method, other, tmp_path, monkeypatch
