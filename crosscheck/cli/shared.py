@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     from newton_euler.reading.import_report import ImportReport
 
 VERDICT_COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
-"""Terminal color of each verdict of `crosscheck.report.table.Cell`."""
+"""Terminal color of each verdict of `crosscheck.report.table.Cell`; "improved": a cost is below its baseline."""
 
 PROGRESS_DELAY_S = 10.0
 """Time without a message, s, before a command whose standard error is no terminal prints its stage."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED, REDUCED, INACCURATE = ExitStatus
-"""Exit statuses; `crosscheck.compare.outcome` explains them."""
+"""Exit statuses. REDUCED: the engines agree on a model without some elements of the file that act.
+INACCURATE: the run with the settings of the file has a larger error than the user allows."""
 
 
 class Commands(click.Group):
@@ -86,7 +87,8 @@ def _apply_limits(context: click.Context, _: click.Parameter, settings: tuple[st
 def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[str, str]:
     """Parse settings of the form OPTION=VALUE into the options of a scene by name.
 
-    The values of a repeated `ignore` are joined by commas.
+    The option `ignore` lists elements of a model file that are left out; if it is repeated, its values are
+    joined by commas.
 
     Args:
         settings: values of the command-line option.
@@ -187,6 +189,7 @@ def show(report: Report, *after: str) -> None:
     click.echo(terminal(verbose_parts(report)), nl=False)
     say(report.title, bold=True)
     if report.verdict:
+        # `judged` is the cell with the verdict in one word
         click.echo(click.style(wrapped(report.verdict), fg=VERDICT_COLORS[report.judged.verdict], bold=True))
     click.echo()
     click.echo(terminal(report.summary), nl=False)
@@ -210,7 +213,8 @@ def result_paths(
     Args:
         output: folder for the files; None for a folder below `parent`, by the name of the model.
         parent: parent of the default folder.
-        kind: kind of the results, a key of `crosscheck.report.output.MODEL_RECORDS`.
+        kind: kind of the results, such as "sweep", by which earlier results in the folder are recognized; a
+            key of `crosscheck.report.output.MODEL_RECORDS`.
         names: names of the files.
         sources: the model, by name or file, and further input files.
 
@@ -244,6 +248,7 @@ def warn_about_import(source: str, mapping: ImportReport | None, scene: Scene) -
     from crosscheck.report.run import moved_start_lines
 
     entries = mapping.entries
+    # elements that move nothing, such as an idle motor, are not worth a line
     lines = [str(entry) for entry in entries if entry.fate != "exactly" and not entry.moves_nothing]
     shown = 4
     if len(lines) > shown + 1:

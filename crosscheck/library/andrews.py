@@ -155,4 +155,5 @@ REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **{f"{name}_dot": _rate(*entry[1:]) for name, entry in ANGLES.items()},
     **components(("F_x", "F_y"), _crank_pin),
 }
-"""Angles of the Test Set (rad, with revolutions), their rates (rad/s), position of the crank's pin (m)."""
+"""Quantities with published values: angles of the Test Set (rad, with revolutions), their rates (rad/s), and
+the position of the crank's pin (m) of problem A03."""

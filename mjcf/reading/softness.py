@@ -29,14 +29,14 @@ def equalities_with_own_softness(path: str) -> tuple[str, ...]:
             that includes them.
 
     Returns:
-        Tag and name of each equality, such as "connect 'loop'"; without a name, its number in the file, such
-        as "weld 2".
+        Tag and name of each equality, such as "connect 'loop'"; without a name, tag and number among all
+        equalities in the order of reading, such as "weld 2".
     """
     found: list[str] = []
     count = 0
     pending_files = [path]
 
-    def check_element(tag: str, attributes: dict[str, str], _: int) -> None:
+    def check_element(tag: str, attributes: dict[str, str], _line: int) -> None:
         """Count an equality and test its attributes; remember the file of an <include>."""
         nonlocal count
         if tag == "include":
@@ -53,7 +53,8 @@ def equalities_with_own_softness(path: str) -> tuple[str, ...]:
 
     while pending_files:
         file = pending_files[0]
+        text = read_text(file, "file_size", SourceError)  # the name of the limit on its size
         any_root = None  # included files have any root element
-        scan(file, read_text(file, "file_size", SourceError), any_root, check_element, SourceError)
+        scan(file, text, any_root, check_element, SourceError)
         pending_files.pop(0)
     return tuple(found)

@@ -27,7 +27,7 @@ TORQUE_SCALE_INDEX = 10
 """Index, in `eq_data` of a weld, of `torquescale`: MuJoCo's factor of the weld's rotational residuals."""
 
 SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
-"""MuJoCo's names of features that scenes do not simulate, and of the warm start of its solver."""
+"""MuJoCo's names of features that an imported model, a `Scene`, does not have, and of its solver's warm start."""
 
 
 class ModelAtStart(FileStart):
@@ -83,7 +83,8 @@ class ModelAtStart(FileStart):
             self.data.ctrl[:] = control
         mujoco.mj_normalizeQuat(model, self.data.qpos)
         data = self.data
-        # `closed` (base class) returns the configuration, lines for the report, and the change of the start
+        # `closed` (base class) returns the configuration, lines for the report, and a record of how far the
+        # start has moved
         data.qpos[:], lines, report.moved = self.closed(np.array(data.qpos), self.key, tolerance)
         report.start.extend(lines)
         mujoco.mj_fwdPosition(model, data)

@@ -248,8 +248,8 @@ class Program(NamedTuple):
 class Expression:
     """A scalar that stands for a node of a graph; arithmetic with it adds nodes.
 
-    The class supports + - * /, and NumPy's sqrt, sin, cos, arctan2 and minimum on arrays of objects. NumPy
-    calls the methods of these names.
+    The class supports + - * /, and NumPy's sqrt, sin, cos and arctan2 on arrays of objects, which call the
+    methods of these names. `newton_euler.scalars.minimum` calls the method `minimum`.
 
     Attributes:
         graph: graph that the node belongs to.

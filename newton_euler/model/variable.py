@@ -113,7 +113,8 @@ class Function:
     def piece(self, time: float) -> tuple[float, ...]:
         """Return the numbers that determine the function between the two knots around a time in s.
 
-        A compiled program takes these numbers as parameters; they are replaced at each knot.
+        A compiled program takes these numbers as parameters in place of the variables of the function; they
+        are replaced at each knot.
         """
         return ()
 
@@ -178,6 +179,7 @@ class Variable:
         """Return the declaration of one number, by a name from `variables`."""
         attribute, _, part = name.partition(".")
         field = self.number_fields[attribute]
+        # `unit_about` is the unit for rotations; parts such as a phase have one unit for both
         return replace(field, unit=PART_UNITS[part], unit_about="") if part else field
 
     def set_numbers(self, where: str) -> None:
@@ -191,6 +193,7 @@ class Variable:
         """
         for name, field in self.number_fields.items():
             value = getattr(self, name)
+            # attributes without a declared shape, such as mappings, are checked by their classes
             if field.shape is not None and not (field.may_be_function and isinstance(value, Function)):
                 object.__setattr__(self, name, field.checked(where, name, value))
 
