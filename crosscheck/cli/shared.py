@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from newton_euler.reading.import_report import ImportReport
 
 VERDICT_COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
-"""Terminal color of each verdict of `crosscheck.report.table.Cell`; "improved": a cost is below its baseline."""
+"""Terminal color of each verdict of `crosscheck.report.table.Cell`; a cost below its baseline is improved."""
 
 PROGRESS_DELAY_S = 10.0
 """Time without a message, s, before a command whose standard error is no terminal prints its stage."""

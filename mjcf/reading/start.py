@@ -27,7 +27,7 @@ TORQUE_SCALE_INDEX = 10
 """Index, in `eq_data` of a weld, of `torquescale`: MuJoCo's factor of the weld's rotational residuals."""
 
 SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
-"""MuJoCo's names of features that an imported model, a `Scene`, does not have, and of its solver's warm start."""
+"""MuJoCo's names of features that imported models (`Scene`) do not have, and of its solver's warm start."""
 
 
 class ModelAtStart(FileStart):

@@ -1,8 +1,8 @@
 """Import springs, dampers and armatures of joints, and springs between points of links, for `urdf.reader`.
 
-An armature is the rotor inertia of a joint. Elements of joints other than moving hinges and slides (those with
-a coordinate in the scene) are left out of the scene. The import report receives one entry for each
-element; FORCE in an entry says that the element became a force of the scene.
+An armature is the rotor inertia of a joint. Elements of joints other than moving hinges and slides, which
+have a coordinate in the scene, are left out. The import report receives one entry for each element; FORCE in
+an entry says that the element became a force of the scene.
 """
 
 from __future__ import annotations
