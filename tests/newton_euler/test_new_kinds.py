@@ -18,7 +18,7 @@ from mjcf.write import add_geom
 from newton_euler.model import scene as scene_module
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.digital_control import Digital, Law, Sampled
-from newton_euler.model.elements import OnPoint
+from newton_euler.model.elements import OnPoint, PointLoad
 from newton_euler.model.forces import Force
 from newton_euler.model.geometry import Shape
 from newton_euler.model.initial_pose import described_at
@@ -44,10 +44,10 @@ class Lift(OnPoint):
     noun = "lift"
     strengths = {}  # noqa: RUF012
 
-    def parts(self, at):
+    def load(self, at):
         k = at.mechanism.body_index(self.body)
         arm = at.frames[k].rotation @ at.poses[k].point_to_body(self.point)
-        return k, np.array([0.0, 0.0, 1.0]), np.zeros(3), arm
+        return PointLoad(k, np.array([0.0, 0.0, 1.0]), np.zeros(3), arm)
 
 
 @pytest.fixture

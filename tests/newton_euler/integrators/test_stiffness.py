@@ -75,9 +75,9 @@ def test_newton_euler_takes_radau_for_what_is_stiff(rate: float, integrator: str
     assert np.abs(angle - angle[0]) == pytest.approx(wanted, abs=1e-6)
 
 
-@pytest.mark.parametrize(("steps", "integrator"), [(50, "DOP853"), (70, "Radau")])
+@pytest.mark.parametrize(("steps", "integrator"), [(50, "DOP853"), (200, "DOP853"), (2000, "Radau")])
 def test_pinocchio_integrates_stiff_scenes_implicitly(steps: int, integrator: str) -> None:
-    """Above 60 steps that stability alone costs, in a run of fewer outputs."""
+    """Above 60 steps that stability alone costs, if Radau needs less than a quarter of the evaluations."""
     scene = damped(1000.0)[0]
     scene = replace(scene, duration=steps * DOP853_STABILITY / fastest_decay(scene), output_period=0.1)
     assert explicit_steps(scene) == pytest.approx(steps)
