@@ -54,7 +54,7 @@ from newton_euler.reading import plausibility
 from newton_euler.reading.activity import REST_SPEED
 from newton_euler.reading.excitation import with_start_velocities
 from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileInput, FileNames
-from newton_euler.reading.import_report import ChangedVelocities, ImportReport, unique_name
+from newton_euler.reading.import_report import EXCITED, ChangedVelocities, ImportReport, unique_name
 from newton_euler.reading.reference import ReferenceModel
 from newton_euler.reading.verify import verify_report
 from newton_euler.runs.assemble import assemble
@@ -248,7 +248,7 @@ def _excite(
         excited = replace(excited, scene=moving_scene)
         phrases.append(largest_speeds)
     description = ", ".join(phrases) or "the velocities of the start are enough"
-    excited.report.start.append(f"excited: {description}")
+    excited.report.start.append(f"{EXCITED}{description}")
     return excited, Inputs(model, excitation.control, np.array(start.data.act), excitation.sines)
 
 

@@ -38,6 +38,7 @@ from newton_euler.reading.excitation import with_start_velocities
 from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileNames
 from newton_euler.reading.import_report import (
     CONTACTS,
+    EXCITED,
     FRICTION,
     LIMITS,
     VELOCITY_LIMITS,
@@ -353,7 +354,7 @@ def _import(
     report.findings.extend(plausibility.findings(scene.mechanism))  # likely mistakes in the file
     if request.excitation:
         scene, largest_speeds = with_start_velocities(scene, report.bounds)
-        report.start.append(f"excited: {largest_speeds}")
+        report.start.append(f"{EXCITED}{largest_speeds}")
     _add_users_loop(robot, reference, scene, report)
     return Reading(scene, report)
 

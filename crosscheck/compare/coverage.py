@@ -32,7 +32,13 @@ from crosscheck.compare.changes import CHANGE, Element, TimePoint, elements
 from crosscheck.compare.check import ERROR_PER_CHANGE, POSES, ROUND_OFF, Check, reach
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
-from crosscheck.engines.engine import MAX_RELATIVE_ERROR, native_method, native_refined, native_run
+from crosscheck.engines.engine import (
+    FORCE_OUTPUTS,
+    MAX_RELATIVE_ERROR,
+    native_method,
+    native_refined,
+    native_run,
+)
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
@@ -166,7 +172,7 @@ class _ChangedRuns:
         run = _run_or_partial(native_run, scene)
         # reactions under redundant constraints take time in Python, and are not needed of the refined run
         if mobility(scene).redundant:
-            scene = replace(scene, outputs=scene.outputs - {"reactions", "actuation"})
+            scene = replace(scene, outputs=scene.outputs - FORCE_OUTPUTS)
         finer = _run_or_partial(native_refined, scene)
         self.run = run if end is None else run.first(end)
         # Keep the energy output if the scene has it, so that compiled code of the scene can be used again

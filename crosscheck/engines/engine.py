@@ -33,6 +33,9 @@ MAX_RELATIVE_ERROR = 1e-2
 """Largest error of a run that comparisons accept, relative to the mechanism's reach (its size or its largest
 coordinate), 1 rad or the energy. A run with a larger error has too coarse steps to test a model."""
 
+FORCE_OUTPUTS = frozenset({"reactions", "actuation"})
+"""Outputs that comparisons need of runs, but not of refined runs."""
+
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
 """Tolerances of refined runs, a hundredth of the default ones. DOP853 accepts no rtol below 2.2e-14."""
 
@@ -307,7 +310,7 @@ def _without_forces(scene: Scene) -> Scene:
     """
     if scene.name in REFERENCE_QUANTITIES:
         return scene
-    return replace(scene, outputs=scene.outputs - {"reactions", "actuation"})
+    return replace(scene, outputs=scene.outputs - FORCE_OUTPUTS)
 
 
 def _mujoco_systems(scene: Scene) -> tuple[System, ...]:

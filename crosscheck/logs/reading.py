@@ -143,7 +143,8 @@ class LogReading:
     ) -> tuple[Trajectory, Poses, bool]:
         """Return the logged motion of known bodies; unknown parts of a pose are those of the reference."""
         times = times[times <= reference.time[-1] * (1.0 + 1e-9)]
-        sample = all_rows(data.at(np.arange(len(times))))
+        data = data.at(np.arange(len(times)))
+        sample = all_rows(data)
         poses = body_poses(self.elements, sample, points)
         bodies = [body for body in sorted(poses) if body]
         if not bodies:
@@ -159,9 +160,9 @@ class LogReading:
             if (known := poses[body].quaternion) is not None:
                 quaternion[:, body] = known
         energies: Any = None
-        if (rates := logged_rates(data.at(np.arange(len(times))))) is not None:
+        if (rates := logged_rates(data)) is not None:
             moving = velocities(self.elements, sample, rates, points)
-            energies = energy(scene, data.at(np.arange(len(times))), poses, moving)
+            energies = energy(scene, data, poses, moving)
         kinetic, potential = (None, None) if energies is None else energies
         run = replace(
             at_times,

@@ -24,6 +24,26 @@ MAX_STEPS = 200_000
 """Largest number of time steps of the judged run; a longer run is judged up to this number."""
 
 
+@dataclass(frozen=True)
+class MeasuredSettings:
+    """Settings and the error of the run with them.
+
+    Attributes:
+        changes: settings that differ from those of the file, by name.
+        fragment: text that gives the file these settings.
+        error: error of the run.
+    """
+
+    changes: Mapping[str, str]
+    fragment: str
+    error: RunError
+
+    @property
+    def text(self) -> str:
+        """The changes as attributes, such as 'timestep="0.001" integrator="RK4"'."""
+        return " ".join(f'{name}="{value}"' for name, value in self.changes.items())
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A file's simulation and its reference solution at the same output times.
@@ -108,6 +128,10 @@ class Comparison:
     def error(self, run: FileRun) -> RunError:
         """Compare a run with the reference, up to the time `until`."""
         return run_error(self.until_end(run.trajectory), self.reference, self.scale)
+
+    def measured(self, settings: Any, run: FileRun) -> tuple[Mapping[str, str], str, RunError]:
+        """Return the fields of `MeasuredSettings` for settings and the run with them."""
+        return self.simulation.changes(settings), self.simulation.fragment(settings), self.error(run)
 
     def apart(self, one: FileRun, two: FileRun) -> RunError:
         """Compare two runs, up to the time `until`."""

@@ -144,24 +144,25 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         remedies = tuple(find_remedies(compared, run, error))
         if run.stopped or (causes and causes[0].name in (TIME_STEP, INTEGRATOR)):
             stability, changes = _stability(compared, run)
+    output_times = compared.reference.time.tolist()
     return Judgement(
-        simulation.engine,
-        simulation.words(),
-        error,
-        LoopError.of(run.loop_errors, run.trajectory.time),
-        run.stopped,
-        events,
-        compared.until,
-        causes,
-        remedies,
-        run.trajectory,
-        compared.reference,
-        stability,
-        changes,
-        "" if run.stopped else as_it_stands,
-        {**simulation.run_inputs(reduced=bool(events)), "output_times": compared.reference.time.tolist()},
-        simulation.are_assumed,
-        harmless,
+        engine=simulation.engine,
+        settings=simulation.words(),
+        error=error,
+        loop_error=LoopError.of(run.loop_errors, run.trajectory.time),
+        stopped=run.stopped,
+        events=events,
+        until=compared.until,
+        causes=causes,
+        remedies=remedies,
+        run=run.trajectory,
+        reference=compared.reference,
+        stability=stability,
+        changes=changes,
+        stopped_as_it_stands="" if run.stopped else as_it_stands,
+        run_inputs={**simulation.run_inputs(reduced=bool(events)), "output_times": output_times},
+        are_assumed=simulation.are_assumed,
+        harmless=harmless,
     )
 
 

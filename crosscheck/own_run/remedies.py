@@ -6,14 +6,14 @@ settings that cost no more than those of the file, and the cheapest settings tha
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from crosscheck.own_run.comparison import Comparison
+from crosscheck.own_run.comparison import Comparison, MeasuredSettings
 from crosscheck.own_run.errors import ACCURATE_BELOW, RunError
 from newton_euler.reading.file_run import FileRun
 
@@ -31,21 +31,15 @@ MAX_COST = 40.0
 
 
 @dataclass(frozen=True)
-class MeasuredRemedy:
+class MeasuredRemedy(MeasuredSettings):
     """Settings that were tried, with the error and the cost of their run.
 
     Attributes:
-        changes: settings that differ from those of the file, by name.
-        fragment: text that gives the file these settings.
-        error: error of the run.
         evaluations: evaluations of the equations of motion, as a multiple of those of the file's settings.
         run_time: measured run time, as a multiple of the run time of the file's settings; the multiple of
             the evaluations if the run of the file diverged.
     """
 
-    changes: Mapping[str, str]
-    fragment: str
-    error: RunError
     evaluations: float
     run_time: float
 
@@ -102,13 +96,7 @@ def _completed(compared: Comparison, run: FileRun, kinds: Iterable[tuple[float, 
             continue
         evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
         run_time = evaluations if run.stopped else tried.trajectory.wall_time / run.trajectory.wall_time
-        remedy = MeasuredRemedy(
-            simulation.changes(settings),
-            simulation.fragment(settings),
-            compared.error(tried),
-            evaluations,
-            run_time,
-        )
+        remedy = MeasuredRemedy(*compared.measured(settings, tried), evaluations, run_time)
         yield _Trial(divisor, settings, remedy)
 
 

@@ -8,12 +8,11 @@ of settings is their number of evaluations of the equations of motion, so that r
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from crosscheck.own_run.comparison import Comparison
-from crosscheck.own_run.errors import RunError
+from crosscheck.own_run.comparison import Comparison, MeasuredSettings
 from newton_euler.reading.file_run import Event, FileSimulation
 
 MAX_ORDER = 6.0
@@ -40,22 +39,16 @@ TIMINGS = 3
 
 
 @dataclass(frozen=True)
-class Tried:
-    """Settings and the run with them.
+class Tried(MeasuredSettings):
+    """Settings that the search has tried, with the cost of their run.
 
     Attributes:
-        changes: settings that differ from those of the file, by name.
-        fragment: text that gives the file these settings.
-        error: error of the run.
         stopped: reason why the run ended early; "" for a complete run.
         evaluations: evaluations of the equations of motion per second of motion.
         run_time: measured run time, as a multiple of that with the settings of the file; None if the run
             was not timed.
     """
 
-    changes: Mapping[str, str]
-    fragment: str
-    error: RunError
     stopped: str
     evaluations: float
     run_time: float | None = None
@@ -147,8 +140,7 @@ def tune(
         evaluations = simulation.evaluations(settings)
         progress(f"run {runs}: {evaluations:.0f} evaluations per second of motion")
         run = compared.run(settings, reduced)
-        changes, fragment = simulation.changes(settings), simulation.fragment(settings)
-        return Tried(changes, fragment, compared.error(run), run.stopped, evaluations)
+        return Tried(*compared.measured(settings, run), run.stopped, evaluations)
 
     own = tried(simulation.settings)
     numbers = list(_numbers_of_steps(compared.every))

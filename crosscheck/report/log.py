@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.allowed import length
-from crosscheck.report.own_run import angle, error_texts, headline, size
+from crosscheck.report.own_run import angle, chaos_text, error_texts, headline, size
 from crosscheck.report.table import Lines
 
 MAX_NAMES = 4
@@ -55,10 +55,7 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         end = "compared until then" if first.time > 0.0 else "the error may be due to it"
         yield f"{first.element} acts from {first.time:.3g} s on and the reference does not simulate it: {end}"
     if judgement.until is not None:
-        yield (
-            f"compared until {judgement.until:.3g} s: from then on the motion multiplies any error by more "
-            "than 1000"
-        )
+        yield chaos_text(judgement.until)
     start = judgement.start
     if start and judgement.scene:
         gap = start.moved / judgement.scene.mechanism.size

@@ -12,14 +12,13 @@ from collections.abc import Iterator, Sequence
 
 from crosscheck.own_run.allowed import AllowedError, in_unit, length
 from crosscheck.own_run.errors import Band, RunError
+from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
 from crosscheck.own_run.judge import Judgement
 from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.table import Lines
+from newton_euler.reading.file_run import Event
 from newton_euler.reading.small_motions import MovingBody
-
-EXCITED = "excited"
-"""Beginning of the line of an import report on inputs and velocities that the file does not have."""
 
 OWN_MOTION = "without that: --set excitation=off"
 """Option that judges the motion of the file without inputs and velocities of crosscheck."""
@@ -41,25 +40,23 @@ SAME_RUN_TIME = 1.25
 """Largest ratio of two run times that count as the same."""
 
 
-def own_run_lines(
-    judgement: Judgement, start: Sequence[str] = (), allowed: Sequence[AllowedError] = ()
-) -> Lines:
+def own_run_lines(judgement: Judgement, excitation: str = "", allowed: Sequence[AllowedError] = ()) -> Lines:
     """Format a judgement, the result first.
 
     Args:
         judgement: the judgement.
-        start: lines of the import report on the start and the inputs of the motion.
+        excitation: line of the import report on inputs and velocities that the file does not have.
         allowed: largest errors that the user allows.
     """
-    return Lines("", list(_lines(judgement, start, allowed)), verdict=judgement.band.verdict)
+    return Lines("", list(_lines(judgement, excitation, allowed)), verdict=judgement.band.verdict)
 
 
-def _lines(judgement: Judgement, start: Sequence[str], allowed: Sequence[AllowedError]) -> Iterator[str]:
+def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError]) -> Iterator[str]:
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
     yield f"  run     {judgement.settings} ({judgement.engine})"
-    if excited := next((line for line in start if line.startswith(EXCITED)), ""):
-        yield f"  motion  {excited}; {OWN_MOTION}"
+    if excitation:
+        yield f"  motion  {excitation}; {OWN_MOTION}"
     if judgement.stopped:
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
@@ -69,17 +66,9 @@ def _lines(judgement: Judgement, start: Sequence[str], allowed: Sequence[Allowed
         limits = ", ".join(f"{each.kind} {in_unit(each.largest, each.kind)}" for each in met)
         yield f"  allowed {limits}: met"
     if judgement.events:
-        first = judgement.events[0]
-        others = f" and {len(judgement.events) - 1} more" if judgement.events[1:] else ""
-        yield (
-            f"  note    judged without {first.element}{others}: it acts from {first.time:.3g} s on and the "
-            "reference does not simulate it"
-        )
+        yield f"  note    judged without {unsimulated_text(judgement.events)}"
     if judgement.until is not None:
-        yield (
-            f"  note    compared until {judgement.until:.3g} s: from then on the motion multiplies any error "
-            "by more than 1000, and no run with other steps can match"
-        )
+        yield f"  note    {chaos_text(judgement.until)}, and no run with other steps can match"
     if judgement.stopped_as_it_stands:
         yield f"  note    with what acts in the file, the run stops: {judgement.stopped_as_it_stands}"
     if causes := _causes(judgement):
@@ -92,6 +81,19 @@ def _lines(judgement: Judgement, start: Sequence[str], allowed: Sequence[Allowed
     fixes += [_model_change(change) for change in judgement.changes]
     for k, fix in enumerate(fixes):
         yield f"  {'fix' if k == 0 else '':<7} {fix}"
+
+
+def unsimulated_text(events: Sequence[Event]) -> str:
+    """Name the first of the elements that act and that the reference does not simulate, and their number."""
+    first, *others = events
+    more = f" and {len(others)} more" if others else ""
+    return f"{first.element}{more}: it acts from {first.time:.3g} s on and the reference does not simulate it"
+
+
+def chaos_text(until: float) -> str:
+    """Tell until when, s, a comparison with the reference means something."""
+    growth = f"by more than {MAX_ERROR_GROWTH:g}"
+    return f"compared until {until:.3g} s: from then on the motion multiplies any error {growth}"
 
 
 def _by_position(judgement: Judgement, error: RunError) -> bool:
@@ -177,10 +179,13 @@ def headline(judgement: Judgement) -> str:
     if judgement.stopped_as_it_stands:
         return "DIVERGED with what acts in the file and not in the reference"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
-    # the errors of positions and of rotations, unless one of them is small
+    return f"{word} {sizes(error)}, {percent(error.relative)} of the motion"
+
+
+def sizes(error: RunError) -> str:
+    """Format the errors of positions and of rotations, unless one of them is small."""
     shown = [by_position for by_position in (True, False) if error.part(by_position) >= 0.1 * error.relative]
-    sizes = " and ".join(size(error, by_position) for by_position in shown)
-    return f"{word} {sizes}, {percent(error.relative)} of the motion"
+    return " and ".join(size(error, by_position) for by_position in shown)
 
 
 def size(error: RunError, by_position: bool) -> str:
@@ -189,7 +194,7 @@ def size(error: RunError, by_position: bool) -> str:
 
 
 def angle(value: float) -> str:
-    """Word an angle, rad, in degrees with two or three digits."""
+    """Format an angle, rad, in degrees with two or three digits."""
     degrees = math.degrees(value)
     return f"{degrees:.0f} deg" if degrees >= 10.0 else f"{degrees:.2g} deg"
 
@@ -201,31 +206,30 @@ def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
         judgement: judgement of the run.
         has_energy: False if the run does not determine the error of the energy.
     """
-    error = judgement.error
-    if error.position:
-        body, time = error.position_at
-        yield f"position {length(error.position)} at {body}, {time:.3g} s"
-    if error.rotation:
-        body, time = error.rotation_at
-        yield f"rotation {angle(error.rotation)} at {body}, {time:.3g} s"
-    loops = judgement.loop_error
-    if loops.opening:
-        constraint, time = loops.opening_at
-        yield f"loop opening {length(loops.opening)} at {constraint}, {time:.3g} s"
-    if loops.angle:
-        constraint, time = loops.angle_at
-        yield f"loop angle {angle(loops.angle)} at {constraint}, {time:.3g} s"
+    error, loops = judgement.error, judgement.loop_error
+    for name, value, text, (place, time) in (
+        ("position", error.position, length(error.position), error.position_at),
+        ("rotation", error.rotation, angle(error.rotation), error.rotation_at),
+        ("loop opening", loops.opening, length(loops.opening), loops.opening_at),
+        ("loop angle", loops.angle, angle(loops.angle), loops.angle_at),
+    ):
+        if value:
+            yield f"{name} {text} at {place}, {time:.3g} s"
     if has_energy:
         yield f"energy {percent(error.energy)}"
 
 
 def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
     """Format other settings, their error and their run time relative to the settings of the file."""
-    cost = "same run time"
-    if remedy.run_time > SAME_RUN_TIME and remedy.evaluations > 1.0:
-        cost = f"{remedy.run_time:.1f} times the run time"
-    changes = " ".join(f'{name}="{value}"' for name, value in remedy.changes.items())
-    return f"{changes}: {size(remedy.error, by_position)} ({percent(remedy.error.relative)}), {cost}"
+    error = f"{size(remedy.error, by_position)} ({percent(remedy.error.relative)})"
+    return f"{remedy.text}: {error}, {cost_text(remedy)}"
+
+
+def cost_text(remedy: MeasuredRemedy) -> str:
+    """Format the run time of settings relative to that of the file's settings."""
+    if remedy.run_time <= SAME_RUN_TIME or remedy.evaluations <= 1.0:
+        return "same run time"
+    return f"{remedy.run_time:.1f} times the run time"
 
 
 def percent(value: float) -> str:

@@ -21,14 +21,11 @@ from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.compare.two_models.compare import TwoModelComparison
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
-from crosscheck.report.log import log_lines
-from crosscheck.report.own_run import own_run_lines
-from crosscheck.report.summary import summary
+from crosscheck.report.summary import judged_runs, summary
 from crosscheck.report.table import (
     Cell,
     Column,
     Lines,
-    Part,
     Report,
     Rows,
     Table,
@@ -69,12 +66,7 @@ IMPLICIT = ("Radau", "implicitfast")
 def report(result: ComparisonResult) -> Report:
     """Make the report of a crosscheck: a full one, and a summary that the terminal shows."""
     limits, other_notes = list(verdict_limits(result)), list(notes(result))
-    # logs of other simulators, and the run with the settings of the model file
-    parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
-    if result.own_run:
-        start = result.mapping.start if result.mapping else ()
-        parts.append(own_run_lines(result.own_run, start, result.allowed_errors))
-    parts.extend(tables(result))
+    parts = [*judged_runs(result), *tables(result)]
     parts.append(Lines("", [*limits, *other_notes, *(f"advice, {advice}" for advice in result.advice)]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
@@ -242,7 +234,7 @@ def verdict_limits(result: ComparisonResult) -> Iterator[str]:
         yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MAX_ACTING_LINES:]]:
         yield f"active, and left out, too: {_name_list(more)}"
-    if result.until and any(line.startswith("excited") for line in mapping.start):
+    if result.until and mapping.excitation:
         yield (
             f"the excitation may be the cause of what acts from {result.until:.4g} s on; "
             "--set excitation=off runs the file without it"
@@ -298,7 +290,7 @@ def notes(result: ComparisonResult) -> Iterator[str]:
     # the model file, and the start
     for title, import_report in _import_reports(result):
         yield f"{title}: {fates_line(import_report)}"  # numbers of elements imported exactly, left out ...
-        yield from sorted(import_report.start, key=lambda line: not line.startswith("excited"))
+        yield from sorted(import_report.start, key=lambda line: line != import_report.excitation)
     yield from undetermined_lines(scene)
 
     # stiffness: why an engine chose an implicit integrator

@@ -37,12 +37,7 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
         limits: sentences that limit the verdict, all of which are shown.
         notes: further sentences, of which the first are shown.
     """
-    # logs of other simulators, and the run with the settings of the model file
-    parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
-    if result.own_run:
-        start = result.mapping.start if result.mapping else ()
-        parts.append(own_run_lines(result.own_run, start, result.allowed_errors))
-    parts.append(levels_table(result))
+    parts = [*judged_runs(result), levels_table(result)]
     if result.trajectories:
         parts.append(engines_table(result))
     max_notes = MAX_NOTES_IF_FAILING if result.unfinished or result.differs else MAX_NOTES
@@ -51,6 +46,15 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
         parts.append(Lines("", lines))
     if result.advice:
         parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
+    return parts
+
+
+def judged_runs(result: ComparisonResult) -> list[Part]:
+    """Format the judgements of other simulators' logs, and of the run with the settings of the model file."""
+    parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
+    if result.own_run:
+        excitation = result.mapping.excitation if result.mapping else ""
+        parts.append(own_run_lines(result.own_run, excitation, result.allowed_errors))
     return parts
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from crosscheck.compare.outcome import Verdict
 from crosscheck.own_run.tune import Tried, Tuning
-from crosscheck.report.own_run import percent, size
+from crosscheck.report.own_run import chaos_text, percent, size, unsimulated_text
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 
 
@@ -42,8 +42,7 @@ def _verdict(tuning: Tuning) -> str:
 
 def _settings(tried: Tried) -> str:
     """Format settings by their differences from those of the file."""
-    changes = " ".join(f'{name}="{value}"' for name, value in tried.changes.items())
-    return changes or "the settings of the file"
+    return tried.text or "the settings of the file"
 
 
 def _error(tried: Tried) -> str:
@@ -85,14 +84,6 @@ def _notes(tuning: Tuning) -> Iterator[str]:
         "are parts of the motion"
     )
     if tuning.events:
-        first = tuning.events[0]
-        others = f" and {len(tuning.events) - 1} more" if tuning.events[1:] else ""
-        yield (
-            f"note: the error is without {first.element}{others}: it acts from {first.time:.3g} s on and the "
-            "reference does not simulate it"
-        )
+        yield f"note: the error is without {unsimulated_text(tuning.events)}"
     if tuning.until is not None:
-        yield (
-            f"note: compared until {tuning.until:.3g} s: from then on the motion multiplies any error by "
-            "more than 1000, and no run with other steps can match"
-        )
+        yield f"note: {chaos_text(tuning.until)}, and no run with other steps can match"

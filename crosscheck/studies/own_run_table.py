@@ -20,7 +20,8 @@ from pydantic import BaseModel
 
 from crosscheck.own_run.allowed import length
 from crosscheck.own_run.errors import Band, LoopError, RunError
-from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, SAME_RUN_TIME, angle, percent, size
+from crosscheck.own_run.remedies import MeasuredRemedy
+from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, angle, cost_text, percent, size, sizes
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
 
@@ -32,7 +33,7 @@ REPEAT_TOL, REPEAT_TOL_OF_MOTION = 0.05, 1e-4
 plus a fraction of the motion."""
 
 DIVERGED = "DIVERGED"
-"""Format for a run that MuJoCo stops."""
+"""Word for a run that MuJoCo stops."""
 
 BAND_WORDS = {Band.ACCURATE: "ACCURATE", Band.USABLE: "OFF", Band.WRONG: "WRONG"}
 """Words of the terminal for the bands of errors."""
@@ -87,22 +88,21 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
     if own_run is None:
         return None
     stopped = own_run["stopped"] or own_run["stopped_as_it_stands"]
-    errors = [RunError(**own_run["error"]), *(RunError(**each["error"]) for each in own_run["remedies"])]
-    error = errors[0]
+    error = RunError(**own_run["error"])
+    remedies = [MeasuredRemedy(**each | {"error": RunError(**each["error"])}) for each in own_run["remedies"]]
+    errors = [error, *(remedy.error for remedy in remedies)]
     by_position = errors[-1].is_of_position if own_run["stopped"] else error.is_of_position
     repeated = _repeat(path, summary, script) if own_run["run_inputs"].get("qpos") is not None else []
-    parts = [each for each in (True, False) if error.part(each) >= 0.1 * error.relative]
-    sizes = " and ".join(size(error, each) for each in parts)
     loops = LoopError(**own_run["loop_error"])
     opening = f"; loops open by {length(loops.opening)}" if loops.opening >= MIN_OPENING else ""
     opening += f"; loops turn by {angle(loops.angle)}" if loops.angle >= MIN_LOOP_ANGLE else ""
     return OwnRunResult(
         word=DIVERGED if stopped else BAND_WORDS[Band(own_run["band"])],
         settings=own_run["settings"],
-        error=stopped or f"{sizes}, {percent(error.relative)}{opening}",
+        error=stopped or f"{sizes(error)}, {percent(error.relative)}{opening}",
         without=_without(own_run),
         cause=_cause(own_run, by_position),
-        remedies=[_remedy(each, by_position) for each in own_run["remedies"]],
+        remedies=[f"{each.text}: {size(each.error, by_position)}, {cost_text(each)}" for each in remedies],
         repeated="; ".join("diverges" if each is None else _size(each, by_position) for each in repeated),
         repeats=len(repeated) == len(errors)
         and all(
@@ -139,7 +139,7 @@ def _is_same(found: Mapping[str, float] | None, reported: RunError) -> bool:
 
 def _size(found: Mapping[str, float], by_position: bool) -> str:
     """Format an error that the script finds."""
-    return length(found["position"]) if by_position else f"{math.degrees(found['rotation']):.2g} deg"
+    return length(found["position"]) if by_position else angle(found["rotation"])
 
 
 def _without(own_run: Mapping[str, Any]) -> str:
@@ -167,14 +167,6 @@ def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
     if mode and mode["elements"] and mode["timestep"] * mode["rate"] >= FAST_MODE:
         words.append(f"{mode['elements'][0]['name']} makes a mode of {1e3 / mode['rate']:.2g} ms")
     return "; ".join(words)
-
-
-def _remedy(remedy: Mapping[str, Any], by_position: bool) -> str:
-    """Format the changes of a remedy, the error with it and its run time."""
-    changes = " ".join(f'{name}="{value}"' for name, value in remedy["changes"].items())
-    is_free = remedy["run_time"] <= SAME_RUN_TIME or remedy["evaluations"] <= 1.0
-    cost = "same run time" if is_free else f"{remedy['run_time']:.1f} times the run time"
-    return f"{changes}: {size(RunError(**remedy['error']), by_position)}, {cost}"
 
 
 def own_run_table(rows: Sequence[tuple[str, str, OwnRunResult | str]]) -> Iterator[str]:

@@ -226,8 +226,7 @@ def start_lines(mapping: ImportReport | None, scene: Scene) -> tuple[str, ...]:
     file's."""
     if mapping is None:
         return ()
-    excited = (line for line in mapping.start if line.startswith("excited"))
-    return (*excited, *moved_start_lines(mapping, scene))
+    return (*filter(None, [mapping.excitation]), *moved_start_lines(mapping, scene))
 
 
 @checked

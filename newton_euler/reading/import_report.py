@@ -130,6 +130,10 @@ class ChangedVelocities:
     share: float
 
 
+EXCITED = "excited: "
+"""Beginning of the line of `ImportReport.start` on inputs and velocities that the file does not have."""
+
+
 class ImportReport:
     """Report on the import of a file: one entry for each element, or for each unsimulated property of one.
 
@@ -142,8 +146,8 @@ class ImportReport:
             are read only for verification.
         watches: tests that find out whether the element of an entry acts in a run, by index of the entry.
         unsettled: indices of the entries that only a run with more outputs can judge.
-        simulation: simulation of the file with its own engine and settings; None for formats without an
-            engine, such as URDF.
+        simulation: simulation of the file in its own engine, with its own or usual settings; None before the
+            reader has one.
         moved: change of the initial pose that was needed to close loops; None if the file has no loops.
         changed_velocities: change of the start velocities; None if the file has no velocities.
         names: joints, body frames and actuators of the file, by their names in the file.
@@ -160,6 +164,11 @@ class ImportReport:
         self.moved: MovedStart | None = None
         self.changed_velocities: ChangedVelocities | None = None
         self.names = FileNames()
+
+    @property
+    def excitation(self) -> str:
+        """The line of `start` on inputs and velocities that the file does not have; "" without excitation."""
+        return next((line for line in self.start if line.startswith(EXCITED)), "")
 
     def imported(
         self,

@@ -26,6 +26,15 @@ def arm(joints: str, more: str = "") -> str:
     )
 
 
+FOUR_BAR_BODIES = """
+  <body name="crank"><joint name="a" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01" mass="0.3" contype="0"/>
+    <body name="coupler" pos="0.1 0 0"><joint name="b" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0.25 0 0.1" size="0.01" mass="0.5" contype="0"/></body></body>
+  <body name="rocker" pos="0.35 0 -0.1"><joint name="c" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.01" mass="0.4" contype="0"/></body>"""
+"""Bodies of a four-bar linkage; an equality connects `coupler` at (0.25, 0, 0.1) with `rocker`."""
+
 PAIR = (
     '<body name="one" pos="0 0 1"><joint name="p" axis="0 1 0"/>'
     '<geom type="box" size="0.1 0.2 0.05" pos="0.2 0 0"/><site name="s1" pos="0.4 0 0"/></body>'

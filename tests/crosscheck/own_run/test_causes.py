@@ -7,20 +7,16 @@ import re
 import mujoco
 import numpy as np
 import pytest
+from mjcf_models import FOUR_BAR_BODIES
 
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.errors import Band
 from crosscheck.own_run.judge import judge
 from mjcf.errors import collected_warnings
 
-FOUR_BAR = """<mujoco><option timestep="0.0005" integrator="RK4" iterations="100"/>
+FOUR_BAR = f"""<mujoco><option timestep="0.0005" integrator="RK4" iterations="100"/>
   <default><equality solref="0.001 1" solimp="0.9999 0.9999 0.001"/></default><worldbody>
-  <body name="crank"><joint name="a" axis="0 1 0"/>
-    <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01" mass="0.3" contype="0"/>
-    <body name="coupler" pos="0.1 0 0"><joint name="b" axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 0.25 0 0.1" size="0.01" mass="0.5" contype="0"/></body></body>
-  <body name="rocker" pos="0.35 0 -0.1"><joint name="c" axis="0 1 0"/>
-    <geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.01" mass="0.4" contype="0"/></body></worldbody>
+{FOUR_BAR_BODIES}</worldbody>
   <equality><connect body1="coupler" body2="rocker" anchor="0.25 0 0.1"/></equality></mujoco>"""
 
 PENDULUMS = """<mujoco><option timestep="0.0005" integrator="RK4" iterations="100"/>

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from command_line import run, verdict_of
+from mjcf_models import FOUR_BAR_BODIES
 
 import newton_euler
 from crosscheck.compare.outcome import ExitStatus
@@ -23,14 +24,9 @@ from newton_euler.model.euler_parameters import angle_between
 TARGET = 1e-3
 OPTIONS = {"duration": "0.5", "output_period": "0.01"}
 
-FOUR_BAR = """<mujoco model="loop"><option timestep="0.0025"/>
+FOUR_BAR = f"""<mujoco model="loop"><option timestep="0.0025"/>
   <worldbody>
-  <body name="crank"><joint name="a" axis="0 1 0"/>
-    <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01" mass="0.3" contype="0"/>
-    <body name="coupler" pos="0.1 0 0"><joint name="b" axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 0.25 0 0.1" size="0.01" mass="0.5" contype="0"/></body></body>
-  <body name="rocker" pos="0.35 0 -0.1"><joint name="c" axis="0 1 0"/>
-    <geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.01" mass="0.4" contype="0"/></body></worldbody>
+{FOUR_BAR_BODIES}</worldbody>
   <equality><connect name="tip" body1="coupler" body2="rocker" anchor="0.25 0 0.1"/></equality></mujoco>"""
 
 OWN_SOFTNESS = FOUR_BAR.replace("<connect ", '<connect solref="0.05 1" ')
