@@ -84,7 +84,7 @@ class JointLaws:
             force[self._driven.law_indices] += self._driven.forces_at(laws, time)
         for k in self._other_laws:
             law = laws[k]
-            if isinstance(law, DeclaredLaw):
+            if isinstance(law, DeclaredLaw):  # state feedback or computed torque
                 force[k] = self._feedback_force(law, x, rate, time)
             elif isinstance(law, HeldLaw):  # a sampled controller
                 force[k] = law.held
@@ -171,7 +171,7 @@ class BallForces:
             index = scene.mechanism.joint_index(spring.joint)
             (tree_joint,) = (each for each in tree.joints if each.joint == index)
             self._tree_joints.append(tree_joint)
-            # slices of the ball's quaternion in q and of its angular velocity in v
+            # slices of the ball's quaternion (w, x, y, z) in q and of its angular velocity in v
             slices += [(in_q, in_v) for motion, in_q, in_v in tree_joint.places if motion.kind == "ball"]
         self._in_q = [in_q for in_q, _ in slices]
         indices = [range(tree.nv)[in_v] for _, in_v in slices]
@@ -287,8 +287,11 @@ class PointForces:
         return bool(self._springs or self._wrenches or self._winds)
 
     def applied_forces(self, data: Any, scene: Scene, time: float) -> list[AppliedForce]:
-        """Compute the forces and torques on bodies at a time, s, with the present wind of the scene."""
-        # not the scene of the constructor: wind that jumps has its present value in `scene`
+        """Compute the forces and torques on bodies at a time, s.
+
+        If a wind speed is a step function of time, a run replaces it between its steps by its present value:
+        `scene` has this value, the scene of the constructor the function.
+        """
         winds = self._wind_forces(data, scene, time)
         return [*self._spring_forces(data), *self._wrench_forces(data), *winds]
 
@@ -394,11 +397,14 @@ class Rotors:
         self.inertias = self.single + of_balls
 
     def torques(self, frames: list[Frame], angular: Array) -> list[tuple[int, Array]]:
-        """Return the number of each ball's joint and the torque (3,), N m, of its rotor on the second body.
+        """Return the number of each ball's joint and the torque of its rotor on the second body.
+
+        The torque (3,), N m, world frame, is -inertia times d omega/dt, where omega is the angular velocity
+        of the second body relative to the first.
 
         Args:
             frames: poses and velocities of the bodies.
-            angular: (b, 3) angular accelerations of the bodies, rad/s^2.
+            angular: (b, 3) angular accelerations of the bodies, rad/s^2, world frame.
         """
         return [
             (joint, -inertia * spin_rate(frames, angular, bodies)) for joint, bodies, inertia in self._balls

@@ -43,7 +43,7 @@ def view_command(files: tuple[Path, ...], web: bool) -> int:
     status = _run_viewer([*command, *map(str, files)])
     if status != 0:
         raise CrosscheckError(f"the viewer ended with status {status}")
-    return AGREE
+    return AGREE  # exit status 0, success
 
 
 def _check_recording(file: Path) -> None:

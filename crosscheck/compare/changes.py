@@ -74,8 +74,8 @@ class Element:
             points and tolerances of positions, m, and orientations, rad. The violation is divided by the
             largest violation possible within these tolerances, so a result above 1 proves that the changed
             scene moves differently. The result is 0 if no constraint changes.
-        displaced: equations of the changed joint; None if the element is no joint, or if forces, motions or
-            couplings act at the joint.
+        displaced: equations of the changed joint, for a bound on the change of the motion from the joint's
+            reactions. None if the element is no joint, or if forces, motions or couplings act at the joint.
         body: number of the changed body, and "mass" or "inertia"; None for other elements.
         shared: True for an element whose code is the same in all engines, such as a digital controller. The
             agreement of engines does not test the element, and `changed` returns the scene unchanged.
@@ -235,7 +235,8 @@ def _coupling_element(scene: Scene, number: int, other: JointCoupling) -> Elemen
         mechanism = Mechanism(scene.mechanism.bodies, scene.mechanism.joints, of_mechanism)
         return _with_constraints(scene, mechanism)
 
-    # `couplings(scene)` are prescribed motions and screws, then the couplings of the mechanism
+    # `couplings(scene)` are prescribed motions and screws, then the couplings of the mechanism.
+    # `factors` and `powers` are coefficients of x, and of x^2, x^3, ..., by joint coordinate x
     of_scene = list(couplings(scene))
     index = len(of_scene) - len(of_mechanism) + number
     of_scene[index] = replace(of_scene[index], factors=other.factors(), powers=other.powers())

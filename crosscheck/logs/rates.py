@@ -1,6 +1,7 @@
 """Velocities and energies of a mechanism's bodies from the quantities of a log.
 
-Rates come from columns of the log, or else from differences of its first rows.
+A log has joint coordinates, and poses of frames on bodies, at the times of its rows. Rates come from columns
+of the log, or else from differences of its first rows.
 """
 
 from __future__ import annotations
@@ -29,7 +30,13 @@ MAX_RATE_STEP = 1e-5
 
 
 class Rates(NamedTuple):
-    """Rates of logged quantities at one time or at n times: of coordinates, and of frames."""
+    """Rates of logged quantities at n times, or at one (n = 1).
+
+    Attributes:
+        coordinates: (n,) m/s or rad/s, by joint coordinate.
+        linear: (n, 3) m/s, world frame, by name of the frame: velocity of the point whose position is logged.
+        angular: (n, 3) rad/s, world frame, by name of the frame.
+    """
 
     coordinates: Mapping[Key, Array]
     linear: Mapping[str, Array]
@@ -95,9 +102,19 @@ def derivative_at_start(time: Array, values: Array, rows: int) -> Array:
 def velocities(
     elements: Elements, sample: Sample, rates: Rates, default: Origin
 ) -> dict[int, tuple[Array, Array]]:
-    """Compute linear and angular velocities (n, 3) of all bodies with known poses.
+    """Compute velocities of centers of mass and angular velocities (n, 3) of all bodies with known poses.
 
     The poses are computed a short time before and after each time, and subtracted.
+
+    Args:
+        elements: names of the scene and of its model file that columns of the log belong to.
+        sample: logged quantities at n times.
+        rates: their rates.
+        default: point of a body, "center" of mass or origin of the "frame", that logged positions are of if
+            the names of their columns do not state a point.
+
+    Returns:
+        By number of the body, in the world frame: m/s and rad/s.
     """
     numbers = [*rates.coordinates.values(), *rates.linear.values(), *rates.angular.values()]
     step = MAX_RATE_STEP / max(1e-3, *(float(np.max(np.abs(each))) for each in numbers))
@@ -128,20 +145,27 @@ def _advanced(sample: Sample, rates: Rates, step: float) -> Sample:
     return sample._replace(coordinates=coordinates, frames=frames)
 
 
-def energy(scene: Scene, data: LogData, poses: Poses, moving: Mapping[int, tuple[Array, Array]]) -> Any:
-    """Return kinetic and potential energy (n,), J, of logged motion; None if it is not known.
+def energy(
+    scene: Scene, data: LogData, poses: Poses, moving: Mapping[int, tuple[Array, Array]]
+) -> Array | None:
+    """Compute kinetic and potential energy (2, n), J, of logged motion.
 
     Args:
         scene: the scene.
-        data: the log.
+        data: the log, with n rows.
         poses: poses of bodies.
-        moving: linear and angular velocities (n, 3) of bodies.
+        moving: result of `velocities`.
+
+    Returns:
+        The energies; None if the log does not determine the motion of all bodies, or if forces depend on an
+        angle beyond half a revolution, as poses do not show revolutions.
     """
     count = len(scene.mechanism.bodies)
     if len(moving) < count:
         return None
-    wound = [key for key in counted_angles(scene) if key in data.coordinates]
-    if any(np.max(np.abs(data.coordinates[key].values)) > np.pi for key in wound):
+    # angles on which forces and couplings depend; simulations count their revolutions
+    counted = [key for key in counted_angles(scene) if key in data.coordinates]
+    if any(np.max(np.abs(data.coordinates[key].values)) > np.pi for key in counted):
         return None
     arrays = [[*poses[k], *moving[k]] for k in range(count)]
     stacked = [np.stack([np.asarray(each[i]) for each in arrays], axis=1) for i in range(4)]
@@ -149,6 +173,7 @@ def energy(scene: Scene, data: LogData, poses: Poses, moving: Mapping[int, tuple
     rows = len(data.time)
     inertias = [body.inertia for body in scene.mechanism.bodies]
     kinetic, potential = energies(scene, frames, inertias)
+    # coordinates, rates and poses on which the energies of armatures (rotors) and springs depend
     at = surroundings(scene, _StackedState(frames))  # type: ignore[arg-type]
     kinetic = kinetic + sum((armature.energy(at) for armature in scene.armatures), start=0.0)
     potential = potential + sum((force.energy(at) for force in scene.forces), start=0.0)

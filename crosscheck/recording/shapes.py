@@ -130,7 +130,9 @@ def drawn_shapes(mechanism: Mechanism, body: int) -> tuple[Shape, ...]:
 
 
 def drawn_points(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
-    """Compute the positions of m points that enclose what is drawn of a body, at the n outputs of a run.
+    """Compute the positions of m points that outline what is drawn of a body, at the n outputs of a run.
+
+    The points are corners of boxes around meshes, boxes and spheres, and the ends of the axes of bars.
 
     Args:
         mechanism: the mechanism.

@@ -45,9 +45,10 @@ class Day:
         wanted: (n, 3) wanted directions of the panel's normal (east, north, up).
         poses: poses of the mechanism whose normal is as close to `wanted` as the mechanism allows.
         loads: static loads of actuators and joints at these poses, under weight only.
-        tracking: rules of tracking.
+        tracking: rules of tracking: dead band, limits of tilt and shadow, and stowing in wind.
         scene: the tracker with these set-points as targets of its controllers.
-        run: simulated motion, with one output at the end of each set-point's interval.
+        run: simulated motion, with an output at the time of each set-point. The pose of an output is that
+            which the mechanism reached for the previous set-point.
         axis: the panel's normal as an axis of a body.
         wind: (n,) m/s, wind speed at the times of the set-points; None for calm.
     """
@@ -111,7 +112,7 @@ class Day:
     @property
     def sun_seen(self) -> Array:
         """(n, 3) unit vectors to the sun (east, north, up), for drawing; at night in the horizontal plane."""
-        seen = self.sun.direction
+        seen = self.sun.direction  # a new array at each access
         seen[~self.sun.is_up, 2] = 0.0
         return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
 

@@ -359,7 +359,7 @@ def _digits(scalar: KeptNumber) -> int:
 
 
 def _effects(scalar: KeptNumber, found: Sequence[Effect], most: int | None) -> Table:
-    """Tabulate the effects of parameters on a number, with bars.
+    """Tabulate the effects of parameters on a number: share of variance, rank correlation, and a bar.
 
     Args:
         scalar: the kept number.
@@ -382,14 +382,15 @@ def _checks(checked: Sequence[CheckedRun]) -> list[Part]:
     """Make the tables of cross-checked runs.
 
     The first table has one row per run. The second one lists, for each run, the differences between the kept
-    outputs of the engines and those of the sweep. Verdicts of runs that failed or differ follow.
+    outputs of the engines and those of the sweep. Verdicts of runs that failed or differ follow. Pages show
+    the two tables on demand (`folded`), and the terminal does not show them.
     """
     rows: Rows = []
     kept: Rows = []
     for each in checked:
         verdict = Cell("differ", "fails") if each.differs else Cell("agree", "holds")
         rows.append([str(each.run), each.why, verdict if each.complete else Cell("not all", "doubtful")])
-        kept.append(f"run {each.run}")
+        kept.append(f"run {each.run}")  # a text is the heading of the rows after it
         for check in each.kept:
             reason = "not converged" if check.unconverged else "not judged"
             difference = checked_cell(check.value, check.tolerance, check.agrees)
@@ -526,7 +527,7 @@ def _data(found: Findings) -> dict[str, object]:
     plan = found.swept.plan
     return {
         "scene": plan.scene.name,
-        "source": plan.scene.name,
+        "source": plan.scene.name,  # the model, by the key that all result files have
         "options": dict(found.options),
         "vary": {", ".join(names): str(each) for names, each in plan.samples.groups},
         "sampling": plan.samples.sampling,
@@ -565,7 +566,8 @@ def _repeated_runs(found: Findings) -> tuple[dict[str, Trajectory], list[Envelop
     nominal_values = own_values(plan.scene, plan.samples.names)
     inputs = found.swept.inputs(np.array([*extremes, *sample_blocks(plan.samples.runs, ENVELOPE_RUNS)]))
     values = {name: np.append(nominal_values[name], of_runs) for name, of_runs in inputs.items()}
-    # Simulate as many runs at a time as fit into memory; the first batch contains all runs with names
+    # Simulate as many runs at a time as fit into memory; the first batch contains all runs with names.
+    # The pruned scene saves only the outputs, such as velocities, that the kept numbers need
     scene = replace(plan.pruned_scene, output_period=plan.scene.output_period)
     kept = {each.name: each for each in plan.kept}
     runs: dict[str, Trajectory] = {}

@@ -62,7 +62,8 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
         start: MuJoCo's model and data at the start state.
         bodies: imported bodies.
         joints: imported joints of the tree.
-        report: report that receives the entries.
+        report: report that receives the entries. The `numbers` of an entry are the element's values in the
+            file, for comparisons of two models.
     """
     model = start.model
     poses = Poses(start, bodies)
@@ -230,7 +231,7 @@ class Poses:
         """
         self._model_at_start = start.model
         model, data = start.model, start.data
-        # number of the scene's body for each row of the arrays of points
+        # number of the scene's body for each of MuJoCo's bodies, and for each row of the arrays of points
         numbers = {body.name: k for k, body in enumerate(bodies.bodies)}
         scene_body = np.array([numbers[name] for name in bodies.names])
         self._scene_bodies = {
@@ -310,9 +311,9 @@ class ContactWatch:
             if len(pairs) > MAX_LISTED_PAIRS:
                 words += f", and {len(pairs) - MAX_LISTED_PAIRS} more pairs"
             first_time, _ = next(iter(pairs.values()))
-            return Activity(words, first_time, settled=motion.is_fine)
+            return Activity(words, since=first_time, settled=motion.is_fine)
         if not motion.is_fine:
-            return Activity(UNSETTLED, 0.0, settled=False)
+            return Activity(UNSETTLED, since=0.0, settled=False)  # may act from the start on
         between = f"and at {POINTS_PER_INTERVAL - 1} time points between each two"
         return Activity(f"inactive at all {len(motion.run.time)} output times {between}")
 

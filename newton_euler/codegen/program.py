@@ -32,7 +32,8 @@ def native_program(
             `layout` of the function, which describes the results to callers; None for no description.
         depends_on: all objects on which the results depend; their contents identify the cached code.
         neutral: names of fields of these objects that do not change the results.
-        many: True for code that takes several x at once, one in each lane, unless the program is large.
+        many: True for code that takes several x at once, one in each lane. A program of `MIN_ROLLED_SIZE`
+            operations or more is compiled as loops over repeated pieces, and takes one x.
     """
 
     def traced() -> Traced:
@@ -42,5 +43,6 @@ def native_program(
         program = graph.prune(scalars)
         return Traced(program, many=many and program.operation_count < MIN_ROLLED_SIZE, layout=layout)
 
+    # None if an object is of a class outside newton_euler: the traced code then identifies the function
     known = fingerprint(*depends_on, neutral=neutral)
     return NativeFunction(traced, identity=f"{known} {name}" if known else None)

@@ -30,7 +30,8 @@ from newton_euler.model.source_file import SourceError
 from newton_euler.scalars import Array
 
 MAX_CLOSED_RESIDUAL = 1e-12
-"""Largest dimensionless residual of loops at which a file counts as closed and nothing is moved."""
+"""Largest dimensionless residual of loops at which a file counts as closed and nothing is moved. Reports of
+other files list the elements with a larger error, m or rad."""
 
 MAX_CLOSING_STEPS = 60
 """Largest number of Newton steps."""
@@ -45,7 +46,8 @@ class Units(NamedTuple):
 
     Attributes:
         velocities: (nv,) spread of the mechanism, m, for slides and free translations; 1 for rotations.
-        rows: (k,) m or rad: `reach` of a loop; for a coupling, the length of its dimensionless row.
+        rows: (k,) m or rad: `reach` of a loop; for a coupling, the norm of its Jacobian row for dimensionless
+            velocities.
     """
 
     velocities: Array
@@ -64,7 +66,8 @@ class Closure(NamedTuple):
         residuals: (k,) of all constraints, m or rad.
         noise: largest residual of all constraints, dimensionless.
         independent: largest residual of the independent constraints, dimensionless.
-        tolerance: dimensionless independent part below which constraints count as redundant.
+        tolerance: dimensionless distance of a constraint's Jacobian row from the span of the other rows,
+            below which the constraint counts as redundant.
     """
 
     q: Array
@@ -76,7 +79,7 @@ class Closure(NamedTuple):
     @property
     def is_closed(self) -> bool:
         """True if the residuals are so small that rounding of the file's numbers explains them."""
-        # residuals that no motion can remove may come from rounding, even if they exceed a small tolerance
+        # 10 times the tolerance, since motions of several rad multiply the rounding errors of the file
         loose = loose_tolerance(max(self.tolerance, REDUNDANCY_TOLERANCE))
         return self.independent <= CLOSURE_TOLERANCE and self.noise <= loose
 
@@ -100,8 +103,7 @@ def close(
         evaluate: computes residuals (k,), m or rad, and their Jacobian (k, nv) at a configuration.
         move: returns a configuration moved by a step (nv,).
         units: divisors that make residuals and steps dimensionless.
-        tolerance: dimensionless independent part below which constraints count as redundant, see
-            `newton_euler.Scene.redundancy_tolerance`.
+        tolerance: see `Closure.tolerance` and `newton_euler.Scene.redundancy_tolerance`.
 
     Returns:
         The configuration with the smallest residual of the independent constraints.
@@ -136,10 +138,9 @@ def close(
 def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) -> tuple[float, float]:
     """Compute the largest motion that one unit velocity gives to the point where two bodies close a loop.
 
-    The motions of the two bodies are examined separately. A constraint row in which the two motions cancel is
-    then small relative to the reach, and counts as noise
-    (`newton_euler.equations.kinematics.TreeKinematics.row_scales`). A velocity that moves both bodies is
-    ignored.
+    Only velocities that move one of the two bodies alone count, since motions of both bodies cancel in the
+    constraint rows, at least in part. If all entries of a row nearly vanish, the row is small relative to the
+    reach, and counts as noise (`newton_euler.equations.kinematics.TreeKinematics.row_scales`).
 
     Args:
         motions: (6, nv) for each body: velocity of its center of mass, and its angular velocity.
@@ -230,8 +231,7 @@ class FileStart(ABC):
         Args:
             q: the configuration.
             called: name of the configuration in messages.
-            tolerance: dimensionless independent part below which constraints count as redundant, see
-                `newton_euler.Scene.redundancy_tolerance`.
+            tolerance: see `Closure.tolerance` and `newton_euler.Scene.redundancy_tolerance`.
 
         Returns:
             The closed configuration; lines of a report; the change of the initial state, None if the loops

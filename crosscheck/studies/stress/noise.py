@@ -1,8 +1,9 @@
-"""Stress cases (l): overconstrained mechanisms whose joint axes and points have the noise of CAD exports.
+"""Stress cases of overconstrained mechanisms whose joint axes and points have the noise of CAD exports.
 
 Overconstrained mechanisms move only if their dimensions are exact, such as parallel axes. With rounded
 numbers an engine must recognize redundant constraints, or the mechanism locks. Each case compares the motion
-of a noisy mechanism, in one engine at one setting, with the motion of the exact mechanism.
+of a noisy mechanism, in one engine at one setting, with the motion of the exact mechanism. `topics.py` lists
+these cases as topic (l).
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ NOISES = (1e-12, 1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 redundant constraints and locks the mechanisms."""
 
 NOISE_SENSITIVITY = 20.0
-"""Largest change of a position, m, divided by the noise, rad or m. Bodies of 0.4 m turn by 1.5 rad, and the
-noise acts on levers of 0.1 m."""
+"""Allowed change of a position, m, divided by the noise, rad or m: a rounded estimate. The noise acts on
+levers of 0.1 m, and turns bodies of 0.4 m, which move by up to 1.5 rad."""
 
 ENGINE_ERRORS = {"newton_euler": 1e-8, "pinocchio": 1e-8, "mujoco": 1e-5}
 """Position error, m, that each engine may have without noise."""
@@ -67,7 +68,8 @@ def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
         Revolute("pivot", "ground", "foot", foot, axis=Y),
         Fixed("weld", "rocker", "foot", foot),
     ]
-    return Scene("flat_four_bar", Mechanism(bodies, joints), duration, 0.01, 3.0 * X - 9.81 * Z)
+    gravity = 3.0 * X - 9.81 * Z
+    return Scene("flat_four_bar", Mechanism(bodies, joints), duration, output_period=0.01, gravity=gravity)
 
 
 def sarrus(noise: float) -> Scene:
@@ -83,7 +85,9 @@ def sarrus(noise: float) -> Scene:
         joints.append(Revolute(f"foot_{leg}", "ground", f"shin_{leg}", foot, axis=axis))
         joints.append(Revolute(f"knee_{leg}", f"shin_{leg}", f"thigh_{leg}", knee, axis=axis))
         joints.append(Revolute(f"hip_{leg}", f"thigh_{leg}", "plate", hip, axis=axis))
-    return noisy(Scene("sarrus", Mechanism(bodies, joints), 0.3, 0.01, -9.81 * Z), noise)
+    mechanism = Mechanism(bodies, joints)
+    scene = Scene("sarrus", mechanism, duration=0.3, output_period=0.01, gravity=-9.81 * Z)
+    return noisy(scene, noise)
 
 
 def double_wishbone(noise: float) -> Scene:
@@ -104,7 +108,9 @@ def double_wishbone(noise: float) -> Scene:
     ]
     joints.append(Spherical("ball_lower", "lower", "upright", 0.4 * X))
     joints.append(Spherical("ball_upper", "upper", "upright", 0.38 * X + 0.25 * Z))
-    return noisy(Scene("double_wishbone", Mechanism(bodies, joints), 0.3, 0.01, -9.81 * Z), noise)
+    mechanism = Mechanism(bodies, joints)
+    scene = Scene("double_wishbone", mechanism, duration=0.3, output_period=0.01, gravity=-9.81 * Z)
+    return noisy(scene, noise)
 
 
 def bricard(noise: float) -> Scene:
@@ -134,21 +140,22 @@ MECHANISMS: dict[str, Callable[[float], Scene]] = {
 
 
 def cases(full: bool) -> Iterator[Case]:
-    """Yield the cases of topic (l), all of them or (unless `full`) the short form."""
+    """Yield all cases or, unless `full`, a few of them."""
     reason = "the effect of the noise; beyond a centimeter the motion is a different one"
     for name in MECHANISMS if full else ("flat_four_bar", "bricard"):
         settings: tuple[Setting, ...] = TYPICAL_SETTINGS
         if full and name == "flat_four_bar":
             others = (setting for setting in TYPICAL_SETTINGS if setting.engine != "newton_euler")
+            # each formulation and constraint stabilization of newton_euler, then the other engines
             settings = (*STABILIZED_SETTINGS, *others)
         for noise in NOISES if full else (1e-12, 1e-6):
             for setting in settings:
                 largest = ENGINE_ERRORS[setting.engine] + NOISE_SENSITIVITY * noise
-                bound = Bound("distance to the design", "m", largest, 1e-2, reason)
+                bound = Bound("distance to the design", "m", survives=largest, degrades=1e-2, reason=reason)
                 yield Case(f"{name}, noise {noise:.0e}, 0.3 s", setting, bound, partial(measure, name, noise))
 
 
 def measure(name: str, noise: float, setting: Setting) -> Measurement:
     """Measure the largest distance, m, between the motion of a noisy mechanism and the exact motion."""
-    design, scene = (with_duration(MECHANISMS[name](size), 0.3, 10) for size in (0.0, noise))
+    design, scene = (with_duration(MECHANISMS[name](size), 0.3, periods=10) for size in (0.0, noise))
     return Measurement(largest_distance(setting.simulate(scene), REFERENCE_SETTING.simulate(design)))
