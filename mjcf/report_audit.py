@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
-from newton_euler.reading.import_report import ImportReport, left_out
+from newton_euler.reading.import_report import ImportReport, topics_not_simulated
 from newton_euler.reading.quantities import Constraints
 from newton_euler.scalars import Array
 
@@ -120,7 +120,7 @@ def switch_off_left_out(model: Any, report: ImportReport) -> list[int]:
     }
     numbers = {element_name(model, kind, k): (kind, k) for kind, n in counts.items() for k in range(n)}
     equalities = []
-    for element, topics in left_out(report).items():
+    for element, topics in topics_not_simulated(report).items():
         kind, k = numbers.get(element, (element, -1))  # -1: an element without number
         for topic in topics:
             if kind == "equality":

@@ -13,10 +13,10 @@ from typing import NamedTuple
 from urdf.loops import Loops
 
 ARMATURE = "armature"
-"""Topic of rotor inertias in import reports."""
+"""Name of rotor inertias as the property of a joint that an entry of an import report is about."""
 
 STIFFNESS = "stiffness"
-"""Topic of springs of joints in import reports."""
+"""Name of joint springs as the property of a joint that an entry of an import report is about."""
 
 
 class PointSpringElement(NamedTuple):
@@ -44,7 +44,8 @@ class Extensions:
     Attributes:
         text: the URDF with a frame for each end of a loop and of a spring.
         closed_loop: pairs of frames that a loop closure connects.
-        kinds: type of each loop closure, see `urdf.loops`.
+        closure_types: for each pair, the type of the loop closure, see `urdf.loops`: "3d" if the origins of
+            the frames coincide, "6d" if the frames coincide, "revolute" for a hinge about their x axes.
         springs: stiffness, N m/rad or N/m, and rest position, rad or m, by joint name.
         dampings: damping in addition to that of the joint's `<dynamics>`, N m s/rad or N s/m, by joint name.
         armatures: rotor inertias, kg m^2 or kg, by joint name.
@@ -53,14 +54,16 @@ class Extensions:
 
     text: str
     closed_loop: list[tuple[str, str]] = field(default_factory=list)
-    kinds: list[str] = field(default_factory=list)
+    closure_types: list[str] = field(default_factory=list)
     springs: dict[str, tuple[float, float]] = field(default_factory=dict)
     dampings: dict[str, float] = field(default_factory=dict)
     armatures: dict[str, float] = field(default_factory=dict)
     point_springs: list[PointSpringElement] = field(default_factory=list)
 
     def added_to(self, loops: Loops) -> Loops:
-        """Return the loops of a loop file with the loops of the URDF after them."""
+        """Return the loops of a loop file (YAML that accompanies a URDF), followed by those of the URDF."""
         return replace(
-            loops, closed_loop=(*loops.closed_loop, *self.closed_loop), type=(*loops.type, *self.kinds)
+            loops,
+            closed_loop=(*loops.closed_loop, *self.closed_loop),
+            type=(*loops.type, *self.closure_types),
         )

@@ -17,7 +17,7 @@ import pinocchio as pin
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
-from newton_euler.reading.import_report import ImportReport, left_out, unique_name
+from newton_euler.reading.import_report import ImportReport, topics_not_simulated, unique_name
 from newton_euler.reading.quantities import FORCE_KINDS, Constraints, Forces, Kinematics
 from newton_euler.reading.reference import MAX_HINGE_ROW_ANGLE, ReferenceModel, Sample, whole_body_names
 from newton_euler.scalars import Array, cross, tilde
@@ -95,7 +95,7 @@ class PinocchioReference(ReferenceModel):
         """
         self._model, self._joint_names, self._closures = model, joint_names, closures
         # properties that the scene leaves out, by element; the reference leaves them out, too
-        self._topics_left_out, self._report = left_out(report), report
+        self._topics_left_out, self._report = topics_not_simulated(report), report
         self._rod_lengths: dict[int, float] = {}  # by number of the closure, once the start is known
         self._data: Any = model.createData()
         self._damping, self._stiffness, self._rests = np.zeros((3, model.nv))

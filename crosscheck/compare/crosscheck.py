@@ -35,12 +35,12 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import ImportReport
 
-MIN_SAMPLED_VELOCITIES = 200
-"""Smallest number of random states at which equations are compared, times the number of joint velocities of
-the mechanism."""
+RANDOM_VELOCITIES = 200
+"""Number of random joint velocities at which equations are compared: number of random states times number of
+joint velocities of the mechanism. Small mechanisms use more states, because each state tests few joints."""
 
 MIN_RANDOM_STATES, MAX_RANDOM_STATES = 4, 20
-"""Limits of the number of random states. Small mechanisms use more states: each state tests few joints."""
+"""Limits of the number of random states, which take precedence over `RANDOM_VELOCITIES`."""
 
 COVERAGE_OMITTED = "it is left out, the verdict does not depend on it"
 """Note on a coverage analysis that exceeds its time limit."""
@@ -96,7 +96,8 @@ def crosscheck(
     start = time.perf_counter()
     usable, left_out = _usable_engines(scene, engines)
     # Compare the equations with the model file; end here if the import is wrong. A `Stop` is a part of the
-    # crosscheck that did not complete, with the reason
+    # crosscheck that did not complete, with the reason. `limited` stops a part at its time limit, with an
+    # error message that contains the second argument
     checks: list[Check] = []
     file_stops: list[Stop] = []
     what = "comparing with the file"
@@ -136,7 +137,8 @@ def crosscheck(
         with collecting_errors(JUDGING, note_stops), limited(JUDGING, SHORTER_RUN_ADVICE, progress):
             own_run = judge(mapping.simulation, acting)
     # Compare equations and runs; runs are not comparable if the scene does not determine its motion. `until`
-    # is the time at which the first element that is not simulated would act
+    # is the time at which the first element that is not simulated would act. A stage yields checks, and takes
+    # those of earlier stages
     until = mapping.acting[0].since if mapping and mapping.acting else None
     comparable = {} if any(stop.undetermined for stop in stops) else runs
     for what, stage in stages(scene, usable, comparable, _count_random_states(scene), until).items():
@@ -199,7 +201,7 @@ def crosscheck(
 def _count_random_states(scene: Scene) -> int:
     """Choose the number of random states at which equations are compared."""
     velocities = max(1, SpanningTree(scene.mechanism).nv)
-    states = -(-MIN_SAMPLED_VELOCITIES // velocities)  # rounded up
+    states = -(-RANDOM_VELOCITIES // velocities)  # rounded up
     return max(MIN_RANDOM_STATES, min(MAX_RANDOM_STATES, states))
 
 

@@ -56,11 +56,14 @@ def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
     cardan = np.cross(along, X)
     cardan /= np.linalg.norm(cardan)
     axes = np.array([along, cardan, np.cross(along, cardan)])
-    block = Box(np.array([0.02, 0.012, 0.012]), WRIST)
+    rod_inertia = axes.T @ np.diag(ROD_MOMENTS[variant]) @ axes
+    block = Box(half_sizes=np.array([0.02, 0.012, 0.012]), center=WRIST)
+    # name, mass, center of mass (initial position), and inertia about the center of mass in axes parallel to
+    # the world's at the initial pose
     bodies = [
         Body.ground(),
         Body("crank", MASSES["crank"], 0.5 * (PIVOT + PIN), np.diag(CRANK_MOMENTS)),
-        Body("rod", MASSES["rod"], 0.5 * (PIN + WRIST), axes.T @ np.diag(ROD_MOMENTS[variant]) @ axes),
+        Body("rod", MASSES["rod"], 0.5 * (PIN + WRIST), rod_inertia),
         Body("slider", MASSES["slider"], WRIST, SLIDER_MOMENT * np.eye(3), shapes=(block,)),
     ]
     joints = [
@@ -86,7 +89,7 @@ def _turning(mechanism: Mechanism) -> State:
     state = State.initial(mechanism)
     pin_velocity = np.cross(CRANK_SPEED * X, PIN - PIVOT)
     wrist_velocity = pin_velocity + np.cross(ROD_SPIN, WRIST - PIN)
-    state.angular_velocity[1:3] = CRANK_SPEED * X, ROD_SPIN
+    state.angular_velocity[1:3] = CRANK_SPEED * X, ROD_SPIN  # row 0 is the ground
     # centers of mass of crank, rod and slider
     state.linear_velocity[1:] = 0.5 * pin_velocity, 0.5 * (pin_velocity + wrist_velocity), wrist_velocity
     return state
@@ -101,4 +104,5 @@ REFERENCE_QUANTITIES: dict[str, Quantity] = {
     "slider_x": lambda run: position(run, "slider", CENTER)[:, 0],
     "slider_vx": lambda run: velocity(run, "slider", CENTER)[:, 0],
 }
-"""Angle (rad), angular velocity (rad/s) of the crank about x; position (m), velocity (m/s) of the slider."""
+"""Functions of a run (`Trajectory`) whose values over time are compared with published ones: angle (rad) and
+angular velocity (rad/s) of the crank about x; position (m) and velocity (m/s) of the slider along x."""

@@ -387,7 +387,7 @@ class Measurement:
         acceleration = system.acceleration(opened, v + step) / system.velocity_units
         columns = [str(k) for k in range(system.nv)]
         states = States(self.scene, (self.plan.state.state(),))
-        _, constraint_condition = admissible_basis(system, opened, states.units)
+        _, constraint_condition = admissible_basis(system, opened, states.units)  # _: allowed velocities
         condition = constraint_condition * states.mass_condition
         allowed = round_off(condition, states.noise) * float(np.max(np.abs(acceleration), initial=0.0))
         return self.quantity("open joints: acceleration", "1/s^2", acceleration, allowed, columns=columns)
@@ -463,7 +463,8 @@ def _relative_tolerances(samples: Samples) -> RelativeTolerances:
     """Compute the relative tolerances for round-off, magnified by condition numbers.
 
     Accelerations are magnified by the condition number of the constraints times that of the mass matrix.
-    Reactions are magnified by the constraints twice, see `crosscheck.compare.accelerations`.
+    Reactions are magnified by the constraints twice, see `crosscheck.compare.accelerations`. The relative
+    error of the constraints themselves, `noise`, counts where it exceeds round-off.
     """
     masses, noise = samples.states.mass_condition, samples.states.noise
     return RelativeTolerances(
@@ -551,6 +552,7 @@ def _measure_engine(measurement: Measurement) -> Iterator[StoredQuantity]:
     yield from measurement.equations(system)
     if engine.evaluate_soft_constraints is not None:  # MuJoCo
         samples = measurement.samples(system, 0.0, initial_state(scene))
+        # the constraints magnify the solver's error twice, as in reactions under rigid constraints
         soft = MUJOCO_SOLVER_TOLERANCE * samples.condition**2
         solution = engine.evaluate_soft_constraints(scene)
         tolerances = RelativeTolerances(acceleration=soft, reaction=soft)
@@ -575,7 +577,10 @@ def _measure_own_run(measurement: Measurement) -> Iterator[StoredQuantity]:
     if measurement.simulation is None:
         raise CrosscheckError("the model has no run with settings of its own")
     plan = measurement.plan
-    measured = measure_error(measurement.simulation, plan.rtol[MAIN_FORMULATION], plan.own_run_until)
+    # the comparison of a chaotic or unstable run ends early, at `own_run_until`
+    measured = measure_error(
+        measurement.simulation, rtol=plan.rtol[MAIN_FORMULATION], until=plan.own_run_until
+    )
     error, motion = measured.error, measured.scale  # `scale` is the extent of the motion
     for name, unit, value, extent in (
         ("relative error", "", error.relative, 1.0),

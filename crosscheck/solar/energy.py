@@ -37,7 +37,7 @@ class ClearSky:
     def __init__(self, place: Place, sun: Sun) -> None:
         """Compute the direct, diffuse and extraterrestrial irradiance at all times."""
         self.place, self.sun = place, sun
-        self._pvlib = optional_package("pvlib", SUN)
+        self._pvlib = optional_package("pvlib", extra=SUN)
         location = self._pvlib.location.Location(place.latitude, place.longitude, altitude=place.altitude)
         self._light: Any = location.get_clearsky(sun.times, model="ineichen")
         self._extraterrestrial = self._pvlib.irradiance.get_extra_radiation(sun.times)

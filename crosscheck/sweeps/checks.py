@@ -5,8 +5,8 @@ kept outputs: the numbers or arrays that the user asked for. A crosscheck repeat
 MuJoCo and Pinocchio, and compares their equations and motions as `crosscheck run` does. It also compares the
 kept outputs of each engine's run with the stored ones.
 
-A `Check` is one compared number with its tolerance. A `KeptNumber` is one element of a kept output, and a
-`Reduction` computes a kept output from the time series of a run, for example as its maximum.
+A `Check` is one compared number with its tolerance. A `KeptNumber` is one element of a kept output, whose name
+is `variable`. A `Reduction` computes a kept output from the time series of a run, for example as its maximum.
 """
 
 from __future__ import annotations
@@ -99,20 +99,24 @@ def default_count(runs: int) -> int:
 
 
 def chosen(
-    swept: SweepResults, kept: Sequence[KeptNumber], most_informative: Sequence[KeptNumber], count: int
+    swept: SweepResults,
+    kept_numbers: Sequence[KeptNumber],
+    most_informative: Sequence[KeptNumber],
+    count: int,
 ) -> dict[int, str]:
     """Choose runs to cross-check, extreme and random ones alternately.
 
     Args:
         swept: the sweep.
-        kept: the kept numbers.
+        kept_numbers: the kept numbers, all with the same analyzed runs.
         most_informative: the number of each kept output that varies most; its extreme runs are chosen.
         count: largest number of runs to choose.
 
     Returns:
         The reason for each choice, by index of the run.
     """
-    completed = kept[0].runs[~np.isin(kept[0].runs, swept.failed_runs)]
+    analyzed = kept_numbers[0].runs
+    completed = analyzed[~np.isin(analyzed, swept.failed_runs)]
     generator = np.random.default_rng([swept.plan.samples.seed, swept.plan.samples.runs])
     drawn = generator.choice(completed, min(count, len(completed)), replace=False)
     random = [(int(run), CHOSEN_AT_RANDOM) for run in drawn]
@@ -121,17 +125,17 @@ def chosen(
         for scalar in most_informative
         for largest in (True, False)
     ]
-    found: dict[int, str] = {}
+    reasons: dict[int, str] = {}
     for pair in zip_longest(extreme, random):
         for run, why in filter(None, pair):
-            if len(found) < count:
-                found.setdefault(run, why)
-    return found
+            if len(reasons) < count:
+                reasons.setdefault(run, why)
+    return reasons
 
 
 def check_runs(
     swept: SweepResults,
-    found: Sequence[KeptNumber],
+    kept_numbers: Sequence[KeptNumber],
     runs: Mapping[int, str],
     engines: Sequence[Engine],
     progress: Callable[[str], None],
@@ -141,7 +145,7 @@ def check_runs(
 
     Args:
         swept: the sweep.
-        found: the kept numbers.
+        kept_numbers: the kept numbers.
         runs: by index of a run, the reason why the run was chosen.
         engines: the engines.
         progress: called with the name of each stage.
@@ -157,17 +161,21 @@ def check_runs(
         current = message
         progress(message)
 
+    def report_stage(stage: str) -> None:
+        """Report a stage of the run that is checked."""
+        progress(f"{current}: {stage}")
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NearlyRedundantWarning)  # the sweep has issued the warning
         return [
-            _check(swept, found, run, why, engines, lambda stage: progress(f"{current}: {stage}"), unverified)
+            _check(swept, kept_numbers, run, why, engines, report_stage, unverified)
             for run, why in with_progress(list(runs.items()), start_run, "cross-check")
         ]
 
 
 def _check(
     swept: SweepResults,
-    found: Sequence[KeptNumber],
+    kept_numbers: Sequence[KeptNumber],
     run: int,
     why: str,
     engines: Sequence[Engine],
@@ -179,7 +187,7 @@ def _check(
     try:
         scene = swept.plan.scene_of(run)
         result = crosscheck(scene, engines, progress, source="", options={}, mapping=mapping)
-        kept = tuple(_check_kept(swept, found, run, result, engines))
+        kept = tuple(_check_kept(swept, kept_numbers, run, result, engines))
     except (CrosscheckError, NewtonEulerError) as error:
         return CheckedRun(run, why, complete=False, agrees=True, verdict=str(error), engines=names)
     complete = not (result.left_out or result.unfinished)
@@ -257,7 +265,11 @@ def _difference(check: Check) -> str:
 
 
 def _check_kept(
-    swept: SweepResults, found: Sequence[KeptNumber], run: int, result: Crosscheck, engines: Sequence[Engine]
+    swept: SweepResults,
+    kept_numbers: Sequence[KeptNumber],
+    run: int,
+    result: Crosscheck,
+    engines: Sequence[Engine],
 ) -> Iterator[Check]:
     """Compare the kept numbers of a run of the sweep with those of the engines' runs.
 
@@ -273,7 +285,7 @@ def _check_kept(
 
     Args:
         swept: the sweep.
-        found: the kept numbers.
+        kept_numbers: the kept numbers.
         run: index of the run.
         result: crosscheck of the run, with the trajectories of all engines.
         engines: the engines.
@@ -283,7 +295,8 @@ def _check_kept(
     stored_outputs = {name: swept.read(name, run) for name in reductions}
     not_unique: set[str] = set()  # joints whose reactions redundant constraints leave undetermined
     if any(each.depends_on_reactions for each in plan.kept):
-        not_unique.update(undetermined_joints(scene, initial_state(scene))[1])
+        _, joints = undetermined_joints(scene, initial_state(scene))  # _: number of redundant constraints
+        not_unique.update(joints)
 
     @cache
     def repeated_sweep_run() -> tuple[dict[str, Array], dict[str, Array]]:
@@ -291,9 +304,9 @@ def _check_kept(
 
         The stored run is repeated, since an error in the store must not increase its own tolerance.
         """
-        controls = plan.control, finer_control(plan.control)
+        integrator_options = plan.control, finer_control(plan.control)
         coarse, fine = (
-            run_all(replace(plan, control=each), plan.parameters(run, run + 1)) for each in controls
+            run_all(replace(plan, control=each), plan.parameters(run, run + 1)) for each in integrator_options
         )
         return coarse.values, fine.values
 
@@ -305,7 +318,7 @@ def _check_kept(
         finer_run = cache(partial(_finer_of, plan, run, engine, scene))
         checks: dict[str, list[Check]] = {}
         # Compare each kept number of the engine's run with that of the sweep's run
-        for scalar in found:
+        for scalar in kept_numbers:
             reduction, stored = reductions[scalar.variable], stored_outputs[scalar.variable]
             of_sweep, scale = float(stored[scalar.index]), scalar.scale(stored)
             of_engine = float(kept[scalar.variable][scalar.index])
@@ -403,4 +416,4 @@ def kept_of(plan: SweepPlan, run: int, trajectory: Trajectory) -> KeptOutputs:
     """
     # the sweep measures joint coordinates from the initial pose of its scene, not from that of the run
     outputs = Outputs.of(plan.scene, replace(trajectory, mechanism=plan.mechanism_of(run)))
-    return outputs, {each.name: each.of(outputs)[0] for each in plan.kept}
+    return outputs, {each.name: each.of(outputs)[0] for each in plan.kept}  # [0]: a single run

@@ -51,11 +51,13 @@ def choose_excitation(
         scene: scene with the controls of the file.
         drives: actuators whose controls can vary, by number.
         control: (nu,) controls of the file.
-        control_index: (nactuator,) index of each actuator's control.
+        control_index: (nactuator,) index of each actuator's first control (`actuator_ctrladr`); actuators of
+            MuJoCo 4 may have several controls.
         bounds: limits of joint coordinates.
     """
     control, sines, moved = control.copy(), dict[int, Sine](), dict[int, tuple[float, float]]()
-    # sines that move joints by a useful amount: `amplitude` disregards limits of joints, `within` does not
+    # sines that move joints by a useful amount: `amplitude` disregards the limits of joints,
+    # `amplitude_within_limits` does not
     useful_sines = swings(scene, [drive.gains for drive in drives.values()], bounds)
     for (actuator, drive), swing in zip(drives.items(), useful_sines, strict=True):
         # distance that the mean control keeps from its limits, twice the amplitude of the sine: at most the
@@ -155,7 +157,8 @@ def control_per_activation(model: Any, actuator: int) -> float:
     A sin(w t) + A w tau cos(w t) (MuJoCo's documentation, Modeling, Actuator, attribute dyntype). The result
     is 1 without dynamics.
     """
-    max_omega, kind = 2.0 * np.pi * MAX_FREQUENCY, mujoco.mjtDyn(model.actuator_dyntype[actuator])  # rad/s
+    max_omega = 2.0 * np.pi * MAX_FREQUENCY  # rad/s, largest w of the sines of `choose_excitation`
+    kind = mujoco.mjtDyn(model.actuator_dyntype[actuator])
     if kind == mujoco.mjtDyn.mjDYN_NONE:
         return 1.0
     if kind == mujoco.mjtDyn.mjDYN_INTEGRATOR:

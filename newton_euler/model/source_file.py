@@ -42,7 +42,8 @@ class Request:
     Attributes:
         duration, output_period: duration of the scene and time between outputs, s; model files contain
             neither.
-        redundancy_tolerance: tolerance of the scene for redundant constraints, see `newton_euler.Scene`.
+        redundancy_tolerance: dimensionless size of the independent part of a constraint equation below which
+            the equation counts as redundant, see `newton_euler.Scene`.
         verified: True to compare the imported scene with the model that MuJoCo or Pinocchio compiles from the
             file. If False, the caller makes this comparison later; the import report has what it needs.
         excitation: True to drive the actuators by sines and to start joints with small velocities, because a

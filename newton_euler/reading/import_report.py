@@ -321,8 +321,8 @@ class ImportReport:
         return ", ".join(filter(None, [counted, idle]))
 
 
-def left_out(report: ImportReport) -> dict[str, set[str]]:
-    """Return the topics that are not simulated, by element; elements that move nothing are absent."""
+def topics_not_simulated(report: ImportReport) -> dict[str, set[str]]:
+    """Return the topics that are left out or inactive, by element; elements that move nothing are absent."""
     found: dict[str, set[str]] = {}
     for entry in report.entries:
         if entry.fate != "exactly" and not entry.moves_nothing:

@@ -155,8 +155,8 @@ def integrate_intervals(
 
     Args:
         code: compiled equations of the scene.
-        x: (inputs,) state, time, flags of redundant constraints and parameters at the start; overwritten
-            during the run.
+        x: (inputs,) state, time, flags of constraint equations (1 if left out as redundant, else 0) and
+            parameters at the start; overwritten during the run.
         options: integrator and step control.
         stopped: a list that other threads may append to; the run stops if the list is not empty.
         times: output times, s; those of the scene if not given.
@@ -177,6 +177,7 @@ def integrate_intervals(
         # 1. numbers that are constant in the interval: pieces of functions of time, forces of controllers
         values: dict[str, Any] = pieces(scene, interval.middle) if is_divided else {}
         if controllers and interval.due:
+            # (s, 2) the s joint coordinates that controllers read, and their rates
             readings = code.function("measured")(x).reshape(2, -1).T
             try:
                 values |= controllers.sample(interval.due, float(interval.times[0]), readings)
@@ -194,7 +195,8 @@ def integrate_intervals(
         if not values:  # the only interval: start the clock after the construction of its integrator
             start = time.perf_counter()
         results, error = integrator.attempt(x)
-        # 3. collect outputs and counts; the counts add up, but the excess of round-off is a maximum
+        # 3. collect outputs and counts. The counts add up, except for the largest error estimate that was
+        # accepted because round-off explains it
         excess = max(total[Count.ROUND_OFF_EXCESS], integrator.counts[Count.ROUND_OFF_EXCESS])
         total += integrator.counts
         total[Count.ROUND_OFF_EXCESS] = excess
@@ -205,11 +207,12 @@ def integrate_intervals(
         if after_interval:
             after_interval(integrator, x, interval)
         # 4. the next interval begins here, unless the configuration is singular: a restart could continue on
-        # another branch of motion
+        # another branch of motion. `code.projects`: states are projected onto constraints
         x[:] = integrator.x
-        if code.projects and x[code.size] < end and code.pivot_ratio(x) < UNSAFE_PIVOT_RATIO:
+        reached = float(x[code.size])  # s; the time follows the state
+        if code.projects and reached < end and code.pivot_ratio(x) < UNSAFE_PIVOT_RATIO:
             where = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank"
-            error = IntegrationError(float(x[code.size]), f"a knot or a controller sample falls on {where}")
+            error = IntegrationError(reached, f"a knot or a controller sample falls on {where}")
             break
     none = np.zeros((0, code.function("output").outputs))
     results = parts[0] if len(parts) == 1 else np.concatenate([none, *parts])

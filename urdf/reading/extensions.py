@@ -375,7 +375,7 @@ class _Reader:
             raise self._refused(element, f"joins link {first.link!r:.100} to itself")
         pair = self._add_frames(name, first, second)
         self.extensions.closed_loop.append(pair)
-        self.extensions.kinds.append(kind)
+        self.extensions.closure_types.append(kind)
 
     def _add_frames(self, name: str, *ends: End) -> tuple[str, str]:
         """Add a frame for each of two ends, named "<name>_on_<link>", and return the names of both.

@@ -110,7 +110,15 @@ def joint_properties(root: ET.Element) -> list[JointProperties]:
 
 
 def read_loops(path: str, text: str) -> Loops:
-    """Parse the text of the loop file `path`; raises `LoopFileError`, also for too many loops."""
+    """Parse a loop file: YAML that gives a URDF the loops and couplings of joints that URDF cannot describe.
+
+    Args:
+        path: path of the loop file.
+        text: its content.
+
+    Raises:
+        LoopFileError: for invalid content or too many loops.
+    """
     loops = parse_loops(text, path)
     for key in ("closed_loop", "coupled"):
         # a message if the number is above the limit "closures", which users can change
@@ -142,7 +150,7 @@ def parsed(path: str, text: str) -> ET.Element:
         for name, count in Counter(names).items():
             if count > 1:
                 raise SourceError(path, f"{what} {name!r:.100}: {count} of that name")
-    # sizes (by name of the limit), joints, and the tree of links
+    # sizes (by name of the limit; a mimic counts as a loop closure), joints, and the tree of links
     links, joints = ({element.get("name") for element in root.findall(tag)} for tag in ("link", "joint"))
     if not links:
         raise SourceError(path, "no links")

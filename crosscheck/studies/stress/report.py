@@ -1,8 +1,9 @@
 """Report of a stress test: numbers of cases that each engine passes, and the cases that do not pass.
 
 A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting; a bound judges the
-value. A topic is a group of cases. Results of cases go in. A report for the terminal, `stress.json` and
-`stress.md` come out. A row of a table is a topic or a case, a column is an engine.
+value. A case passes if the value is within the bound; a case without an answer passes if the engine raises an
+error. A topic is a group of cases with a letter as its name. Results of cases go in. A report for the
+terminal, `stress.json` and `stress.md` come out. A row of a table is a topic or a case, a column is an engine.
 """
 
 from __future__ import annotations
@@ -56,14 +57,16 @@ def report(results: Sequence[CaseResult], full: bool, wall_time: float) -> Repor
         "a shortcoming otherwise. All cases, with values and reasons, are in stress.json."
     )
     parts: list[Part] = [_summary(results), Lines("about", [preface], folded=True)]
-    for letter, (topic, _) in TOPICS.items():
+    for letter, (topic, _) in TOPICS.items():  # _: function that yields the topic's cases
         of_topic = [result for result in results if result.case.topic == letter]
         if of_topic:
             bounds = dict.fromkeys(map(_bound, of_topic))
             parts.append(Lines(f"bounds of ({letter})", list(bounds), folded=True))
             parts.append(_cases(f"({letter}) {topic}", of_topic, _engines(of_topic)))
     passes = sum(result.passes for result in results)
-    return Report("Stress", f"{passes} of {len(results)} cases pass", Cell(""), parts, wall_time)
+    return Report(
+        "Stress", f"{passes} of {len(results)} cases pass", judged=Cell(""), parts=parts, wall_time=wall_time
+    )
 
 
 def _bound(result: CaseResult) -> str:
@@ -78,6 +81,7 @@ def _cases(title: str, results: Sequence[CaseResult], engines: Sequence[str]) ->
 
     The tests of several engines or settings with the same name are one case of the table.
     """
+    # the last column is below the others on narrow screens; a folded table is shown on demand
     heads = [*text_columns("case"), *number_columns(*engines), Column("not passed", below=True)]
     rows: Rows = []
     not_passed = dict.fromkeys(result.case.name for result in results if not result.passes)
