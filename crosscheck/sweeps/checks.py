@@ -5,8 +5,9 @@ kept outputs: the numbers or arrays that the user asked for. A crosscheck repeat
 MuJoCo and Pinocchio, and compares their equations and motions as `crosscheck run` does. It also compares the
 kept outputs of each engine's run with the stored ones.
 
-A `Check` is one compared number with its tolerance. A `KeptNumber` is one element of a kept output, whose name
-is `variable`. A `Reduction` computes a kept output from the time series of a run, for example as its maximum.
+A `Check` is one compared number with its tolerance. A `KeptNumber` is one element of a kept output, with
+the output's name as `variable`. A `Reduction` computes a kept output from the time series of a run, for
+example as its maximum.
 """
 
 from __future__ import annotations

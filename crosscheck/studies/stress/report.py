@@ -3,7 +3,7 @@
 A case measures one value of one engine (newton_euler, MuJoCo or Pinocchio) at one setting; a bound judges the
 value. A case passes if the value is within the bound; a case without an answer passes if the engine raises an
 error. A topic is a group of cases with a letter as its name. Results of cases go in. A report for the
-terminal, `stress.json` and `stress.md` come out. A row of a table is a topic or a case, a column is an engine.
+terminal, `stress.json` and `stress.md` come out. A table row is a topic or a case, a column is an engine.
 """
 
 from __future__ import annotations
