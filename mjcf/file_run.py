@@ -253,6 +253,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         state = initial_state(scene)
         bodies = [scene.mechanism.body_names.index(name) for name in self._names]
         body_velocities = np.hstack([state.linear_velocity[bodies], state.angular_velocity[bodies]])
+        # Jacobian (g, 6, nv) of the linear, then angular velocities of the rigid groups
         jacobian = reference.kinematics(self._start, np.zeros(model.nv)).transformation
         self._velocity = least_squares(jacobian.reshape(-1, model.nv), body_velocities.ravel())
 
@@ -512,7 +513,8 @@ class _Recorder:
         positions: for each output, centers of mass (g, 3) of the g rigid groups, m, world frame.
         quaternions: for each output, orientations (g, 4) of the root bodies of the groups.
         energies: for each output, potential and kinetic energy, J.
-        opening: for each output, the largest violation of an equality, m or rad.
+        openings: for each output, violations (neq,) of the equalities, m; 0 for those of angles.
+        angles: for each output, violations (neq,) of the equalities, rad; 0 for those of lengths.
         states: for each output, configuration (nq,), velocities (nv,) and activations (na,).
     """
 
@@ -524,8 +526,8 @@ class _Recorder:
         self.positions: list[Array] = []
         self.quaternions: list[Array] = []
         self.energies: list[Array] = []
-        self._openings: list[Array] = []
-        self._angles: list[Array] = []
+        self.openings: list[Array] = []
+        self.angles: list[Array] = []
         self.states: list[tuple[Array, Array, Array]] = []
         self._is_weld = model.eq_type == mujoco.mjtEq.mjEQ_WELD
         self._is_angle = np.array([_is_angle(model, k) for k in range(model.neq)], dtype=bool)
@@ -559,14 +561,14 @@ class _Recorder:
         turns = self._is_weld[equality] & (number_in_equality >= 3)
         residual = np.where(turns, 2.0 * residual / np.maximum(model.eq_data[equality, 10], 1e-300), residual)
         is_angle = turns | self._is_angle[equality]
-        for kept, into in ((~is_angle, self._openings), (is_angle, self._angles)):
+        for kept, into in ((~is_angle, self.openings), (is_angle, self.angles)):
             squares = np.bincount(equality, weights=kept * residual**2, minlength=model.neq)
             into.append(np.sqrt(squares))
 
     def loop_errors(self) -> LoopErrors:
         """Return the violations of all equalities at the recorded times."""
         names = tuple(element_name(self._model, "equality", k) for k in range(self._model.neq))
-        return LoopErrors(names, np.array(self._openings), np.array(self._angles))
+        return LoopErrors(names, np.array(self.openings), np.array(self.angles))
 
     def trajectory(
         self,
@@ -595,15 +597,15 @@ class _Recorder:
             quaternion[:, body] = np.array(self.quaternions)[:, group]
         potential, kinetic = np.array(self.energies).T
         return Trajectory(
-            engine,
-            dict(settings),
-            thread_time,
-            np.array(self.times),
-            bodies,
-            scene.mechanism.joint_names,
-            position,
+            engine=engine,
+            settings=dict(settings),
+            wall_time=thread_time,  # here processor time of the steps alone
+            time=np.array(self.times),
+            body_names=bodies,
+            joint_names=scene.mechanism.joint_names,
+            position=position,
             # signs of quaternions such that they do not jump from output to output
-            continuous(quaternion, quaternion[0]),
+            quaternion=continuous(quaternion, quaternion[0]),
             kinetic_energy=kinetic,
             potential_energy=potential,
             mechanism=scene.mechanism,

@@ -165,7 +165,7 @@ def _error(function: Callable[..., Any], name: str, value: object, fault: Fault)
     verb = "is" if fault.place or fault.value is value else "holds"
     package = function.__module__.partition(".")[0]
     where = f"{package}.{function.__qualname__}"
-    return ArgumentError(where, name, fault.value, fault.needed, f"{fault.place} {verb}")
+    return ArgumentError(where, name, fault.value, fault.needed, verb=f"{fault.place} {verb}")
 
 
 class _Names(dict[str, Any]):

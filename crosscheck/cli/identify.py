@@ -58,13 +58,18 @@ def identify_command(
     from crosscheck.support.files import write_files
     from newton_euler.analysis.identification.identify import identify
 
-    options = without_excitation(scene_options(settings), "measured is the scene as it stands")
+    # The option `excitation` adds motion to models at rest; for a measured motion it is refused
+    why = "measured is the scene as it stands"
+    options = without_excitation(scene_options(settings), why)
     loaded = load_with_warnings(scene, options)
-    [path] = result_paths(output, "output/identify", "fit", ["identify.json"], [scene, *measured])
+    [path] = result_paths(
+        output, parent="output/identify", kind="fit", names=["identify.json"], sources=[scene, *measured]
+    )
     with progress_shown() as progress:
         progress("fitting")
         found = identify(loaded, names, measured, rtol=rtol)
     made = report(found)
     write_files({path: as_json({"source": scene, **data(found)}, made)})
     show(made, f"wrote {path}", f"more  {next_step('report', path.parent)}")
+    # `doubts` are reasons not to trust the fit, such as parameters that are not identifiable
     return UNFINISHED if found.doubts else AGREE

@@ -2,7 +2,8 @@
 
 A crosscheck simulates one model in several engines and compares them, or compares two models. A regression
 test compares results with stored baselines. "Reduced model": some elements of the model file, such as
-contacts, would have acted in the run but are not simulated.
+contacts, would have acted in the run but are not simulated. A report prints its result in one line, the
+verdict, which begins with the outcome.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from enum import IntEnum, StrEnum
 from typing import Literal, assert_never
 
 Verdict = Literal["", "holds", "improved", "doubtful", "fails"]
-"""Judgment of an outcome or of a table cell in reports, which selects its color; "" for none. "improved" is a
+"""Judgment of an outcome or of a table cell in reports, which selects a color; "" for none. "improved" is a
 cost or an error below the baseline."""
 
 
@@ -29,14 +30,15 @@ class ExitStatus(IntEnum):
     REDUCED = 4
     """All checks passed, but elements of the file acted that were not simulated."""
     INACCURATE = 5
-    """All checks passed, but the run with the settings of the file has a larger error than allowed."""
+    """All checks passed, but the error of a run with the time step and solver of the file exceeds a limit."""
 
 
 class Outcome(StrEnum):
-    """Outcome of a crosscheck; the value is the word that its verdict begins with.
+    """Outcome of a crosscheck; the value is the text with which the verdict begins.
 
     Examples:
-        >>> check("pendulum").outcome is Outcome.AGREE
+        >>> from crosscheck import check
+        >>> check("pendulum").outcome is Outcome.AGREE  # simulate a library scene in all engines
         True
         >>> Outcome.AGREE_ON_A_REDUCED_MODEL.exit_status(), Outcome.AGREE_ON_A_REDUCED_MODEL.passes(True)
         (<ExitStatus.REDUCED: 4>, True)
@@ -54,11 +56,12 @@ class Outcome(StrEnum):
     DISAGREE = "DISAGREE"
     """A check failed."""
     INACCURATE = "INACCURATE"
-    """No check failed, but the run with the settings of the file has a larger error than the user allows."""
+    """All checks passed, but a run with the time step and solver of the file deviates from the reference
+    solution by more than the user allows."""
     UNFINISHED = "UNFINISHED"
     """An engine or a part of the comparison stopped before its end."""
     ONE_ENGINE_ALONE = "ONE ENGINE ALONE"
-    """Only one engine was requested, and its own checks passed."""
+    """Only one engine was requested, and the checks of its own run, such as energy balance, passed."""
     NOT_COMPARED = "NOT COMPARED"
     """Several engines were requested, but only one can represent the model."""
     SAME = "SAME"
@@ -74,7 +77,7 @@ class Outcome(StrEnum):
 
     @property
     def judged(self) -> Verdict:
-        """Verdict of the outcome, which selects its color in the terminal, in tables and on pages."""
+        """Judgment of the outcome, which selects its color in the terminal, in tables and on pages."""
         match self:
             case Outcome.AGREE | Outcome.SAME | Outcome.QUIET:
                 return "holds"

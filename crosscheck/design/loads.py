@@ -70,7 +70,7 @@ EXCITE = "; --set excitation=on moves joints of model files and drives their act
 """Advice to the user if nothing moves."""
 
 GOVERNED_BY = Column("governed by", below=True)
-"""Column of tables with the load case and time of the largest load."""
+"""Column of tables with the load case and time of the largest load; below the others on narrow screens."""
 
 LOAD_COMPONENTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
 """Components of forces and torques along and across the axis, for joints with one axis, by quantity."""
@@ -138,12 +138,12 @@ def loads(
     table, results, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "json", "png", "rrd"))
     check_writable(table, results, plot, recording)
     runs, acting = dict[str, Trajectory](), dict[str, list[ImportedElement]]()
-    for name, (scene, mapping) in models.items():
+    for name, (scene, import_report) in models.items():
         with limited(f"case {name}", "a shorter duration, or fewer cases", progress):
             complete = replace(scene, outputs=frozenset(OUTPUTS))  # with all kinds of outputs
             runs[name] = rest_case(scene) if at_rest else simulate(complete)
             # elements of the model file, such as contacts, that would have acted in the run
-            if mapping and (found := watched(scene, mapping, runs[name]).acting):
+            if import_report and (found := watched(scene, import_report, runs[name]).acting):
                 acting[name] = found
     # The envelope takes axes of joints from the mechanism, which is the same in all cases
     first_scene, _ = next(iter(models.values()))
@@ -206,7 +206,8 @@ def _report(
         where = f"cases {', '.join(motionless)}" if named else "the run"
         parts.append(Lines("", [f"nothing moves in {where}: these are loads at rest{EXCITE}"]))
     parts.extend(Lines("", [line, NOT_UNIQUE]) for line in undetermined_lines(scene))
-    return Report(title, verdict, Cell("", "doubtful" if acting else ""), parts, summary=parts)
+    judged = Cell(text="", verdict="doubtful" if acting else "")  # the color of the verdict
+    return Report(title, verdict, judged, parts, summary=parts)
 
 
 def _loads_of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:

@@ -102,7 +102,8 @@ def read_scene(path: str) -> Scene:
             line or field.
     """
     try:
-        scene = SCENE.model_validate(_parse(path, read_text(path, "scene_size"))).build()
+        text = read_text(path, limit="scene_size")  # name of the limit of the file's size
+        scene = SCENE.model_validate(_parse(path, text)).build()
         initial_state(scene)  # raises an error if joints are open
     except ValidationError as error:
         found = error.errors()
@@ -214,7 +215,7 @@ def _scene_content(scene: Scene) -> dict[str, Any]:
         "initial_angles": _angles_content(scene),
         "outputs": sorted(scene.outputs),
     }
-    if scene.redundancy_tolerance != REDUNDANCY_TOLERANCE:
+    if scene.redundancy_tolerance != REDUNDANCY_TOLERANCE:  # size of dependent constraint equations
         found["redundancy_tolerance"] = scene.redundancy_tolerance
     return {key: value for key, value in found.items() if value not in ([], {}, "")}
 
@@ -228,8 +229,9 @@ def _body(body: Body) -> dict[str, Any]:
 def _joint(joint: Joint) -> dict[str, Any]:
     """Convert a joint to the content of its entry, without fields that have their default values."""
     found = {"name": joint.name} | content(joint)
-    if np.array_equal(joint.point, joint.reaction_point):
+    if np.array_equal(joint.point, joint.reaction_point):  # the second body's point, by default `point`
         del found["point_on_second"]
+    # `offsets` from each hinge axis of a compound joint to the next one, by default zero
     offsets, actuated = found.pop("offsets", []), found.pop("actuated")
     if np.any(offsets):
         found["offsets"] = offsets

@@ -119,7 +119,7 @@ def _leave_out_kind(report: ImportReport, became: str, why: str, elements: list[
     """
     imported = [entry for entry in report.entries if entry.became == became]
     report.entries = [entry for entry in report.entries if entry not in imported]
-    for entry in imported:
+    for entry in imported:  # `entry.how` names the counterpart in the scene, such as a spring
         report.left_out(entry.element, f"{entry.how}: {why}")
     if not imported:
         for element in elements:

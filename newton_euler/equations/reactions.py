@@ -7,6 +7,9 @@ If constraints are redundant, only the sum of the wrenches on each body, J^T lam
 the equations returns the reactions of its minimum-norm multipliers. The Cartesian form has multipliers for
 all joints. The joint-coordinate form has multipliers for couplings and loop-closing joints only; the
 reactions of the other joints follow from them. The two results then differ, and both are right.
+
+A coupling is a constraint between joint coordinates x_i, such as a gear: a sum of functions p_i(x_i) equals a
+function of time. The derivatives p_i'(x_i) are its slopes.
 """
 
 from __future__ import annotations
@@ -64,7 +67,7 @@ def constraint_wrenches(
     Args:
         system: the equations of motion.
         frames: pose and velocity of each body.
-        measured: the measured joint coordinates by key (joint, number), for the slopes of couplings.
+        measured: values and rates of joint coordinates by key (joint, number), for the slopes of couplings.
         multipliers: (rows,) Lagrange multipliers of joints and couplings.
     """
     row, index = 0, system.mechanism.joint_index
@@ -74,7 +77,8 @@ def constraint_wrenches(
         blocks = e.jacobian(frames[e.first], frames[e.second])
         yield _wrench(index(e.joint.name), e.first, e.second, blocks, own_multipliers)
     # a coupling acts on each of its coordinates with the multiplier times its slope; coordinates that are
-    # elements of q (joints of a tree) have no wrench here
+    # elements of q (joints of a tree) have no wrench here. `between` has the other coordinates, which are
+    # computed from the poses of two bodies
     for number, coupling in enumerate(system.couplings, start=row):
         for key, slope in coupling.measured_slopes(measured).items():
             if key in system.between:
@@ -85,7 +89,10 @@ def constraint_wrenches(
 
 
 def _arms(system: Formulation, frames: Sequence[Frame]) -> list[Array]:
-    """Compute the vector (3,) from each second body's center of mass to its joint point, world frame, m."""
+    """Compute the vector (3,) from each second body's center of mass to its joint point, world frame, m.
+
+    `poses` are the initial poses, in which joint points are given; `frames` are the present poses.
+    """
     return [
         frames[e.second].rotation @ system.poses[e.second].point_to_body(e.joint.reaction_point)
         for e in system.equations
@@ -132,7 +139,7 @@ def tree_reactions(
     Args:
         system: the equations of motion.
         frames: pose and velocity of each body.
-        measured: the measured joint coordinates by key (joint, number), for the slopes of couplings.
+        measured: values and rates of joint coordinates by key (joint, number), for the slopes of couplings.
         needed: (6,) for each body: force, N, and torque about the center of mass, N m, world frame, that
             joints, joint forces and armatures must supply together.
         multipliers: (k,) Lagrange multipliers of loop closures and couplings.

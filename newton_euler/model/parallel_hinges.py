@@ -2,8 +2,9 @@
 knees.
 
 `ParallelHinges` is the joint, `LinkAngle` its two coordinates, and `driving_wrench` the wrench with which
-actuators at the two hinges drive the second body. Frames, spans and Jacobians are those of
-`newton_euler.model.constraints`.
+actuators at the two hinges drive the second body. Frames, spans, Jacobians and the methods of constraint
+equations Phi = 0 are those of `newton_euler.model.constraints`; `gamma` is the right side of
+Phi_q qddot = gamma.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class LinkAngle:
         relative_drift = span.drift(first, second) - 2.0 * cross(w, rate) + cross(w, cross(w, span.d))
         across = span.d - (axis @ span.d) * axis
         # dx_1/dt is n . (d x v) / s with s = d . d; its derivative at zero acceleration is
-        # t . dv/dt - 2 (d . v) (t . v) / s
+        # t . dv/dt - 2 (d . v) (t . v) / s, which is -gamma
         turning = 2.0 * (across @ relative_rate) * (t @ relative_rate) / (across @ across)
         of_x_1 = np.array([turning - t @ relative_drift])
         return of_x_1 if self.hinge == 0 else self.sense * (self.total_angle.gamma(first, second) - of_x_1)
@@ -138,9 +139,11 @@ class ParallelHinges(AxisJoint):
     offset: DefaultArrayField = field(kw_only=True)
     opposed: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "parallel_hinges"
+    # Runs may have other offsets, which move the poses in which loops are closed; the constructor checks them
     number_fields: ClassVar = AxisJoint.number_fields | {
         "offset": NumberField("m", shape=None, moves_loops=True)
     }
+    # Attributes other than the axis that are vectors (3,)
     vector_names: ClassVar[tuple[str, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
@@ -178,8 +181,11 @@ class ParallelHinges(AxisJoint):
         return np.asarray(vector - (self.axis @ vector) * self.axis)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
-        """Return the joint with other numbers, unchecked, see `Joint.varied`; the offset turns with the
-        axis."""
+        """Return the joint with other numbers, unchecked, see `Joint.varied`.
+
+        The offset turns with the axis. `span` is the vector from `point` to `point_on_second` at the relative
+        pose where the coordinates are zero.
+        """
         changed = super().varied({name: value for name, value in values.items() if name != "offset"})
         offset = np.asarray(values.get("offset", self.offset))
         moved = offset - self.offset
@@ -193,6 +199,7 @@ class ParallelHinges(AxisJoint):
         return changed
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
+        # Like `varied`, but by the constructor, which checks the numbers
         changed = self.varied(values)
         fields: dict[str, Any] = {name: getattr(changed, name) for name in ("axis", "offset")}
         return replace(self, point=changed.point, point_on_second=changed.point_on_second, **fields)
@@ -203,6 +210,7 @@ class ParallelHinges(AxisJoint):
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
+        # A point on each axis at the initial pose; `reaction_point` is `point_on_second`
         return self.reaction_point - self.offset, self.reaction_point
 
     def _axis_points(self, first: Pose, second: Pose) -> tuple[Array, Array]:
@@ -215,6 +223,8 @@ class ParallelHinges(AxisJoint):
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         ends, across = self._axis_points(first, second), self._perpendicular_part(self.offset)
+        # The axes stay parallel (`pair` is perpendicular to them); the distance of the points `ends` is
+        # constant, and perpendicular to the axes
         return (
             *self._parallel(self.axis, self.pair, first, second),
             Displacement(first.vector_to_body(self.axis), *ends),

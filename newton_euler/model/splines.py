@@ -47,8 +47,10 @@ class Piecewise(Function):
 
     noun: ClassVar[str]
     min_samples: ClassVar[int]
-    parts: ClassVar = {"": ("values",)}  # part "": numbers on which the function depends linearly
-    constant: ClassVar = {"times": "where runs are divided"}  # reason why times cannot vary between runs
+    # Part "" of a `Function`: names of the fields on which the function depends linearly
+    parts: ClassVar = {"": ("values",)}
+    # Why times cannot vary between runs, for messages: integrators restart at the times
+    constant: ClassVar = {"times": "where runs are divided"}
 
     def __post_init__(self) -> None:
         # Convert times and values to read-only arrays
@@ -73,6 +75,7 @@ class Piecewise(Function):
             raise MechanismError(self.noun, problem, "times in ascending order")
 
     def with_part(self, name: str, numbers: Any, change: Change) -> Self:
+        # Copy the function with other values; `change` makes the copy, see `Function.with_part`
         return super().with_part(name, np.array(numbers), change)
 
     def on_piece(self, numbers: Sequence[Scalar]) -> Piece:
@@ -173,7 +176,7 @@ class Steps(Piecewise):
 
     noun, min_samples = "steps", 1
     piece_size = 2  # per piece: a start, which does not matter, and the value
-    is_constant = True
+    is_constant = True  # between two neighboring knots
 
     @cached_property
     def knots(self) -> tuple[float, ...]:

@@ -16,9 +16,10 @@ from newton_euler.scalars import Array
 MIN_SCALE_SHARE = 1e-3
 """Smallest scale by which a difference is divided, as a fraction of the largest scale of the quantity.
 
-Each entry of a quantity, such as the force on one joint, has a scale: the sum of the magnitudes of its terms.
-Torques are divided by the size of the mechanism before scales are compared. Sums over all bodies are accurate
-to about 1e-16 of the largest scale. This is less than the tolerance of checks, 1e-12, times the fraction."""
+Modules that compute relative differences, such as `newton_euler.reading.forces`, apply this limit. Each entry
+of a quantity, such as the force on one joint, has a scale: the sum of the magnitudes of its terms. Torques
+are divided by the size of the mechanism before scales are compared. Sums over all bodies are accurate to
+about 1e-16 of the largest scale. This is less than the tolerance of checks, 1e-12, times the fraction."""
 
 
 class ReadingCheck(NamedTuple):

@@ -318,7 +318,7 @@ def _load_pinocchio(scene: Scene, alpha: float) -> Model:
     """Load a scene into Pinocchio with a Baumgarte parameter alpha, 1/s; the integrator is LSODA."""
     from urdf.benchmark_kernels import Kinematics, equations_of, lsoda
 
-    equations = equations_of(scene, alpha, lcaba=None)
+    equations = equations_of(scene, alpha, lcaba=None)  # by `constraintDynamics`
     kinematics = Kinematics(equations)
 
     def run(options: Options) -> Run:
