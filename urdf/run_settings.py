@@ -57,8 +57,8 @@ class PinocchioSettings:
     Attributes:
         timestep: s.
         integrator: one of `INTEGRATORS`.
-        kp: Baumgarte's gain of constraint errors in all loop closures, 1/s^2; None for the gain of each
-            constraint of a model in memory.
+        kp: Baumgarte's gain of constraint errors in all loop closures, 1/s^2; None for the gains that the
+            constraint models of a `pinocchio.Model` (given as an object, not as a file) have.
         kd: Baumgarte's gain of constraint velocities in all loop closures, 1/s; None as for `kp`.
         accuracy: accuracy of `pinocchio.ProximalSettings`, at which the proximal iterations end.
         mu: regularization of `pinocchio.ProximalSettings`.
@@ -123,6 +123,7 @@ def _document(given: OwnRun) -> tuple[str, Any]:
     where = path_text(given, SourceError)
     if where.lstrip().startswith("{"):
         return "own_run", parse_yaml("own_run", where)
+    # "scene_size" is the name of the limit of the file's size
     return where, parse_yaml(where, read_text(where, "scene_size", SourceError))
 
 

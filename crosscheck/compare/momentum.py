@@ -34,7 +34,8 @@ def momentum_check(name: str, samples: Samples) -> Check:
     worst = int(np.argmax(residuals))
     value = float(residuals[worst]) / samples.scales.force
     states = samples.states
-    # `noise` is the relative error of the constraints themselves, if they are nearly redundant
+    # `noise`, the relative error of constraints that are nearly redundant or far from the origin, replaces
+    # the round-off of the tolerance if it is larger
     tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
     body = samples.states.scene.mechanism.body_names[1 + worst]  # without the ground
     return Check("energy", "momentum balance, rel", (name,), value, tolerance, where=body)

@@ -1,7 +1,8 @@
 """Layout of a recording in the Rerun viewer (in Rerun's terms: a blueprint).
 
-`blueprint` arranges the 3-D view, the verdict and the plots of a run. `scene_view` places the camera so that
-the whole motion of a mechanism is visible.
+A recording shows the motion of one mechanism in several engines (simulators), and the checks that compare the
+engines. `blueprint` arranges the 3-D view, the verdict of the checks and the plots. `scene_view` places the
+camera so that the whole motion of a mechanism is visible.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ def scene_view(
     """Make a 3-D view whose camera sees the whole run, with a grid behind it.
 
     If the motion is planar, the camera looks at its plane from the front, and the grid is in the plane.
-    Otherwise the camera looks along `EYE_DIRECTION`, and the grid is horizontal.
+    Otherwise the camera is in the direction `EYE_DIRECTION` from the motion, and the grid is horizontal.
 
     Args:
         mechanism: mechanism that is shown.
@@ -149,7 +150,8 @@ def scene_view(
         contents: Rerun's expressions that select the entities to show.
         more: further arguments of Rerun's `Spatial3DView`.
     """
-    # points (m, 3) that the camera must see: moving bodies at all times, and the nearby part of the ground
+    # points (m, 3) that the camera must see: moving bodies at all times, and the nearby part of the ground,
+    # up to one characteristic length of the mechanism (`size`, m) outside their bounding box
     points_of_bodies = [drawn_points(mechanism, k, run) for k in range(len(mechanism.bodies))]
     moving = np.concatenate([each.reshape(-1, 3) for each in points_of_bodies[1:]])
     ground = points_of_bodies[0][0]

@@ -50,7 +50,7 @@ class Instructions:
             op: name of the operation in an expression graph.
             a, b: operands; b is None if there is no second one.
         """
-        t = self._type
+        t = self._type  # names of operands begin with %, which name[1:] and a[1:] remove
         if op in _ARITHMETIC:
             self.lines.append(f"  {name} = {_ARITHMETIC[op]} {t} {a}, {b}")
         elif op == "neg":
@@ -139,7 +139,8 @@ class Instructions:
 Emitter = Callable[[Program, str, int], str]
 """Type of functions that write a program as LLVM text. Arguments: the program, the name of the function and
 the number of lanes. The text defines `void name(double *x, double *y, int64_t on)`, which writes the outputs
-at x to y in each lane i for which bit i of `on` is 1. The values of all lanes are contiguous."""
+at x to y in each lane i for which bit i of `on` is 1. Code of one lane ignores `on`. The
+values that an input or output has in all lanes are contiguous."""
 
 ARGUMENTS = "ptr noalias nocapture readonly %x, ptr noalias nocapture %y, i64 %on"
 """LLVM text of the arguments of such a function."""
@@ -190,7 +191,9 @@ def emit_straight(program: Program, name: str, lanes: int = 1, fuses: bool = Tru
     places: dict[int, list[int]] = {}  # places in y of the outputs of each node
     for place, output in enumerate(program.outputs):
         places.setdefault(output, []).append(place)
-    # one instruction for each node; `values` are the LLVM operands of all nodes
+    # one instruction for each node; `values` are the LLVM operands of all nodes. In a node (op, a, b), a and
+    # b are the indices of the operands, and b is -1 if there is only one. In a "const", a is the value; in an
+    # "input", a is the index in x.
     target = "%y" if lanes == 1 else "%to"
     values: list[str] = []
     for k, (op, a, b) in enumerate(program.nodes):

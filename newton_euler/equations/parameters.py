@@ -42,14 +42,16 @@ and steps at their knots (breakpoints). Names such as `JOINT.target.angular_freq
 Sample times, indices, counts, shapes of bodies, settings of a run and a controller's model of the mechanism
 do not vary: their names are refused with the reason.
 
-In batches, sweeps, sensitivities and fits, joint coordinates are zero at the orientations of the scene's
-initial pose. The two points of each joint are then as far apart as in the scene. `with_parameters` with
-`point_on_first`, `point_on_second` or `length` returns a scene with another initial pose, at which joint
-coordinates are zero. Parameters of bodies' centers and frames, joints, couplings and motions change the
-configurations in which loops are closed. `newton_euler.runs.starts` therefore assembles a start for each
-run; initial joint coordinates are additional parameters there. All runs use the independent constraints
-that are chosen at the scene's own values. If constraints are redundant at these values, other values may
-open a loop that all constraints together would lock.
+In batches, sweeps, sensitivities and fits, a joint keeps the zero of its coordinates. At the zero, the
+relative orientation of its two bodies and the vector between its two points are those of the scene's initial
+pose. In contrast, `newton_euler.runs.variation.with_parameters` with `point_on_first`, `point_on_second` or
+`length` returns a scene with another initial pose, at which joint coordinates are zero.
+
+Parameters of bodies' centers and frames, joints, couplings and motions change the configurations in which
+loops are closed. `newton_euler.runs.starts` therefore assembles a start for each run; initial joint
+coordinates are additional parameters there. All runs use the independent constraints that are chosen at the
+scene's own values, and omit the redundant ones. At other values, a loop may violate omitted constraints, and
+move although all constraints together would lock the loop.
 
 A name may end in one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy` (the same
 as `yx`), `JOINT.point.z`; other values are indexed from 0, as in `JOINT.target.0` and `JOINT.gains.1.0`.
@@ -150,7 +152,8 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
                     (what, k, attribute)
                 )
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
-    # functions of time with knots; `piece_size` is the count of numbers of a piece, 0 without knots
+    # attributes (keys of `scene.functions`) whose functions of time have knots; `piece_size` is the count of
+    # numbers of a piece, 0 without knots
     with_pieces = (
         owner for owner, functions in scene.functions.items() if any(f.piece_size for f in functions)
     )
@@ -415,7 +418,7 @@ def origins(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
     found: dict[str, Array] = {}
     for name, (owner, component, field) in places(scene, names).items():
         what, _, attribute = owner
-        if not field.displaces:
+        if not field.displaces:  # the parameter is no displacement of a point
             continue
         # a joint has no attribute `point_on_first`: its `point` is the point on the first body
         of_joint = what == "joints" and attribute == "point_on_first"
@@ -523,7 +526,10 @@ def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
         scene: the scene.
         keys: joint coordinates (joint, number).
     """
-    return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in dict.fromkeys(keys)])
+    laws = (
+        PD(joint, stiffness=0.0, damping=0.0, target=0.0, coordinate=k) for joint, k in dict.fromkeys(keys)
+    )
+    return with_laws(scene, laws)
 
 
 def _substituted(

@@ -102,6 +102,7 @@ class MeasuredBody:
         gyration = (
             float(np.sqrt(max(0.0, 0.5 * np.trace(body.inertia)) / body.mass)) if body.mass > 0.0 else 0.0
         )
+        # Joint points on this body; `reaction_point` is the joint point that is fixed in the second body
         ends = [
             point
             for joint in mechanism.joints
@@ -147,11 +148,11 @@ def impossible_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Fin
     a, b, c = each.moments
     if a + b < c * (1.0 - REALISABLE_TOLERANCE):
         yield Finding(
-            "impossible-inertia",
-            each.element,
-            f"principal moments {a:.3g}, {b:.3g} and {c:.3g} kg m^2: {a:.3g} + {b:.3g} < {c:.3g}",
-            "no rigid body has this inertia, and its rotation is not physical",
-            "recompute the inertia about the center of mass",
+            name="impossible-inertia",
+            element=each.element,
+            what=f"principal moments {a:.3g}, {b:.3g} and {c:.3g} kg m^2: {a:.3g} + {b:.3g} < {c:.3g}",
+            consequence="no rigid body has this inertia, and its rotation is not physical",
+            remedy="recompute the inertia about the center of mass",
         )
 
 
@@ -165,12 +166,13 @@ def large_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]
         what = f"a radius of gyration of {each.gyration:.3g} m, where {where} {extent:.3g} m"
         if np.array_equal(each.moments, np.ones(3)):
             what = f"an inertia of 1 kg m^2 about all axes, the value of a placeholder: {what}"
+        slowness = (each.gyration / extent) ** 2
         yield Finding(
-            "inertia-too-large",
-            each.element,
-            what,
-            f"it turns {(each.gyration / extent) ** 2:.3g} times as slowly as a body of that size, or slower",
-            _unit_advice(each, extent),
+            name="inertia-too-large",
+            element=each.element,
+            what=what,
+            consequence=f"it turns {slowness:.3g} times as slowly as a body of that size, or slower",
+            remedy=_unit_advice(each, extent),
         )
 
 
@@ -181,11 +183,12 @@ def small_inertia(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]
     extent = 0.5 * float(np.max(each.box[1] - each.box[0]))
     if 0.0 < each.gyration < MIN_GYRATION * extent:
         yield Finding(
-            "inertia-too-small",
-            each.element,
-            f"a radius of gyration of {each.gyration:.3g} m, where its geometry is {2.0 * extent:.3g} m long",
-            "it turns much too fast, and simulations need tiny steps",
-            _unit_advice(each, extent),
+            name="inertia-too-small",
+            element=each.element,
+            what=f"a radius of gyration of {each.gyration:.3g} m, "
+            f"where its geometry is {2.0 * extent:.3g} m long",
+            consequence="it turns much too fast, and simulations need tiny steps",
+            remedy=_unit_advice(each, extent),
         )
 
 
@@ -213,11 +216,12 @@ def distant_center(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding
     distance = float(np.linalg.norm(np.maximum(0.0, np.maximum(low - center, center - high))))
     if distance > MAX_CENTER_DISTANCE * diagonal > 0.0:
         yield Finding(
-            "center-outside",
-            each.element,
-            f"its center of mass is {distance:.3g} m from its geometry and joints, {diagonal:.3g} m large",
-            "gravity and inertia act far from the body",
-            "check the origin of its inertial and its units: m",
+            name="center-outside",
+            element=each.element,
+            what=f"its center of mass is {distance:.3g} m from its geometry and joints, "
+            f"{diagonal:.3g} m large",
+            consequence="gravity and inertia act far from the body",
+            remedy="check the origin of its inertial and its units: m",
         )
 
 
@@ -236,12 +240,12 @@ def dense_body(each: MeasuredBody, mechanism: Mechanism) -> Iterator[Finding]:
         and each.body.mass > MAX_DENSITY * volume
     ):
         yield Finding(
-            "mass-too-large",
-            each.element,
-            f"{each.body.mass:.3g} kg in a box of {volume:.3g} m^3 around its geometry: "
+            name="mass-too-large",
+            element=each.element,
+            what=f"{each.body.mass:.3g} kg in a box of {volume:.3g} m^3 around its geometry: "
             f"{each.body.mass / volume:.3g} kg/m^3",
-            "it is denser than any metal",
-            "check the units of its mass (kg, not g) and of its geometry (m, not mm)",
+            consequence="it is denser than any metal",
+            remedy="check the units of its mass (kg, not g) and of its geometry (m, not mm)",
         )
 
 
@@ -250,11 +254,11 @@ def light_body(each: MeasuredBody, heaviest: MeasuredBody) -> Iterator[Finding]:
     mass, most = each.body.mass, heaviest.body.mass
     if 0.0 < mass < MIN_MASS_SHARE * most:
         yield Finding(
-            "mass-too-small",
-            each.element,
-            f"{mass:.3g} kg, {mass / most:.1g} of the {most:.3g} kg of {heaviest.element}",
-            "motions lose digits, and small steps are needed",
-            "give it its mass, or fix it to its neighbor",
+            name="mass-too-small",
+            element=each.element,
+            what=f"{mass:.3g} kg, {mass / most:.1g} of the {most:.3g} kg of {heaviest.element}",
+            consequence="motions lose digits, and small steps are needed",
+            remedy="give it its mass, or fix it to its neighbor",
         )
 
 
@@ -295,11 +299,12 @@ def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
         problem = _twin_difference(one, two, reflection, plane)
         if problem:
             yield Finding(
-                "twins-differ",
-                f"bodies {one.body.name!r} and {two.body.name!r}",
-                problem,
-                "the two sides move differently",
-                "mirror one side again: signs of y or of the products of inertia are the usual mistake",
+                name="twins-differ",
+                element=f"bodies {one.body.name!r} and {two.body.name!r}",
+                what=problem,
+                consequence="the two sides move differently",
+                remedy="mirror one side again: "
+                "signs of y or of the products of inertia are the usual mistake",
             )
 
 

@@ -177,7 +177,7 @@ def _in_world(state: State, base: Body, motions: Mapping[str, TimeFunction], cen
     relative_velocities = np.vstack([zero, state.linear_velocity[1:]]) @ turn.T
     relative_spins = np.vstack([zero, state.angular_velocity[1:]]) @ turn.T
     quaternions = [product(quaternion, p) for p in (base.quaternion, *state.quaternion[1:])]
-    # the world, at rest, comes first
+    # the world, at rest, comes first; the hinge angles of the scene's joints do not depend on the base
     return State(
         position=np.vstack([zero, center + shift + arms]),
         quaternion=np.vstack([[1.0, 0.0, 0.0, 0.0], *quaternions]),

@@ -5,6 +5,9 @@ Numbers of bodies and joints, and points of forces, have relative errors of 1e-1
 are doubled, halved, set to zero, negated, or have a relative error of 1e-6. Joints are confused with other
 kinds or read as rigid. Loops stay open or are closed at another point. Each mistake is a `Fault`: a function
 that makes the scene with the mistake, and the names of the elements that a correct diagnosis may name.
+
+Two kinds of faults have short names: "equality" (after the MJCF element) is a missing joint or prescribed
+motion, "gear" is a fault of any coupling.
 """
 
 from __future__ import annotations
@@ -40,8 +43,8 @@ from newton_euler.runs.assemble import initial_state
 FACTORS = {"doubled": 2.0, "halved": 0.5, "dropped": 0.0, "negated": -1.0, "times 1 + 1e-6": 1.0 + 1e-6}
 """Factors of misread numbers, by description of the mistake."""
 
-SMALL_SHIFT, LARGE_SHIFT = 1e-6, 0.1
-"""Sizes of misread positions, relative to the mechanism's size, and of misread angles, rad."""
+SMALL_ERROR, LARGE_ERROR = 1e-6, 0.1
+"""Relative errors of numbers, shifts of points in sizes of the mechanism, and errors of angles, rad."""
 
 PERMUTED_AXES = [1, 2, 0]
 """Order of the components of a vector that is read in a wrong order."""
@@ -57,13 +60,14 @@ by factors, since no factor changes 0."""
 def misreadings(scene: Scene) -> Iterator[Fault]:
     """Yield all misreadings that are possible for a scene."""
     # Faults that do not depend on a reader, and faults of joints. If a joint is coupled to others, a correct
-    # diagnosis may name the coupling.
+    # diagnosis may name the coupling. A diagnosis from the motion alone may name a neighbor, a body at the
+    # joint.
     of_joints = [
         replace(fault, neighbors=connected_bodies(joint))
         for joint in scene.mechanism.joints
         for fault in _joint_faults(scene, joint)
     ]
-    numbers = *number_faults(scene, SMALL_SHIFT), *number_faults(scene, LARGE_SHIFT)
+    numbers = *number_faults(scene, SMALL_ERROR), *number_faults(scene, LARGE_ERROR)
     for fault in (*numbers, *confusion_faults(scene), *of_joints):
         couplings = (c.name for c in scene.mechanism.couplings if fault.element in _coupled_joints(c))
         if fault.kind != "quaternion order":  # a reader of files is free to choose the frames of bodies
@@ -83,7 +87,7 @@ def misreadings(scene: Scene) -> Iterator[Fault]:
             for k in _other_coordinates(scene, armature.joint, armature.coordinate):
                 moved = injection.entry_values("armatures", index, coordinate=k)
                 yield _fault("armature", armature.joint, f"on coordinate {k}", moved)
-    # Prescribed motions ("equality" in MJCF), couplings and initial velocities
+    # Prescribed motions, couplings and initial velocities
     for index, motion in enumerate(scene.motions):
         yield _fault("equality", motion.joint, "dropped", injection.missing_entry("motions", index))
     for index, coupling in enumerate(scene.mechanism.couplings):
@@ -116,11 +120,12 @@ def _scaled_velocities(factor: float) -> injection.Injection:
 def _joint_faults(scene: Scene, joint: Joint) -> Iterator[Fault]:
     """Yield faults of a joint: wrong offsets or order of its hinges, read as rigid, missing.
 
-    An offset is the vector (3,), m, between the axes of two successive hinges of a compound joint.
+    An offset is the vector (3,), m, between the axes of two successive hinges of a compound joint. Offsets
+    are shifted along the unit vector `SKEW_AXIS`, which is parallel to no coordinate axis.
     """
     name, offsets = joint.name, getattr(joint, "offsets", ())
     for k, offset in enumerate(offsets):
-        for relative_size in (SMALL_SHIFT, LARGE_SHIFT):
+        for relative_size in (SMALL_ERROR, LARGE_ERROR):
             shift = relative_size * scene.mechanism.size * SKEW_AXIS
             moved = injection.joint_row(joint, "offsets", k, lambda row, shift=shift: row + shift)  # type: ignore[misc]
             yield _fault("offset", name, f"{k} moved by {relative_size:g}", moved)
@@ -195,7 +200,7 @@ def _force_faults(scene: Scene, field: str, index: int, force: Law | Force) -> I
     # Points and coordinates that are shifted
     if not _has_no_stiffness(force):
         for name in SHIFTED_ATTRIBUTES:
-            for shift in (SMALL_SHIFT, LARGE_SHIFT) if hasattr(force, name) else ():
+            for shift in (SMALL_ERROR, LARGE_ERROR) if hasattr(force, name) else ():
                 value = getattr(force, name)
                 if isinstance(value, TimeFunction):
                     continue  # functions of time do not occur in model files
@@ -286,4 +291,4 @@ def _faulty_couplings(scene: Scene, coupling: JointCoupling) -> Iterator[tuple[s
 
 def _fault(kind: str, element: str, detail: str, inject: injection.Injection) -> Fault:
     """Return a fault without a size, which a correct diagnosis locates at `element`."""
-    return Fault(kind, element, detail, None, inject, frozenset({element}))
+    return Fault(kind, element, detail, size=None, inject=inject, expected=frozenset({element}))

@@ -140,9 +140,10 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
 
     - `force x`, `force y`, `force z` and `torque x`, ... along the world's axes, `force` and `torque` their
       magnitudes;
-    - for a joint with one axis: `axial force` and `axial torque` along the axis, `shear force` and `bending
-      torque` perpendicular to the axis, and their components `force u`, `force w`, `torque u`, `torque w`.
-      The axes u, w and the axis of the joint form a right-handed frame that turns with the first body.
+    - for a joint with one axis or parallel axes: `axial force` and `axial torque` along the (first) axis,
+      `shear force` and `bending torque` perpendicular to it, and their components `force u`, `force w`,
+      `torque u`, `torque w`. Axes u, w and the joint's axis form a right-handed frame that turns with the
+      first body.
 
     Values between output times are not examined. The force of a prescribed motion is part of the axial load
     of its joint. The force of a control law is not part of a joint's load. Its force is the load of an
@@ -193,7 +194,7 @@ def rest_case(scene: Scene) -> Trajectory:
         >>> scene = load("tracker_gravity")
         >>> envelope = load_envelope(scene, {"weight": rest_case(scene)})
         >>> up = [envelope.of(name, "actuator force").most for name in ("slide_12", "slide_13")]
-        >>> weight = sum(up) + envelope.of("hinge_14", "force z").most  # what actuators and column hold
+        >>> weight = sum(up) + envelope.of("hinge_14", "force z").most  # what actuators and hinge hold
         >>> round(weight / 9.81, 3)  # kg
         1.482
     """
@@ -261,7 +262,7 @@ def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
 
     Returns:
         (n, 3, 3), with the unit vectors u, w and the axis of the joint as columns, world frame; None for a
-        joint without an axis or with axes of different directions.
+        joint without an axis or with axes that are not parallel.
     """
     axes = [motion.axis for motion in joint.motions if motion.kind != "ball"]
     if joint.axis_names == ("axis",):
@@ -345,4 +346,5 @@ def _mean(values: Array, time: Array) -> float:
     """Average values (n,) over time, s, by the trapezoidal rule; a single value is its own average."""
     if len(time) == 1:
         return float(values[0])
-    return float(np.cumsum(_trapezoids(values, time))[-1] / (time[-1] - time[0]))
+    integral = np.cumsum(_trapezoids(values, time))[-1]
+    return float(integral / (time[-1] - time[0]))
