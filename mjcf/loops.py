@@ -1,7 +1,7 @@
 """Loop closures of a MuJoCo model: points, forces and second derivatives of equality constraints.
 
 In MuJoCo, `connect`, `weld` and `tendon` equalities close the loops of a mechanism; equalities of joints
-couple coordinates instead. The functions work on any `MjModel`, at the state in its `MjData`.
+couple coordinates instead. Such a tendon between two sites is a rod, a massless link of constant length.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ def body_acceleration(model: Any, data: Any, body: int) -> tuple[Array, Array]:
 class Loop:
     """Equality constraint that closes a loop, at the state in `data`.
 
+    All constraint rows in `data` must be those of equalities, none of limits, contacts or dry friction.
+
     MuJoCo computes the constraint Jacobian J = efc_J. A rigid constraint also needs Jdot v, the second time
     derivative of the residuals at qacc = 0. Jdot v follows from the residuals of MuJoCo's documentation
     (Computation, section Equality), which are, for the points p1, p2 on bodies 1 and 2 of a constraint,
 
         connect:  p1 - p2                                             (world frame)
         weld:     p1 - p2,  vec(conj(q2) q1)                          (of bodies with coinciding frames)
-        tendon:   |p2 - p1| - its length at the initial pose          (of a rod)
+        tendon:   |p2 - p1| - its length at the initial pose
 
     where vec is the vector part of a quaternion. With w = omega1 - omega2, the first derivative is
     d/dt vec(conj(q2) q1) = 1/2 vec(conj(q2) w q1), and the second derivative is
@@ -57,7 +59,7 @@ class Loop:
 
     Attributes:
         index: MuJoCo's number of the equality.
-        name: name of the joint that closes the loop.
+        name: name of the equality. In an exported mechanism, joint and equality have the same name.
         kind: type of the equality, `mjtEq`.
         rows: numbers of the equality's constraint rows in `data`.
         bodies: MuJoCo's numbers of bodies 1 and 2.
@@ -72,7 +74,7 @@ class Loop:
 
     @cached_property
     def name(self) -> str:
-        """Name of the equality, which is the name of the joint that closes the loop."""
+        """Name of the equality; in an exported mechanism, the name of the joint that closes the loop."""
         return self.model.equality(self.index).name
 
     @property

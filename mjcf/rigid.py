@@ -34,10 +34,13 @@ class RigidMuJoCo(EvaluatedScene):
     """A `newton_euler.equations.system.System` (an engine's equations) with rigid constraints and MuJoCo's
     matrices.
 
-    Coordinates q (nq,) and velocities v (nv,) belong to newton_euler's spanning tree; MuJoCo's velocities are
-    qvel = layout.to_qvel v. Constraint rows (k,) are those of MuJoCo's equalities, in the order of the MJCF:
-    first all loop closures (balls, welds and rods, which are tendons of constant length), then all couplings
-    (gears, screws and prescribed motions). `time` is the time, s, of prescribed motions.
+    `welded` describes the mechanism as MuJoCo models it: where it has no equality for a joint that closes a
+    loop, one body is cut into two halves, which a weld joins. Coordinates q (nq,) and velocities v (nv,)
+    belong to the spanning tree of this mechanism; MuJoCo's velocities are qvel = layout.to_qvel v.
+
+    Constraint rows (k,) are those of MuJoCo's equalities, in the order of the MJCF: first all loop closures
+    (balls, welds and rods, which are tendons of constant length), then all couplings (gears, screws and
+    prescribed motions). `time` is the time, s, of prescribed motions.
     """
 
     name = "mujoco_rigid"
@@ -246,9 +249,8 @@ class RigidMuJoCo(EvaluatedScene):
     def _closing_equality(self, joint: str) -> str:
         """Return the name of the equality that closes the loop of a joint.
 
-        A joint that MuJoCo has no equality for, such as a hinge, stays in the tree. One of its bodies is cut
-        into two halves instead, and a weld closes the loop: it joins the whole body (first) and the half that
-        was added (second). The joint is at the added half.
+        A joint that MuJoCo has no equality for, such as a hinge, stays in the tree, at the added half of a
+        cut body. The weld that closes the loop joins the original body (first) and the added half (second).
         """
         mechanism, welded = self.mechanism, self.welded.mechanism
         closing_joint = welded.joints[mechanism.joint_index(joint)]

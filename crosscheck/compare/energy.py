@@ -1,4 +1,4 @@
-"""Energy balance of a run, and the lower bound of the units that energy differences are divided by."""
+"""Energy balance of a run, and the smallest unit by which comparisons divide differences of energies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 RANDOM_RATE = 1.0
-"""Order of magnitude of the velocities of random states, 1/s: 1 rad/s and one mechanism size per second."""
+"""Order of magnitude of velocities in the random states at which engines are compared, 1/s.
+
+It stands for 1 rad/s and one mechanism size per second."""
 
 
 class Balance(NamedTuple):
@@ -30,10 +32,11 @@ class Balance(NamedTuple):
 
 
 def energy_scale(scene: Scene, states: list[State]) -> float:
-    """Return the lower bound, J, of the units that energy differences are divided by.
+    """Return the smallest unit, J, by which comparisons divide differences of energies.
 
-    The bound is the largest of three energies: the kinetic energy at the given states, the mechanism's weight
-    times its size, and the kinetic energy (times two) of the mechanism's mass at one size per second.
+    If a run exchanges more energy, its comparison uses that energy. The result is the largest of three: the
+    kinetic energy at the given states, the mechanism's weight times its size, and the kinetic energy (times
+    two) of the mechanism's mass at one size per second.
     """
     size = scene.mechanism.size
     mass = sum(body.mass for body in scene.mechanism.bodies[1:])  # without the ground

@@ -43,6 +43,7 @@ def _magnitude(value: Value) -> Value:
     Raises:
         CrosscheckError: for quaternions.
     """
+    # the second dimension is "axis" for vectors (x, y, z), "component" for quaternions, "" for numbers
     if value.dimensions[1] == "axis":
         return norm(value)
     if value.dimensions[1] == "component":
@@ -161,6 +162,7 @@ class Reduction:
         """Return the values (runs, times, ...) that are reduced; magnitudes for peak and rms."""
         value = self.expression.evaluate(outputs)
         array = (_magnitude(value) if self.kind in MAGNITUDE_REDUCTIONS else value).array
+        # a constant expression has one run and one time; positions, which every run has, give their number
         runs, times = max(len(array), len(outputs.stacked("position"))), len(outputs.times)
         sizes = [len(names) for name, names in self.dimensions.items() if not name.startswith("time")]
         return np.broadcast_to(array, (runs, times, *array.shape[2:])).reshape(runs, times, *sizes)
@@ -245,6 +247,7 @@ def _parsed(text: str, parts: re.Match[str], scene: Scene) -> Reduction:
     expression = Expression(expression_text, scene)
     if not expression.plain and not parts["name"]:
         raise ValueError(f"it is an expression; give it a name (--keep NAME={text:.100})")
+    # the example is the value for outputs that are all zero; every value has its dimensions and unit
     example = _magnitude(expression.example) if kind in MAGNITUDE_REDUCTIONS else expression.example
     if kind == WHEN and example.named:
         raise ValueError(f"when compares numbers, not {example}")

@@ -6,7 +6,8 @@ distance from it. Here the ratio is (smallest singular value of the constraint J
 divided by the largest such number in the sample configurations of
 `newton_euler.equations.redundancy.Mobility`.
 
-Redundant constraint rows that files give only approximately are left out; the others are the rows in use.
+Constraint rows that are redundant but for rounded numbers of a model file are left out. The others, also
+exactly redundant ones, are the rows in use.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ def integrate_adaptive(
         count=len(times),
         output_state_size=n,
         runs=1,
-        stride=1,
+        stride=1,  # the numbers of successive runs differ by 1
         first=np.zeros(1),
         times=np.array(times, dtype=float),
         ends=start[None],
@@ -95,12 +96,14 @@ def integrate_adaptive(
     # the integrator and its work arrays
     max_steps = options.most_steps or MAX_EVALUATED_STEPS
     if options.integrator == "Radau":
-        method: Any = radau_of(n, n + 1, options, max_steps, evaluated.callback(n * n, evaluated.jacobian))
+        jacobian = evaluated.callback(n * n, evaluated.jacobian)
+        method: Any = radau_of(n=n, inputs=n + 1, options=options, max_steps=max_steps, jacobian=jacobian)
     else:
+        # the residual of almost redundant rows widens the tolerances near a singular configuration
         near = options.near_singular(mobility(system.scene).residual, system.mechanism.size)
         units = np.zeros(n)  # m or rad: a smaller coordinate has the round-off of this magnitude
         units[: system.nq] = min(1.0, system.mechanism.size)
-        method = dop853_of(n, n + 1, options, near, max_steps, units)
+        method = dop853_of(n=n, inputs=n + 1, options=options, near=near, max_steps=max_steps, units=units)
     # integrate
     integrate = METHODS[options.integrator]
     with evaluated.interruptible(), np.errstate(all="ignore"):  # the integrator rejects infinite numbers
@@ -148,7 +151,8 @@ class EvaluatedSystem(Callbacks):
         # the Cartesian form has rates of quaternions as velocities, the other systems angular velocities
         mark = QUATERNION_WITH_RATES if isinstance(system, Cartesian) else QUATERNION
         marks[[place.start for place in system.quaternions]] = mark
-        # the record for the native integrator
+        # the record for the native integrator; the change by projection is measured for each group of
+        # coordinates and velocities that constraints connect
         groups = constraint_groups(system) if options.projection and rows > 0 else np.zeros(0)
         derivative = self.callback(n + 1, self._derivative)
         self.equations = Equations(
@@ -158,7 +162,7 @@ class EvaluatedSystem(Callbacks):
             derivative=derivative,
             dense=derivative,  # there is no second form to fall back to
             loses_rank=int(watches),
-            ratio=no_ratio(),
+            ratio=no_ratio(),  # the pivot ratios of `derivative` do not depend on masses
             projecting=int(options.projection and rows > 0),
             tolerance=RESIDUAL_ROUND_OFF,
             open_tolerance=OPEN_TOLERANCE,
@@ -195,6 +199,7 @@ class EvaluatedSystem(Callbacks):
         """
         system, inputs = self._system, self._system.nq + self._system.nv + 1
 
+        # `on` is native code's bit mask of active runs, not needed for a single run
         def call(x: int, y: int, on: int) -> None:
             """Evaluate the function at the state and time at address x; write the result to address y."""
             state = vector_at(x, inputs).copy()

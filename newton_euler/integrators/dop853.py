@@ -7,12 +7,14 @@ edition, Springer 1993, section II.5 (step) and II.6 (dense output). `integrate_
 of singular configurations (`newton_euler.integrators.singular`), and a check for round-off.
 
 A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
-time and parameters* is one vector with the state, the time, flags of constraint rows, and parameters of the
-scene (`newton_euler.integrators.stepper`). Each evaluation of the rates also gives the *pivot ratio*: the
-distance to a singular configuration, where constraints become dependent; 1 far away, 0 in it.
+time and parameters* is one vector (inputs,): the state, the time, flags of redundant constraint rows (1 for a
+row that is left out), and parameters of the scene (`newton_euler.integrators.stepper`). Each evaluation of
+the rates also gives the *pivot ratio*: the distance to a singular configuration, where constraints become
+dependent; 1 far away, 0 in it.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
-Python.
+Python. Native code may integrate several runs at once, one in each lane of the vector registers. A `Vector`
+has separate elements for each lane; all lanes share the elements of a `Shared` array.
 """
 
 from __future__ import annotations
@@ -208,6 +210,7 @@ def advance(s: int, h: float, count: int, row: int, x: Vector, k: Vector, at: Ve
         i1 = i0 + part if i0 + part < count else i0
         i2 = i0 + 2 * part if i0 + 2 * part < count else i0
         i3 = i0 + 3 * part if i0 + 3 * part < count else i0
+        # "0.0 +" starts every sum at zero, so that a product -0.0 gives the sum 0.0
         change0 = 0.0 + weights[0] * k[i0]
         change1 = 0.0 + weights[0] * k[i1]
         change2 = 0.0 + weights[0] * k[i2]
@@ -433,8 +436,8 @@ def write_outputs(system: Equations, table: Table, states: Vector, method: Dop85
 
     Args:
         states: (count, n) states of the run at the output times.
-        near: 1 for a step near a singular configuration, whose outputs are projected by the dense form; else
-            0.
+        near: 1 for a step near a singular configuration, whose outputs are projected by
+            `newton_euler.integrators.dense_projection` (with full matrices, not sparse ones); else 0.
     """
     n = system.n
     now = method.now
@@ -446,8 +449,8 @@ def write_outputs(system: Equations, table: Table, states: Vector, method: Dop85
         if status != Status.DONE:
             return status
     prepare_dense(h, n, n + 1, n, now, method.end, method.k, method.terms)
-    # interpolate all output times within the step, then project these states together; the dense projection
-    # and the state at the end of the run need velocities, too
+    # interpolate all output times within the step, then project these states together; projection with
+    # full matrices and the state at the end of the run need velocities, too
     first_row = int(method.control[Control.NEXT_ROW])
     row = first_row
     while row < table.count and times[row] <= now[n] + h:
@@ -623,7 +626,7 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         return Status.DONE
     # project the end; its change by projection is the part of the error that violates the constraints. A step
     # is rejected for a large change and for a projection that fails, which stops the run if the step is very
-    # short
+    # short. `method.at` receives the end before projection
     status = project_end(system, near, end, method.projected, method.at)
     projection_change = 0.0
     if status != Status.DONE:
@@ -658,7 +661,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         status = write_outputs(system, table, states, method, near)
         if status != Status.DONE:
             return status
-    # move to the end of the step, or of the run if the step went beyond it
+    # move to the end of the step, or of the run if the step went beyond it: the interpolated last output,
+    # which `finish_step` normalizes and projects
     for i in range(n):
         now[i] = method.projected[i]
     now[n] = now[n] + h
@@ -694,8 +698,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
 def integrate_dop853(system: Equations, table: Table, method: Dop853) -> None:
     """Integrate all runs of the table, one after the other.
 
-    Compiled code may make several runs at once, one in each lane of the processor's vector registers. Each
-    lane starts its next run as soon as its run has ended. Therefore one loop takes single steps.
+    In compiled code, each lane starts its next run as soon as its run has ended. Therefore one loop takes
+    single steps.
     """
     run = int(table.first[0])
     fresh = 1  # 1 if the run has not begun

@@ -33,7 +33,7 @@ from newton_euler.scalars import Array, Floats, cross
 
 POSE_DEPENDENT = ("rest", "force", "torque")
 """Attributes of forces whose values are counted from the initial pose, or are vector components at the
-initial pose. The parameters of a controller's model end with these names, such as `hinge.spring.rest`."""
+initial pose. The names of their parameters, such as `hinge.spring.rest`, end with these words."""
 
 ROTATION_TOLERANCE = 1e-12
 """Largest element of (rotation matrix - identity) for which a body counts as not rotated: round-off."""
@@ -76,7 +76,11 @@ def described_at(scene: Scene, state: State) -> Scene:
     # Compute the displacements of the bodies, and the joint coordinates at the new pose
     mechanism, frames = scene.mechanism, state.frames()
     moves = [
-        Move(frame.rotation @ body.pose.rotation.T, body.center_of_mass, frame.position)
+        Move(
+            turn=frame.rotation @ body.pose.rotation.T,
+            start=body.center_of_mass,
+            end=frame.position,
+        )
         for body, frame in zip(mechanism.bodies, frames, strict=True)
     ]
     zeros = coordinates_at(mechanism, state)
@@ -84,7 +88,7 @@ def described_at(scene: Scene, state: State) -> Scene:
     for equations in mechanism.equations:
         _check_slides(scene, equations, moves[equations.first])
 
-    # The mechanism at the new pose
+    # The mechanism at the new pose; body 0 is the ground, which stays where it is
     bodies = [mechanism.bodies[0]]
     for body, move, p in list(zip(mechanism.bodies, moves, state.quaternion, strict=True))[1:]:
         shapes = tuple(_moved(shape, move) for shape in body.shapes)
@@ -113,7 +117,7 @@ def coordinates_at(mechanism: Mechanism, state: State) -> dict[Key, float]:
     coordinates, frames = {}, state.frames()
     for key in mechanism.coordinate_labels:
         x = float(mechanism.measure(key, frames)[0])
-        coordinates[key] = x + float(state.revolutions(key, x))
+        coordinates[key] = x + float(state.revolutions(key, x))  # plus a multiple of 2 pi
     return coordinates
 
 
@@ -160,7 +164,7 @@ def _moved_joint(equations: JointEquations, moves: list[Move], frames: list[Fram
     joint, first, second = equations.joint, moves[equations.first], moves[equations.second]
     fields: dict[str, Any] = {
         "point": first.point(joint.point),
-        "point_on_second": second.point(joint.reaction_point),
+        "point_on_second": second.point(joint.point_on_second),
     }
     for name in joint.axis_names:
         fields[name] = (second if name == "axis_on_second" else first).vector(getattr(joint, name))
@@ -201,7 +205,7 @@ def _shifted_law(scene: Scene, law: Law, zeros: dict[Key, float]) -> Law:
     if isinstance(law, Digital):
         if law.resolution > 0.0 and zeros[law.key] != 0.0:
             raise MechanismError(law.element, "has an encoder with marks", "a resolution of 0")
-        low, high = law.stroke
+        low, high = law.stroke  # limits of the set-point, counted from the old pose
         stroke = low - zeros[law.key], high - zeros[law.key]
         return replace(law, law=_shifted_declared_law(law.law, zeros), stroke=stroke)
     return _shifted_declared_law(law, zeros)
@@ -214,7 +218,7 @@ def _shifted_declared_law(law: Any, zeros: dict[Key, float]) -> Any:
     if isinstance(law, StateFeedback):
         others = {key: law.targets.get(key, 0.0) for key in law.reads if key != law.key}
         fields["targets"] = {key: _shifted_target(target, zeros[key]) for key, target in others.items()}
-    if isinstance(law, ComputedTorque):
+    if isinstance(law, ComputedTorque):  # `model`: parameters that its inverse dynamics knows differently
         for name in law.model:
             if name.endswith(POSE_DEPENDENT):
                 needed = "a model without values that are counted from the initial pose"

@@ -29,8 +29,8 @@ def without_velocity_term(system: System, joint: str) -> System:
 
     Args:
         system: equations of an engine.
-        joint: name of a joint whose last motion is a hinge. It belongs to the spanning tree, whose joints
-            are the coordinates; other joints close loops.
+        joint: name of a joint whose last elementary motion (hinge, slide or ball) is a hinge. It belongs to
+            the spanning tree, whose joints are the coordinates; other joints close loops.
     """
     return cast(System, _WithoutVelocityTerm(system, joint))
 
@@ -39,7 +39,7 @@ class _FaultyRelative(Relative):
     """newton_euler's equations in joint coordinates, with the fault.
 
     Attributes:
-        hinge: name of the joint whose last motion is the hinge at fault.
+        hinge: name of the joint whose last elementary motion is the hinge at fault.
     """
 
     def __init__(self, scene: Scene, hinge: str) -> None:
@@ -55,7 +55,7 @@ class _FaultyRelative(Relative):
         """
         # The dropped term of the hinge, whose velocity is the last one of its joint. `path` of a body has the
         # indices of the velocities between the ground and the body; the columns of `angular` map these
-        # velocities to the angular velocity of the body.
+        # velocities to the angular velocity of the body. `joint.joint` is the index in the mechanism.
         links = list(super().links(q, v))
         (joint,) = (each for each in self.tree.joints if self.tree.joint(each.joint).name == self.hinge)
         hinge_index, child = joint.v.stop - 1, links[joint.child]

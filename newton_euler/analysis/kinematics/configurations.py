@@ -152,10 +152,11 @@ class Chain:
         freedoms: number of degrees of freedom f.
         driven: the scene whose motions drive the chosen coordinates.
         system: equations in joint coordinates, with driving constraints for the chosen coordinates.
-        closing: numbers of the constraint rows (of the residuals phi) that close loops.
+        closing: numbers of the constraint rows (of the residuals phi) that always hold: loops, couplings
+            and held motions, without almost redundant rows.
         driving: (m,) numbers of the driving constraints. Their residual is coordinate - offset.
-        offsets: (m,) offsets of the driving constraints, m or rad: not 0 for a prescribed motion that is
-            measured only.
+        offsets: (m,) offsets of the driving constraints, m or rad. An offset is not 0 if a held motion drives
+            a chosen coordinate that has no goal.
         independent: numbers of constraint rows that imply all rows of `closing`.
         start: q (nq,) of the initial state.
     """
@@ -188,7 +189,7 @@ class Chain:
         self.system = TreeKinematics(self.driven)
         self.freedoms = analysis.degrees_of_freedom
         # rows of the driving constraints, of all others, and of an independent set; in phi, rows of joints
-        # come first, then those of prescribed motions
+        # come first, then those of `couplings`, of which prescribed motions are the first
         joint_rows = self.system.rows - len(self.system.couplings)
         motion_rows = {motion.key: joint_rows + k for k, motion in enumerate(self.driven.motions)}
         self.driving = np.array([motion_rows[key] for key in self.keys], dtype=int)
@@ -205,7 +206,7 @@ class Chain:
 
     @cached_property
     def function(self) -> NativeFunction:
-        """Native function of (q, step, 0), whose results `Configurations` splits.
+        """Native function of (q, step, time), whose results `Configurations` splits; time is unused, 0.
 
         The results are q moved by the step, residuals phi, direction of the axis, poses, and nonzeros of
         Jacobians.
@@ -229,6 +230,7 @@ class Chain:
         state, axis = system.state(q, rest), np.zeros(0)
         if self.axis is not None:
             body = self.scene.mechanism.body_index(self.axis.body)
+            # frames of links are parallel to the world at the initial pose; `axis` is in the body frame
             link = system.links(q, rest)[body]
             axis = link.frame.rotation @ (system.tree.initial_rotations[body] @ self.axis.axis)
             places += [(i, k) for i in range(len(rows), len(rows) + 3) for k in link.path]
@@ -295,7 +297,7 @@ class Configurations:
         chain: the chain.
         values: (n, outputs) all results of `Chain.function`, from which the other attributes are extracted.
         q: (n, nq) coordinates of the spanning tree.
-        phi: (n, k) residuals of the loops.
+        phi: (n, k) residuals of the rows `Chain.closing`.
         coordinates: (n, m) chosen coordinates, m or rad.
         direction: (n, 3) direction of the axis, world frame; (n, 0) for none.
         position, quaternion: (n, b, 3) and (n, b, 4) poses of all bodies.
@@ -336,7 +338,7 @@ class Configurations:
 
     @property
     def loops(self) -> Array:
-        """The Jacobian (n, k, nv) of the loops."""
+        """The Jacobian (n, k, nv) of the rows `Chain.closing`."""
         return self.jacobian[:, self.chain.closing]
 
     @property
