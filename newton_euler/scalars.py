@@ -163,7 +163,6 @@ def exp(x: Scalar) -> Scalar:
 def arctan2(y: Scalar, x: Scalar) -> Scalar:
     """Return the angle of the point (x, y), rad, in (-pi, pi]. If y is a float and x is not, y must not be
     zero."""
-
     if not isinstance(y, float):
         return y.arctan2(x)
     if isinstance(x, float):
@@ -175,7 +174,7 @@ def arctan2(y: Scalar, x: Scalar) -> Scalar:
 
 
 def minimum(x: Scalar, y: Scalar) -> Scalar:
-    """Return the smaller of two scalars; generic scalars need a method `minimum`."""
+    """Return the smaller of two scalars: floats, or symbols with a method `minimum`, but no `Stack`s."""
     if isinstance(x, float) and isinstance(y, float):
         return min(x, y)
     return y.minimum(x) if isinstance(x, float) else x.minimum(y)

@@ -43,7 +43,7 @@ class Performance(NamedTuple):
             tracking error x - r (coordinate minus target).
         force_rms, force_peak: root mean square over time and coordinates, and largest magnitude, of the
             actuator forces or torques.
-        energy: positive work of all actuators, J; braking recovers no energy.
+        energy: positive work of these actuators, J; braking recovers no energy.
     """
 
     error_rms: float
@@ -74,7 +74,7 @@ def controllers(scene: str, given: Mapping[str, str | float]) -> Iterator[tuple[
 
 
 def performance(scene: Scene, run: Trajectory) -> dict[str, Performance]:
-    """Compute the tracking performance of a run with the output "actuation".
+    """Compute the tracking performance of a run with the output "actuation", the actuator forces.
 
     Returns:
         The performance by kind of coordinate, "slides" or "hinges".
@@ -111,7 +111,7 @@ def _performance(scene: Scene, run: Trajectory, targets: Mapping[int, float | Ti
 
 def _targets(scene: Scene) -> dict[int, float | TimeFunction]:
     """Return the targets of the control laws that follow one, by the index of the law in `scene.control`."""
-    # a sampled (digital) law contains a law in continuous time
+    # a `DeclaredLaw` has a target, other laws have none; a sampled (digital) law contains a declared law
     declared = [law.law if isinstance(law, Digital) else law for law in scene.control]
     laws = {k: law for k, law in enumerate(declared) if isinstance(law, DeclaredLaw)}
     return {k: law.target for k, law in laws.items() if _follows(law)}

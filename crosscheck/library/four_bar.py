@@ -22,9 +22,9 @@ X, Y, Z = np.eye(3)
 
 
 def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
-    """Return N windows of rods of 1 m and 1 kg, upright at the start, couplers moving at 1 m/s, 10 s.
+    """Return N parallelograms of rods of 1 m and 1 kg, upright at the start, couplers moving at 1 m/s.
 
-    A window is one parallelogram: two vertical bars on hinges at their feet, and a coupler between their
+    A parallelogram is called a window: two vertical bars on hinges at their feet, and a coupler between their
     tops. Problem A02 of the IFToMM library of computational benchmark problems. All bars stay parallel, so
     one angle describes any number of windows, and elliptic functions give this angle. If all bars lie on one
     line, the configuration is singular: each window can fold as a parallelogram or as an antiparallelogram,
@@ -83,4 +83,6 @@ REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("B0_vx", "B0_vy"), lambda run: velocity(run, "bar_0", TOP)),
     "bar_omega_cw": lambda run: -angular_velocity(run, "bar_0") @ Z,
 }
-"""Position (m), velocity (m/s) of the first bar's top; clockwise angular velocity of the bars (rad/s)."""
+"""Position (m), velocity (m/s) of the first bar's top; clockwise angular velocity of the bars (rad/s).
+
+`crosscheck/library/references/four_bar.json` has exact values of these quantities for comparison."""

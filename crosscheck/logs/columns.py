@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -77,7 +77,7 @@ class LogData:
 
     Attributes:
         where: file or name of the run, for messages.
-        time: (n,) times as the log has them, s.
+        time: (n,) times, s, from the zero of the log's clock; large ROS stamps count from the first second.
         coordinates: joint coordinates of the scene; angles are continuous.
         rates: rates of joint coordinates.
         frames: motion of body frames by name.
@@ -108,12 +108,9 @@ class LogData:
 
         frames = {}
         for name, frame in self.frames.items():
-            parts: dict[str, Any] = {
-                each.name: value.at(rows) if isinstance(value, Measured) else value
-                for each in fields(frame)
-                for value in (getattr(frame, each.name),)
-            }
-            frames[name] = replace(frame, **parts)
+            parts = {part: value for part, value in vars(frame).items() if isinstance(value, Measured)}
+            rows_of_parts: dict[str, Any] = chosen(parts)
+            frames[name] = replace(frame, **rows_of_parts)
         return replace(
             self,
             time=self.time[rows],
@@ -201,7 +198,12 @@ class _Reader:
         return [each for each in self._found.values() if each.target.kind == kind]
 
     def measured(self, column: FoundColumn, dimension: str = "") -> Measured:
-        """Convert a column; `dimension` is "length" or "angle", or "" for numbers that no option scales."""
+        """Convert a column to SI units.
+
+        Args:
+            column: the column.
+            dimension: "length" or "angle", also for their rates; "" for numbers that no option scales.
+        """
         factor = 1.0
         if column.unit:
             of, factor = UNITS[column.unit]
@@ -224,6 +226,7 @@ class _Reader:
                 numbers = measured.values
                 if kind == "coordinate":
                     numbers = numbers if slides else np.unwrap(numbers)
+                    # coordinates of the scene are zero at its start, those of a file can be `start` there
                     numbers = numbers - (start if self._options.zero == "file" else 0.0)
                 into[key] = Measured(numbers, measured.columns)
         return values, rates
@@ -284,6 +287,7 @@ def _times(table: LogTable, options: LogOptions) -> tuple[str, Array]:
     """Return the name of the column of times, or of two columns joined by " and ", and the times (n,), s."""
     mapped = [name for name, target in options.columns.items() if target == "time"]
     for name in mapped or table.columns:
+        # the name without a unit in brackets, and its words without a unit at its end either (`time_ms`)
         core, unit, words = split_unit(name)
         if mapped or normalized(core) in TIME_NAMES or "_".join(words) in TIME_NAMES:
             if name in table.texts:
@@ -334,8 +338,9 @@ def _found_columns(
             claims.setdefault(column.target._replace(point=""), []).append(column)
     found: dict[Target, FoundColumn] = {}
     for key, columns in claims.items():
-        columns.sort(key=lambda column: column.others)
-        if len(columns) > 1 and columns[0].others == columns[1].others:
+        # the column whose name fits best: it has the fewest words beside element and quantity
+        columns.sort(key=lambda column: column.mismatch)
+        if len(columns) > 1 and columns[0].mismatch == columns[1].mismatch:
             both = " and ".join(quoted(column.name) for column in columns[:2])
             what = ".".join(filter(None, [key.kind, key.element, _letter(key)]))
             needed = f"one of the two; --log-map COLUMN={what} chooses it"

@@ -116,14 +116,14 @@ class FoundColumn(NamedTuple):
         name: name of the column.
         target: the quantity.
         unit: unit in the name; "" for none.
-        others: twice the number of words in the name that say nothing about the quantity; one more if upper
+        mismatch: twice the number of words in the name that say nothing about the quantity; one more if upper
             and lower case differ from the name of the element.
     """
 
     name: str
     target: Target
     unit: str
-    others: int
+    mismatch: int
 
 
 class Elements:
@@ -188,8 +188,8 @@ def identified(name: str, elements: Elements) -> FoundColumn | None:
             # the longest name counts, `left_leg` before `leg`; among equal ones that with equal case
             length = 2 * len(own) + (element in name)
             if found is not None and length > longest:
-                others = 2 * found[1] + (element not in name)
-                best, longest = FoundColumn(name, found[0], unit, others), length
+                mismatch = 2 * found[1] + (element not in name)
+                best, longest = FoundColumn(name, found[0], unit, mismatch), length
     return best
 
 

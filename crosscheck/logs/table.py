@@ -77,7 +77,7 @@ def read_table(given: Any, where: str = "log") -> LogTable:
 def _read_csv(where: str) -> LogTable:
     """Read a CSV file whose first line names the columns."""
     rows = csv_rows(where, read_text(where, "log_size"))
-    header = rows[0][1] if rows else []
+    header = rows[0].cells if rows else []
     check_names(where, header)
     for line, cells in rows:
         if len(cells) != len(header):

@@ -41,8 +41,8 @@ def wind_over_day(given: str, seconds: Array) -> Array:
 def _read(path: str, seconds: Array) -> Array:
     """Read wind speeds (n,), m/s, from a CSV and interpolate them at times (n,), s; errors as of
     `wind_over_day`."""
-    rows = csv_rows(path, read_text(path, "csv_size"))
-    header = [cell.lower() for cell in rows[0][1]] if rows else []
+    rows = csv_rows(path, read_text(path, limit="csv_size"))
+    header = [cell.lower() for cell in rows[0].cells] if rows else []
     if sorted(header) != sorted(WIND_COLUMNS) or not rows[1:]:
         found = listed(header) if rows[1:] else "no rows"
         raise CrosscheckError(f"{path}: has {found:.200}; needed: {NEEDED_COLUMNS}")

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.processes import safe_path
 from crosscheck.support.time_limits import duration_text
-from crosscheck.sweeps.store import KEPT_REPEAT_COMMAND, SWEEP_EXTRA
+from crosscheck.sweeps.store import HOW_TO_RESUME, SWEEP_EXTRA
 from newton_euler.errors import OptionError
 from newton_euler.optional_packages import optional_package
 from newton_euler.runs.batch import thread_count
@@ -57,7 +57,7 @@ NO_REPEAT_ABOVE_S = 1.0
 CONNECT_TIMEOUT_S = 10.0
 """Longest time, s, that a cluster may need to answer."""
 
-NO_WORKERS = f"the cluster has no workers yet: waiting; press Ctrl-C to stop, {KEPT_REPEAT_COMMAND}"
+NO_WORKERS = f"the cluster has no workers yet: waiting; press Ctrl-C to stop, {HOW_TO_RESUME}"
 """Message to the user while tasks wait for the first worker."""
 
 DASK_LOGS = ("distributed.client", "distributed.protocol.core", "distributed.comm")
@@ -99,8 +99,8 @@ def workers(
     if cluster is not None:
         with _client(cluster) as client:
             # without `pure=False` Dask would hash the arguments of each task
-            of_client = client.get_executor(pure=False)
-            yield Workers(of_client, lambda: sum(client.ncores().values()))
+            client_executor = client.get_executor(pure=False)
+            yield Workers(client_executor, lambda: sum(client.ncores().values()))
     elif executor is not None:
         if not isinstance(executor, Executor):
             raise OptionError("executor", executor, "one of concurrent.futures")
@@ -214,9 +214,9 @@ def run_tasks(
             for future in wait(running, RECOUNT_PERIOD_S, FIRST_COMPLETED).done:
                 yield running.pop(future), _result(future)
     except BrokenExecutor as error:
-        raise CrosscheckError(f"a process of the executor died; {KEPT_REPEAT_COMMAND}") from error
+        raise CrosscheckError(f"a process of the executor died; {HOW_TO_RESUME}") from error
     except (OSError, CancelledError) as error:  # the scheduler does not answer any more
-        raise CrosscheckError(f"the cluster was lost; {KEPT_REPEAT_COMMAND}") from error
+        raise CrosscheckError(f"the cluster was lost; {HOW_TO_RESUME}") from error
     finally:
         for future in running:
             future.cancel()
@@ -235,7 +235,7 @@ def _result(future: Future[Result]) -> Result:
         raise
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise CrosscheckError(f"a worker failed: {reason:.300}; {KEPT_REPEAT_COMMAND}") from error
+        raise CrosscheckError(f"a worker failed: {reason:.300}; {HOW_TO_RESUME}") from error
 
 
 class Pace:
@@ -280,7 +280,7 @@ def probed(make: Callable[[int], Any], runs: int) -> float:
         if seconds >= MIN_PROBE_S and (count > 1 or seconds < NO_REPEAT_ABOVE_S):
             seconds = min(seconds, _time(make, count))
         if seconds >= MIN_PROBE_S or count == runs:
-            return count / max(seconds, 1e-3)
+            return count / max(seconds, 1e-3)  # a shorter time is too uncertain for a rate
         count = min(4 * count, runs)
 
 

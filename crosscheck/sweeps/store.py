@@ -66,7 +66,7 @@ CHOOSE_ANOTHER_FOLDER = "name another folder (--output), or remove this one"
 
 REPEAT_COMMAND = "repeat the command to resume"
 
-KEPT_REPEAT_COMMAND = f"stored runs are kept, {REPEAT_COMMAND}"
+HOW_TO_RESUME = f"stored runs are kept, {REPEAT_COMMAND}"
 
 
 def libraries() -> tuple[Any, Any]:
@@ -448,7 +448,7 @@ def disk_errors(path: Path | None) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise CrosscheckError(f"cannot write {path}: {reason}; {KEPT_REPEAT_COMMAND}") from error
+        raise CrosscheckError(f"cannot write {path}: {reason}; {HOW_TO_RESUME}") from error
 
 
 @contextmanager

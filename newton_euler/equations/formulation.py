@@ -66,7 +66,7 @@ class Servos(NamedTuple):
     scales: list[float] | None = None
 
     def with_flags(self, flags: Mapping[int, Scalar] | None) -> Servos:
-        """Return a copy with flags by constraint row, 1 to omit the row; the same data if flags is None."""
+        """Return a copy with flags by constraint row, 1 to omit the row; the same data without flags."""
         return self._replace(rows=self.rows._replace(flags=flags)) if flags else self
 
 
@@ -107,8 +107,9 @@ class Formulation(System):
         coordinate_units: divisors that make the own coordinates dimensionless: the mechanism's size, m, for
             lengths, else 1.
         quaternions: slices of q with quaternions (w, x, y, z).
-        model_control: at most one `newton_euler.equations.model_control.ModelControl`, which computes the
-            forces of control laws that use a model of the mechanism; empty until it is needed.
+        model_control: list, shared by all copies of this object, with one
+            `newton_euler.equations.model_control.ModelControl`, which computes the forces of control laws
+            that use a model of the mechanism. The list is empty until these forces are needed.
     """
 
     name: str
@@ -258,7 +259,8 @@ class Formulation(System):
         """Compute the residuals of given accelerations a and multipliers lambda in `sparse_equations`.
 
         Returns:
-            M a - f - J^T lambda (n,), and J a + softness lambda - gamma (k,).
+            M a - f - J^T lambda (n,), and J a + softness * lambda - gamma (k,). The softness of a row is 0,
+            except for soft constraints (`newton_euler.equations.sparse.Equations`).
         """
         raise NotImplementedError
 
@@ -437,7 +439,7 @@ class Formulation(System):
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Compute each joint coordinate that control laws act on or read, m or rad, and its rate."""
         measured = self.measured(q, v)
-        return [measured[key][:2] for key in self.scene.sensed]
+        return [(measured[key].x, measured[key].rate) for key in self.scene.sensed]
 
     def joint_forces(self, q: Array, v: Array) -> Iterator[Scalar]:
         """Yield the force of each control law and each spring on a joint coordinate, N or N m."""
@@ -513,7 +515,8 @@ class Formulation(System):
         tau = np.array([solution.multipliers.get(number, 0.0) for number in numbers])
         if actuators == coordinates:
             return tau, solution.pivot_ratio
-        # dimensionless (dx/dz)^T, row by row: solve without forces for a unit rate of one coordinate z
+        # dimensionless (dx/dz)^T, row by row: solve for a unit rate of one coordinate z, without forces f
+        # (`reduced_force` is L^-1 f with the factor L of the mass matrix)
         x_rows, _ = self.sparse_coordinates(q, v, actuators)
         z_units, x_units = (np.array([self.unit(key) for key in keys]) for keys in (coordinates, actuators))
         dx_dz: Rows = []

@@ -10,7 +10,7 @@ others. Such a constraint is called *weak* and corrects nothing.
 
 `close` projects one state. `newton_euler.integrators.projection` calls it if its faster sparse form fails. A
 *state with time and parameters* is one vector (inputs,): coordinates q and velocities v, the time, flags of
-constraint rows, and parameters of the scene.
+constraint rows (1 if a redundant row is left out, else 0), and parameters of the scene.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -51,14 +51,17 @@ length."""
 class Closing(Record):
     """Dimensionless constraints and mass matrix of a scene, and working memory for the projection.
 
-    Phi are the constraint residuals, Phi_q is their Jacobian (called J above), M is the mass matrix.
+    Phi are the constraint residuals, Phi_q is their Jacobian (called J above), M is the mass matrix. Compiled
+    code can make several runs at once, one in each lane of the processor's vector registers. All lanes use
+    the same `Shared` vectors; a `Vector` has separate elements for each lane.
 
     Attributes:
         nq, nv: lengths of the coordinates q and of the velocities v.
         inputs: length of a state with time and parameters.
         constraints: number k of constraints; negative before `prepare` has filled in this record.
-        on_jacobian, on_mass: numbers of nonzeros of Phi_q and of M.
-        prepare: compiles the functions and fills in this record when a run first needs them.
+        jacobian_nonzeros, mass_nonzeros: numbers of nonzeros of Phi_q and of M.
+        prepare: compiles the functions and fills in this record when a run first needs them. It ignores its
+            arguments, which every callback has.
         retract: writes q (nq,) moved by a step (nv,), SI. Its argument is a state with time and parameters
             that has the step in place of the velocities.
         evaluate: writes Phi (k,), dPhi/dt (k,), the nonzeros of Phi_q (k, nv) and of M (nv, nv) at a state.
@@ -83,8 +86,8 @@ class Closing(Record):
     nv: int
     inputs: int
     constraints: int
-    on_jacobian: int
-    on_mass: int
+    jacobian_nonzeros: int
+    mass_nonzeros: int
     prepare: Callback
     retract: Callback
     evaluate: Callback
@@ -133,10 +136,7 @@ def closing_of(
     functions: tuple[Any, Any],
     lanes: int = 1,
 ) -> Closing:
-    """Return a record with working memory for one state in each lane.
-
-    A lane is one of several runs that compiled code makes at once, each in one element of the processor's
-    vector registers.
+    """Return a record with working memory for one state in each lane (see `Closing`).
 
     Args:
         nq: length of q.
@@ -145,7 +145,7 @@ def closing_of(
         places: indices of the nonzeros of Phi_q and of M in the full matrices, row by row.
         constraints: number of constraints.
         functions: `Closing.retract` and `Closing.evaluate`.
-        lanes: number of lanes.
+        lanes: number of lanes; 1 for one run at a time.
     """
     nv = len(units)
     rank = min(constraints, nv)
@@ -158,8 +158,8 @@ def closing_of(
         nv=nv,
         inputs=inputs,
         constraints=constraints,
-        on_jacobian=len(places[0]),
-        on_mass=len(places[1]),
+        jacobian_nonzeros=len(places[0]),
+        mass_nonzeros=len(places[1]),
         prepare=None,
         retract=functions[0],
         evaluate=functions[1],
@@ -196,12 +196,12 @@ def factor_metric(closing: Closing) -> int:
     # scatter the nonzeros into the full matrices Phi_q and M
     for i in range(k * nv):
         rows[i] = 0.0
-    for i in range(closing.on_jacobian):
+    for i in range(closing.jacobian_nonzeros):
         rows[int(places[i])] = nonzeros[i]
     for i in range(nv * nv):
         lower[i] = 0.0
-    for i in range(closing.on_mass):
-        lower[int(places[closing.on_jacobian + i])] = nonzeros[closing.on_jacobian + i]
+    for i in range(closing.mass_nonzeros):
+        lower[int(places[closing.jacobian_nonzeros + i])] = nonzeros[closing.jacobian_nonzeros + i]
     # metric: M, scaled to the largest diagonal element 1, plus J^T J
     largest = 0.0
     for i in range(nv):

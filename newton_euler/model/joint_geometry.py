@@ -52,6 +52,7 @@ def geometry_in_mechanism(mechanism: Mechanism) -> dict[str, JointGeometry]:
             for motion, point in zip(motions, joint.motion_points, strict=True)
             if motion.kind == "hinge"
         ]
+        # `reaction_point` is the joint point on the second body
         points = np.array([joint.point, joint.reaction_point, *hinges])
         geometries[joint.name] = JointGeometry(kinds, np.reshape(axes, (-1, 3)), points)
     return geometries
@@ -69,25 +70,27 @@ def geometry_in_tree(
             the parent.
     """
     geometries = {}
-    for kept in welded.tree.joints:
-        if kept.joint >= len(welded.mechanism.joints):
+    for tree_joint in welded.tree.joints:
+        joint_number = tree_joint.joint
+        if joint_number >= len(welded.mechanism.joints):
             continue  # the free joint that the tree adds for a body that only rods hold
-        joint = welded.tree.joint(kept.joint)
-        motions = [read(name) for name in motion_names(joint, kept.forward)]
-        geometries[joint.name] = _from_first_to_second(kept, motions)
+        joint = welded.tree.joint(joint_number)
+        motions = [read(name) for name in motion_names(joint, tree_joint.forward)]
+        geometries[joint.name] = _from_first_to_second(tree_joint, motions)
     return geometries
 
 
-def _from_first_to_second(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> JointGeometry:
+def _from_first_to_second(tree_joint: TreeJoint, motions: list[tuple[str, Array, Array]]) -> JointGeometry:
     """Build the geometry of a joint, ordered from its first to its second body, from the motions of its child
     body relative to its parent body.
 
     Args:
-        kept: the joint in the spanning tree. `kept.forward` is False if the child is the joint's first body.
+        tree_joint: the joint in the spanning tree. Its `forward` is False if the child is the joint's first
+            body.
         motions: (kind, axis, point) of each elementary motion from parent to child, see `geometry_in_tree`.
     """
-    sense = 1.0 if kept.forward else -1.0
-    ordered = motions if kept.forward else motions[::-1]
+    sense = 1.0 if tree_joint.forward else -1.0
+    ordered = motions if tree_joint.forward else motions[::-1]
     axes = [sense * axis for kind, axis, _ in ordered if kind != "ball"]
     hinges = [point for kind, _, point in ordered if kind == "hinge"]
     # The engine has no point on the first body; the point of the last motion is fixed in the second body

@@ -135,8 +135,11 @@ def read_text(
         raise error(os.fspath(path), "not a UTF-8 text file") from failure
 
 
-Row = tuple[int, list[str]]
-"""A row of a CSV file: its line number, from 1, and the text of its cells."""
+class Row(NamedTuple):
+    """A row of a CSV file: its line number, from 1, and the text of its cells."""
+
+    line: int
+    cells: list[str]
 
 
 def csv_rows(path: str, text: str) -> list[Row]:
@@ -151,7 +154,7 @@ def csv_rows(path: str, text: str) -> list[Row]:
     """
     reader = csv.reader(io.StringIO(text, newline=""))
     try:
-        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
+        rows = [Row(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
     except csv.Error as error:
         raise SourceError(path, f"line {reader.line_num}: {error}") from error
     for line, cells in rows:
@@ -159,7 +162,7 @@ def csv_rows(path: str, text: str) -> list[Row]:
             if not cell.isprintable():
                 raise SourceError(path, f"line {line}: {cell!r:.100} has a control character; remove it")
     for separator in ";\t":
-        if rows and len(rows[0][1]) == 1 and separator in rows[0][1][0]:
+        if rows and len(rows[0].cells) == 1 and separator in rows[0].cells[0]:
             problem = f"columns are separated by {separator!r}"
             raise SourceError(path, f"line 1: {problem}; needed: commas, and decimal points in numbers")
     return rows

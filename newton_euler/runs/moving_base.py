@@ -263,7 +263,7 @@ def _read(where: str, path: str | os.PathLike[str]) -> TimeTable:
     """
     # rows are pairs (number of the line, cells)
     rows = csv_rows(where, read_text(path, "csv_size"))
-    header = [cell.lower() for cell in rows[0][1]] if rows else []
+    header = [cell.lower() for cell in rows[0].cells] if rows else []
     _check_header(where, header)
     if len(rows) <= MIN_ROWS:
         raise SourceError(where, f"has {len(rows) - 1} rows of poses; needed: {MIN_ROWS} or more")

@@ -163,7 +163,7 @@ PASSIVE_ELEMENTS: dict[str, frozenset[str]] = {
 A `<gazebo>` element belongs to a link ("gazebo link"), to a joint ("gazebo joint"), or to the whole model
 ("gazebo")."""
 
-READ_ATTRIBUTES = {
+KNOWN_ATTRIBUTES = {
     "origin": frozenset({"xyz", "rpy"}),
     "axis": frozenset({"xyz"}),
     "mass": frozenset({"value"}),
@@ -187,7 +187,9 @@ READ_ATTRIBUTES = {
     "parent": frozenset({"link", "joint"}),
     "child": frozenset({"link", "joint"}),
 }
-"""Known attributes of the elements whose numbers affect the motion."""
+"""Attributes without report, by tag, of the elements whose attributes can affect the motion.
+
+The list includes attributes that the reader ignores, such as the jerk of a limit."""
 
 PASSIVE_PLUGIN = re.compile(
     r"control|state_?publisher|camera|imu|laser|ray|lidar|gps|gnss|p3d|ft_?sensor|force_?torque|sensor|"
@@ -200,7 +202,8 @@ ACTING_IN_TRANSMISSION = re.compile(r"inertia|stiff|damp|friction|backlash|sprin
 """Pattern of the tags in a `<transmission>` that exert forces; other tags map commands to forces."""
 
 ACTING_TAGS = re.compile(r"constraint|loop|closure|closing|weld|tendon|bushing|spring|coupl|equality", re.I)
-"""Pattern of the tags, of any tool, of elements that connect or push bodies."""
+"""Pattern of tags that suggest a constraint or a force; a file with an unknown element of such a tag is
+refused."""
 
 
 def tag_of(element: ET.Element) -> str:
@@ -265,7 +268,7 @@ def unknown(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
     for element in (*root.findall("link"), *root.findall("joint")):
         yield from _repeated(element)
         for part in (*element, *element.findall("inertial/*")):
-            known_attributes = READ_ATTRIBUTES.get(part.tag, part.attrib)
+            known_attributes = KNOWN_ATTRIBUTES.get(part.tag, part.attrib)
             unknown_attributes = [name for name in part.attrib if name not in known_attributes]
             if unknown_attributes:
                 parent_name = f"{element.tag} {element.get('name')!r:.100}"

@@ -196,22 +196,22 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     """
     where = path_text(path)
     rows = csv_rows(where, read_text(path, "csv_size"))
-    header, units = _headings(rows[0][1] if rows else [])
+    header, units = _headings(rows[0].cells if rows else [])
     if "time" not in header or len(header) < 2:
         names = listed(header) or "no columns"
         needed = "a column time, and at least one of measurements"
         raise SourceError(where, f"line 1 has {names:.200}; needed: {needed}")
     check_names(where, header)
-    # rows (number of the line, cells) of measurements, and rows of noise and start by the name of the column
+    # rows of measurements, and rows of noise and start by the name of the column
     time_column, data = header.index("time"), list[Row]()
     special_rows: dict[str, dict[str, float]] = {NOISE: {}, START: {}}
     for line, cells in rows[1:]:
         if len(cells) == len(header) and cells[time_column].lower() in special_rows:
             given = {name: cell for name, cell in zip(header, cells, strict=True) if cell and name != "time"}
-            values = row_numbers(where, list(given), (line, list(given.values())))
+            values = row_numbers(where, list(given), Row(line, list(given.values())))
             special_rows[cells[time_column].lower()] |= dict(zip(given, values, strict=True))
         else:
-            data.append((line, cells))
+            data.append(Row(line, cells))
     if len(data) < 2:
         raise SourceError(where, f"has {len(data)} rows of measurements; needed: 2 or more")
     table = TimeTable.of(where, header, data)
