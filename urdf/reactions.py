@@ -4,6 +4,10 @@
 wrench minus the joint's drives: the forces of actuators, springs, dampers and rotors on the joint's hinges
 and slides. Wrenches are (6,): force, N, and torque, N m, about the world's origin unless stated otherwise,
 world frame.
+
+Pinocchio closes loops only with ball joints, rods (two points at a fixed distance) and welds. The *welded
+mechanism* of a scene closes its loops with these alone: if a loop would close at another joint, a body is cut
+into two halves, and a weld holds them together.
 """
 
 from __future__ import annotations
@@ -65,6 +69,7 @@ def drive_wrenches(
                 # cancel the work of the slides' forces on the hinges
                 velocities_at_point = columns[:3, hinges].T + np.cross(axes, point)
                 wrench[3:] -= (velocities_at_point @ wrench[:3]) @ duals
+        # `forward`: the child in the tree is the second body of the joint
         wrenches.append((tree_joint.joint, wrench if tree_joint.forward else -wrench))
     return wrenches
 
@@ -110,12 +115,12 @@ def joint_wrenches(
 
     Args:
         scene: scene with the gravity.
-        welded: mechanism of the scene with cut loops.
+        welded: welded mechanism of the scene, with its spanning tree.
         model: Pinocchio's model.
         data: Pinocchio's data after `rnea` with the wrenches below.
         closure_wrenches: (6,) wrench of each loop closure on its second body.
-        applied: (6,) sum of the forces of ball springs, point springs, wrenches and wind on each body of the
-            welded mechanism.
+        applied: (6,) sum of the forces of ball springs (on ball joints), point springs (between points of two
+            bodies), wrenches and wind on each body of the welded mechanism.
         frames: poses and velocities of the scene's bodies.
         accelerations: (b, 6) linear and angular accelerations of the scene's bodies.
 
@@ -129,7 +134,7 @@ def joint_wrenches(
     # tree joints from the leaves to the root
     for tree_joint in reversed(tree.joints):
         if tree_joint.joint >= len(joints):
-            continue  # a free joint of a body that only rods hold
+            continue  # a free joint that the tree adds for a body that only rods connect to others
         if tree_joint.motions:
             # the last of Pinocchio's joints for the motions of this joint; it carries the child
             last = model.getJointId(motion_names(tree.joint(tree_joint.joint), tree_joint.forward)[-1])

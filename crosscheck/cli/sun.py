@@ -94,12 +94,14 @@ def sun_command(
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
     places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
     pairs = list(product(places, dates))
-    optional_package("pvlib", SUN)  # raises if pvlib is missing, before folders are created
+    # raises if pvlib, one of the optional dependencies `SUN`, is missing, before folders are created
+    optional_package("pvlib", SUN)
     check_writable(*files_of(output, several=len(pairs) > 1))
     scene, days = sun_tracker(), []
     with progress_shown() as progress:
         for place, date in with_progress(pairs, progress, "day"):
             days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds))
+        # the report compares the irradiation with that of other panels, such as a fixed one
         progress("sunlight on other panels, plots and recording")
         if len(days) > 1:
             report = survey_report(days)
@@ -110,4 +112,4 @@ def sun_command(
     show(report)
     for path in written:
         say(f"wrote {path}")
-    return AGREE
+    return AGREE  # exit status 0

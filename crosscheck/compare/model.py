@@ -21,7 +21,8 @@ def model_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iter
 
     Args:
         pair: names of the two engines.
-        first, second: equations of the two engines, with the properties of their own models.
+        first, second: equations of motion of the two engines at the same states, with the properties of their
+            own models.
     """
     scene = first.states.scene
     a, b = first.mass_properties, second.mass_properties

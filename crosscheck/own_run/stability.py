@@ -1,6 +1,7 @@
-"""Find the mode of a model that is too fast for the time step of its run, and the elements that make it.
+"""Find the mode of a model that is too fast for the time step of its run, and the elements that cause it.
 
-The run of a model file is linearized at some states, see `newton_euler.reading.small_motions`. A time step is
+Elements are parts of the model that exert forces, such as springs, dampers, actuators and constraints. The
+run of a model file is linearized at some states, see `newton_euler.reading.small_motions`. A time step is
 unstable if it multiplies a small motion by far more than the exact motion does. The stability limit is the
 largest stable time step, found by bisection with the engine's own steps. The elements at fault are those
 whose removal makes the file's time step stable.
@@ -24,23 +25,23 @@ MAX_GROWTH = 10.0
 """Largest factor by which time steps may multiply a small motion during a run, beyond the exact growth."""
 
 EXACT_GROWTH_FACTOR = 2.0
-"""Factor on the exact growth, 1/s, of small motions that is no fault of the time step. States of a motion
-that is unstable itself, such as that of an inverted pendulum, show the exact growth only roughly."""
+"""Multiple of the exact growth, 1/s, that is not attributed to the time step. In a motion that is unstable
+itself, such as that of an inverted pendulum, the linearized states show the exact growth only roughly."""
 
 MIN_STEP_GROWTH = 1e-4
-"""Growth per step that round-off can feign: a double eigenvalue 1, such as that of a free motion, is known to
-the square root of the round-off of the differences."""
+"""Logarithm of the growth per step below which round-off may be the cause. A double eigenvalue 1, such as
+that of a free motion, is known only to the square root of the round-off of finite differences."""
 
 MAX_STEP_DOUBLINGS, MAX_STEP_HALVINGS = 12, 24
-"""Number of times that a time step is doubled or halved in the search for the stability limit, and that a
-change of a model is."""
+"""Largest numbers of doublings and halvings of a time step in the search for the stability limit. They also
+limit the powers of two by which a model is changed."""
 
 LIMIT_TOL = 0.01
 """Relative error of the stability limit."""
 
-MIN_SHARE_OF_STABLE = 0.25
-"""Smallest part of a stable mode's change per step of an element that is said to make the mode. A spring
-makes half of an oscillation: velocities change by forces, and positions by velocities."""
+MIN_CAUSE_SHARE = 0.25
+"""Share in a stable mode's change per step, above which an element counts as the cause of the mode. The share
+of a spring in an oscillation is one half: velocities change by forces, and positions by velocities."""
 
 ALIKE = 0.9
 """Smallest cosine between two shapes, relative to the most similar ones, that count as the same."""
@@ -48,7 +49,7 @@ ALIKE = 0.9
 
 @dataclass(frozen=True)
 class Stability:
-    """A mode of a run beside the stability limit of its time step.
+    """Stability limit of the time step of a run, and the mode that sets the limit.
 
     Attributes:
         timestep: time step of the file, s.
@@ -58,7 +59,7 @@ class Stability:
             the fastest one if the time step is stable.
         growth: factor by which one time step multiplies the mode.
         elements: elements at fault, the most important one first; if the time step is stable, the one element
-            that makes the fastest mode.
+            that causes the fastest mode, or none if no element has a large share in it.
         limit_without: largest stable time step without these elements, s.
         body: body that moves most in the mode.
     """
@@ -157,8 +158,8 @@ class StepStability:
             without: numbers of removed elements.
         """
         stable, unstable = 0.0, math.inf
-        rises = self.is_stable(timestep, without)
-        for _ in range(MAX_STEP_DOUBLINGS if rises else MAX_STEP_HALVINGS):
+        starts_stable = self.is_stable(timestep, without)
+        for _ in range(MAX_STEP_DOUBLINGS if starts_stable else MAX_STEP_HALVINGS):
             if self.is_stable(timestep, without):
                 stable, timestep = timestep, 2.0 * timestep
             else:
@@ -166,7 +167,7 @@ class StepStability:
             if stable and unstable < math.inf:
                 break
         else:
-            return math.inf if rises else 0.0
+            return math.inf if starts_stable else 0.0
         while unstable > (1.0 + LIMIT_TOL) * stable:
             between = math.sqrt(stable * unstable)
             if self.is_stable(between, without):
@@ -177,7 +178,7 @@ class StepStability:
 
 
 class ModeAtFault:
-    """Mode of a run that time steps multiply most, and the elements that make it.
+    """Mode of a run that time steps multiply most, and the elements that cause it.
 
     Attributes:
         found: the result.
@@ -217,11 +218,11 @@ class ModeAtFault:
             step_mode = int(np.argmax(np.abs(multipliers)))
             self.shape = step_vectors[motions.velocities, step_mode]
             mode = _alike(vectors[motions.velocities], self.shape, np.abs(values))
-        # the elements that make it
+        # the elements that cause it
         shares = self._shares(np.linalg.pinv(step_vectors)[step_mode], step_vectors[:, step_mode])
         order = np.argsort(-shares).tolist()
         if is_stable:
-            self.elements = tuple(k for k in order[:1] if shares[k] > MIN_SHARE_OF_STABLE)
+            self.elements = tuple(k for k in order[:1] if shares[k] > MIN_CAUSE_SHARE)
         else:
             self.elements = tuple(self._needed(order, timestep))
         self.found = Stability(

@@ -58,7 +58,7 @@ SUBFOLDERS = ("*", "*/*")
 
 MAX_FOLDERS_IN_FULL = 30
 """Largest number of folders that a page shows in full; for more, the page only lists the verdicts. Each
-folder takes a few seconds. The library has fewer scenes."""
+folder takes a few seconds. The library of `crosscheck run --all` has fewer scenes."""
 
 Progress = Callable[[str], None]
 """Function that shows a message to the user."""
@@ -356,7 +356,7 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
     # pictures that the command wrote
     for path in (path for path in paths if path.suffix == ".png"):
         try:
-            content = read_content(path, "result_size")
+            content = read_content(path, "result_size")  # at most as large as the limit of this name
         except SourceError as error:
             raise CrosscheckError(str(error)) from error
         entry.pictures.append(Picture(content, path.stem.replace("_", " ")))

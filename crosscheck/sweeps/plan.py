@@ -187,7 +187,7 @@ class SweepPlan:
                 )
 
     def record(self) -> dict[str, str | int | float]:
-        """Describe the plan for the store, by texts and numbers, the types that netCDF allows.
+        """Describe the plan by texts and numbers, types that netCDF allows, for the stored sweep.
 
         Different plans have different records.
 
@@ -202,6 +202,7 @@ class SweepPlan:
             "scene": self.scene.name,
             "fingerprint": known,
             "numbers": json.dumps(_numbers(self.scene)),
+            # the distribution of each parameter, or of a group of correlated parameters
             **{f"vary {', '.join(names)}": str(each) for names, each in self.samples.groups},
             "vary": ", ".join(self.samples.names),
             "sampling": self.samples.sampling,

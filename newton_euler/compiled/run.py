@@ -1,7 +1,9 @@
 """Integrate a compiled scene: bind its native functions to a native integrator and run it.
 
 No Python runs inside a step, except near singular configurations, where constraints become dependent. An
-`Integrator` turns an initial state into a table of states at given output times.
+`Integrator` turns an initial state into a table of states at given output times. Native functions read one
+vector x (inputs,): the state (q, v), the time, flags, and parameters of the scene. A flag is 1 for a
+redundant constraint row that is left out, else 0.
 
 The other functions build records: structures of sizes, function pointers and work arrays that the native
 integrators in `newton_euler.integrators` read. Their classes there describe the fields. Native code can
@@ -131,16 +133,19 @@ def round_off_units(code: CompiledEquations) -> Array:
     """Return the magnitudes (size,) below which the round-off of a coordinate is constant, m or rad.
 
     A coordinate that is smaller than its magnitude has the round-off of the magnitude. The magnitude is 0 for
-    velocities and work, whose round-off is relative.
+    velocities and for the work of forces, which is in q if the scene tracks it: their round-off is relative.
     """
     system, magnitudes = code.system, np.zeros(code.size)
     magnitudes[: system.carried.start] = system.coordinate_units
-    magnitudes[system.carried] = 1.0  # rad, angles that are counted with their full revolutions
+    magnitudes[system.carried] = 1.0  # rad, additional angles in q that count full revolutions
     return magnitudes
 
 
 class Fallback(DenseCallbacks):
-    """Callbacks of a single run: dense equations of motion in Python at singular states, and interrupts."""
+    """Callbacks of a single run: dense equations of motion in Python at singular states, and interrupts.
+
+    Native code passes the addresses x of the input and y of the results, and a mask `on` of active lanes.
+    """
 
     def __init__(self, code: CompiledEquations, counts: Array, stopped: Sequence[bool] = ()) -> None:
         """Prepare the callbacks.
@@ -347,9 +352,11 @@ def equations(
         velocity=velocity,
         closing=closing_on_demand(code, python, in_lanes),
         exchange=exchange_of(code, python, in_lanes),
+        # x, projected state, squared residual, pivot ratio, and squared residual of the step before
         projection_work=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
+        # number and members of the groups of coordinates and velocities that constraints connect
         groups=int(code.groups.max(initial=0.0)),
         members=group_places(code.groups, code.system.nq),
         counts=python.counts,
@@ -373,6 +380,8 @@ def closing_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes:
         The addresses x and y and the mask `on` of active lanes, which native code passes, are not needed.
         """
         with COMPILATION_LOCK:
+            # `retract` moves coordinates by a step; `surface` evaluates constraint residuals and rates, and
+            # the nonzeros, at `places`, of the constraint Jacobian and of the mass matrix
             retract, surface = (code.function(name, in_lanes) for name in ("retract", "surface"))
         constraints, places = surface.layout
         prepared = closing_of(
@@ -512,6 +521,7 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
             control=scratch(2),
         )
     if options.integrator == "DOP853":
+        # `noise`: largest singular value of constraints that are redundant but for rounded numbers of a file
         near = options.near_singular(code.noise, code.scene.mechanism.size)
         return dop853_of(n, code.inputs, options, near, max_steps, round_off_units(code), steps, lanes)
     return radau_of(n, code.inputs, options, max_steps, code.function("jacobian"), lanes)
@@ -557,7 +567,8 @@ def dop853_of(
         at=scratch(inputs),
         end=scratch(inputs),
         projected=scratch(inputs),
-        k=scratch(16 * (n + 1) + 1),  # 12 stages and 4 evaluations for the dense output
+        # 12 stages and 4 evaluations for the dense output; the last element is not used
+        k=scratch(16 * (n + 1) + 1),
         terms=scratch(7, n),
         room=len(steps),
         steps=steps,

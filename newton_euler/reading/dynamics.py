@@ -5,7 +5,12 @@ scene and file are compared. `ScenePlacement` has the scene's bodies at the pose
 Accelerations of the scene are substituted into the equations of the reference model, M a = f + J^T lambda and
 J a = -dJ/dt v. The checks are the residual of the first equation along the free motions of the file, and the
 residual of the second equation. The accelerations of the two models are not compared directly, because they
-depend on a decision on the rank of the constraint Jacobian J.
+depend on a decision on the rank of the constraint Jacobian J. If a singular value of J is round-off, its
+motion is certainly *free*; if it is large, its motion is *held* by the constraints. Values between are in
+doubt, because rounded digits of the file cause such values.
+
+Sizes: b bodies of the scene; g rigid groups of the file, which are links that fixed joints hold together; nv
+velocities of the file, of which d are independent.
 """
 
 from __future__ import annotations
@@ -111,20 +116,22 @@ def _acceleration_checks(placed: ScenePlacement, found: Sequence[Evaluation]) ->
         dimensionless, joint_check = _file_acceleration(placed, place, accelerations)
         joint_checks.append(joint_check)
         loop_checks += _loop_check(place.sample, dimensionless, reference.units)
-        # Residual of M a = f along the motions that are certainly free, in independent velocities
+        # Residual of M a = f along the motions that are certainly free (singular values of round-off), in
+        # independent velocities. `basis` (nv, d) also has the motions in doubt
         basis, a = place.sample.freedom.basis, reference.units * dimensionless
+        # M is the sum of the mass matrices of bodies and of armatures; forces (kinds, nv) by kind
         mass, forces = np.sum(place.sample.mass_matrices, axis=0), np.array(place.sample.forces)
         total_force = forces[: len(FORCE_KINDS)].sum(axis=0) - forces[-1]  # the last row is the bias
-        certain_basis = place.sample.freedom.certain_basis
-        projection = certain_basis @ np.linalg.pinv(certain_basis)  # on the motions that are certainly free
+        certain_basis = place.sample.freedom.certain_basis  # (d, c) the c motions that are certainly free
+        projection = certain_basis @ np.linalg.pinv(certain_basis)
         residuals.append(projection.T @ (basis.T @ (mass @ a - total_force)))
         typical = np.abs(a) + SAMPLE_SPEED**2 * reference.units  # a scale also where no force acts
         scales.append(np.abs(basis).T @ (np.abs(mass) @ typical + np.abs(forces).sum(axis=0)))
     yield closest_to_failing(joint_checks)
     if loop_checks:
         yield closest_to_failing(loop_checks)
-    # Constraint rows with singular values in doubt (between round-off and the effect of rounded digits) may
-    # have large multipliers, whose round-off shows along the free motions
+    # Constraint rows in doubt may have large multipliers, inverse to their singular values. The round-off of
+    # these multipliers, relative to the `READING_ROUND_OFF` of the tolerance, shows along the free motions
     doubtful_values = [sample.freedom.doubtful_value for sample in reference.samples]
     of_multipliers = max(
         (
@@ -153,6 +160,7 @@ def _file_acceleration(
         Dimensionless accelerations (nv,), and a check of the part of the body accelerations that no joint of
         the file allows.
     """
+    # Dimensionless accelerations of the rigid groups: rows @ (accelerations of coordinates) + drift
     rows = place.group_transformation / placed.group_units[:, None] * placed.reference.units
     reached, drift = placed.group_rows(accelerations), place.group_drift / placed.group_units
     fitted = least_squares(rows, reached - drift)
@@ -183,8 +191,8 @@ def _loop_check(sample: Sample, acceleration: Array, units: Array) -> list[Readi
     fine, coarse = sample.velocity_products  # dJ/dt v by a small and a large difference step
     scale = float(np.max(np.abs(jacobian))) * max(SAMPLE_SPEED**2, float(np.max(np.abs(acceleration))))
     # Only the part of the residual in the range of the rows that certainly hold is judged. No acceleration
-    # changes the rest: redundant rows, rows in doubt, loops with an offset, rows that lose rank in a singular
-    # configuration
+    # changes the rest: redundant rows, rows in doubt, loops that rounded digits of the file leave open, rows
+    # that lose rank in a singular configuration
     u, s, _ = singular_values(jacobian)
     held = u[:, s > HELD_SINGULAR_VALUE * max(1.0, float(s[0]))]
     second_rates = held @ (held.T @ (jacobian @ acceleration + fine))

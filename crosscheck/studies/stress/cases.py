@@ -113,7 +113,7 @@ class Case:
         measure: function that measures the value at a setting. It is pickled, as it runs in another process.
         required_texts: for cases without an answer, texts that the error must contain, such as a joint name.
         time_limit: CPU time, s, after which the process of the case is ended.
-        topic: letter of the topic, see `TOPICS`.
+        topic: letter of the topic, a key of `crosscheck.studies.stress.topics.TOPICS`, set before the run.
     """
 
     name: str

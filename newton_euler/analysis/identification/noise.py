@@ -31,8 +31,8 @@ MIN_PROBABILITY = 1e-4
 that noise does not explain move parameters by many of their standard deviations."""
 
 FIRST_NOISE = 1e-3
-"""First estimate of unknown noise, divided by the standard deviation of the column: small enough to correct
-bad initial values."""
+"""First estimate of unknown noise, divided by the standard deviation of the column. It is small so that
+residuals outweigh the regularization, which would hold the parameters at bad initial values."""
 
 MIN_NOISE = 1e-9
 """Smallest estimate of unknown noise, divided by the standard deviation of the column: the error of a
@@ -43,11 +43,12 @@ MIN_LEFT_FRACTION = 1e-6
 determine the noise."""
 
 ROUGH_CHANGE = 0.1
-"""Relative change of the noise from one fit to the next, below which the first step of a fit is complete."""
+"""Relative change of the noise from one fit to the next, below which the first stage of a fit, the
+regularized fit of all parameters, is complete."""
 
 FINAL_CHANGE = 0.01
-"""Relative change of the noise from one fit to the next, below which the second step of a fit has
-converged."""
+"""Relative change of the noise from one fit to the next, below which the second stage of a fit, that of the
+identifiable combinations of parameters, has converged."""
 
 
 class Noise:
@@ -119,8 +120,9 @@ class Noise:
 
         Args:
             residuals: (n,) SI.
-            fitted: (n, s) derivatives of the residuals, in units of the noise, with respect to the fitted
-                combinations in units of their standard deviations; the columns are orthonormal.
+            fitted: (n, s) derivatives of the residuals, in units of the noise, with respect to the s
+                identifiable combinations of parameters, in units of their standard deviations; the columns
+                are orthonormal.
 
         Returns:
             (1 + u,) new levels, divided by the levels before.
