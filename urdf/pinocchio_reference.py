@@ -94,13 +94,15 @@ class PinocchioReference(ReferenceModel):
             scene: imported scene; its initial pose selects the start among the closed configurations.
         """
         self._model, self._joint_names, self._closures = model, joint_names, closures
-        # properties that the scene leaves out, by element; the reference leaves them out, too
+        # topics: properties, such as "damping", that the scene leaves out, by element; the reference leaves
+        # them out, too
         self._topics_left_out, self._report = topics_not_simulated(report), report
         self._rod_lengths: dict[int, float] = {}  # by number of the closure, once the start is known
         self._data: Any = model.createData()
         self._damping, self._stiffness, self._rests = np.zeros((3, model.nv))
         self._springs: list[PointSpring] = []
-        # couplings and mimics: linear factors (c, nv), constants (c,), elements, factors of higher powers
+        # couplings and mimics: linear factors (c, nv), constants (c,), elements, and factors of the powers 1
+        # to `MAX_DEGREE` of coordinates (c, MAX_DEGREE, nv), with 0 for power 1
         self._linear, self._offsets = np.zeros((0, model.nv)), np.zeros(0)
         self._coupling_elements = list[str]()
         self._higher_powers = np.zeros((0, MAX_DEGREE, model.nv))
@@ -128,9 +130,11 @@ class PinocchioReference(ReferenceModel):
         for k in self._joints:
             bodies = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
             names.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", names))
+        # the file may have two halves of a body that was cut to open a loop: both get the body's name
         self.names = whole_body_names(names[1:], scene.mechanism.body_names)
-        # velocities; largest random displacements: nearly half a revolution, or three sizes of the mechanism,
-        # less for several hinges without mass between them
+        # for each velocity: the name of its joint (`motions`), and its largest random displacement. This is
+        # nearly half a revolution or three sizes of the mechanism; less for hinges in a row without mass
+        # between them
         massless = {k for k in range(1, model.njoints) if k not in self._joints}
         self.ranges = np.full(model.nv, 3.0)
         motions = [""] * model.nv

@@ -76,7 +76,7 @@ CRANK_CENTER = _turned(BETA, 0.00092)
 
 
 def andrews() -> Scene:
-    """Return the mechanism: 0.033 N m turn a crank of 7 mm from rest to over 1000 rad/s, 0.05 s."""
+    """Return the mechanism: 0.033 N m turn a crank of 7 mm from rest to over 1000 rad/s in 0.05 s."""
     centers = (  # of mass, in the order of `MASSES`; lengths in m are those of the Test Set
         CRANK_CENTER,
         F + _turned(BETA + THETA, -0.0115),

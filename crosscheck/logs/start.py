@@ -1,4 +1,8 @@
-"""Start of a log as a state of the scene: the consistent state next to the first row."""
+"""Start of a log as a state of the scene: the consistent state next to the first row.
+
+A log has columns of measured joint coordinates, poses and rates over time. Coordinates have keys (joint,
+number).
+"""
 
 from __future__ import annotations
 
@@ -53,16 +57,17 @@ def log_start(
 
     Args:
         scene: the scene.
-        elements: names of the scene and of the model file.
+        elements: names of joints and bodies in the scene and in the model file, which columns refer to.
         data: the log.
-        default: point of positions whose columns do not state a point.
+        default: point of a body ("center" of mass, or origin of its "frame") that positions belong to if the
+            names of their columns do not state it.
         rows: number of first rows for rates that the log does not have.
 
     Raises:
         SourceError: if the log does not determine the start, naming what is missing, or if the loops cannot
             close next to the first row.
     """
-    sample = first_rows(all_rows(data))
+    sample = first_rows(all_rows(data), count=1)
     rates, differences = rates_at_start(data, rows)
     known = {body: pose for body, pose in body_poses(elements, sample, default).items() if pose.is_complete}
     moving = velocities(elements, sample, rates, default)
@@ -73,6 +78,7 @@ def log_start(
     for body in known.keys() - {0}:
         for array, values in zip(arrays, (*known[body], *moving[body]), strict=True):
             array[body] = values[0]  # type: ignore[index]
+    # full revolutions of angles on which forces or couplings depend
     angles = {key: float(x[0]) for key, x in sample.coordinates.items() if key in counted_angles(scene)}
     try:
         state = assemble(scene, State(*arrays, angles={**guess.angles, **angles}))
@@ -120,12 +126,12 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
     mechanism, where = scene.mechanism, data.where
     system = Relative(scene)
     q, _ = system.coordinates(initial_state(scene))
-    free = free_motions(system, q)
-
+    free = free_motions(system, q)  # velocities (nv, f) that the constraints leave free, as columns
     links = system.links(q, np.zeros(system.nv))
 
     def effect(keys: Sequence[Key]) -> Array:
-        """Return the effect of free motions on joint coordinates."""
+        """Return the rates (k, f) of k joint coordinates in the free motions."""
+        # Jacobian of each coordinate by the motion of the joint's two bodies, then by v
         rows: list[dict[int, Any]] = []
         for joint, number in keys:
             equations = system.tree.equations(mechanism.joint_index(joint))
@@ -134,11 +140,11 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
             rows.extend(system.project(blocks, first, second))
         return to_array(rows, system.nv) @ free
 
+    # Jacobian (6, nv) of the velocity and angular velocity of each body
     bodies = system.velocity_transformation(q).reshape(-1, 6, system.nv)
     # what the log determines: known bodies, then coordinates
     chosen = np.concatenate([bodies[body] for body in known]) @ free
     count = np.linalg.matrix_rank(chosen, RANK_TOLERANCE)
-    keys: list[Key] = []
     for key in [*data.coordinates, *mechanism.coordinate_labels]:
         if count == free.shape[1]:
             break
@@ -152,13 +158,13 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
                 )
                 raise SourceError(where, f"{problem}; needed: {needed}")
             chosen, count = more, count + 1
-            keys.append(key)
     if count < free.shape[1]:
         unknown = [name for k, name in enumerate(mechanism.body_names) if k not in known]
         problem = f"no columns determine the poses of {listed(map(quoted, unknown)):.200}"
         raise SourceError(where, f"{problem}; needed: position.BODY.x to z and quaternion.BODY.w to z")
-    own = [key for key in data.coordinates if key[0] in mechanism.joint_names]
-    keys = _independent(effect(own), own) if own else []
+    # start at the independent ones of the logged coordinates, and at their rates
+    logged = list(data.coordinates)
+    keys = _independent(effect(logged), logged) if logged else []
     if not keys:
         return initial_state(scene)
     given: dict[str, Any] = {}

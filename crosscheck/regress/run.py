@@ -5,6 +5,9 @@ A baseline is a JSON file with measured quantities of a scene (masses, accelerat
 guards the scene against unnoticed changes. `guard_scene` loads a scene and locates its baseline.
 `update_baselines` measures scenes and writes baseline files. `check_baselines` compares scenes with their
 baselines and writes reports, and recordings (for the Rerun viewer) of scenes that changed.
+
+Quantities are measured in groups. The group `MAIN_FORMULATION` has the run over the whole duration; its name
+is the name of the formulation of newton_euler that makes this run.
 """
 
 from __future__ import annotations
@@ -148,7 +151,7 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
         raise CrosscheckError(f"scene {scene.name!r} cannot be run: {error}") from error
     mapping = guarded.mapping
     simulation = mapping.simulation if mapping else None
-    if simulation is not None:  # the file also runs in its own engine, with its own settings
+    if simulation is not None:  # the file also runs in its own engine; runs are compared until a horizon, s
         plan = plan.model_copy(update={"own_run_until": horizon(simulation)})
     quantities, left_out = list[StoredQuantity](), dict[GroupName, str]()
     for group in GROUPS:
@@ -234,7 +237,7 @@ def check_baselines(
         loops = [each.options["loops"]] if "loops" in each.options else []  # file of a URDF's loop closures
         check_no_source(reports, [each.source, each.path, *loops])
     check_writable(*reports)
-    # compare, and record the scene and its baseline side by side if they differ
+    # compare, and record the scene and its baseline side by side if a quantity moved out of its tolerance
     comparisons, recordings, contents = [], dict[str, Path](), dict[Path, bytes]()
     for each, baseline in zip(guarded, baselines, strict=True):
         comparison = compare(each.scene, baseline, progress, each.mapping)

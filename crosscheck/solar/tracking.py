@@ -25,7 +25,7 @@ class Tracking:
 
     Attributes:
         deadband: dead band, degrees: the panel moves only if its normal differs from the wanted direction by
-            more. 0 to move at each set-point.
+            more. 0 to follow each change of that direction.
         most_tilt: largest tilt of the panel from the horizontal, degrees.
         pitch: distance between rows of panels, in panel lengths. If the sun is low, the panel turns back so
             that no shadow falls on the next row (backtracking: Lorenzo, Narvarte, Munoz, Progress in
@@ -64,7 +64,8 @@ class Tracking:
             wind: (n,) m/s, wind speed; None for calm.
 
         Raises:
-            CrosscheckError: if the sun does not rise on that day, and for wind at other times.
+            CrosscheckError: if the sun does not rise on that day, and for wind speeds that are not finite or
+                not n.
         """
         up = sun.is_up
         if not up.any():

@@ -2,7 +2,8 @@
 
 Such functions are written in a simple subset of Python, for example the integrators. `NativeFunctions`
 translates the functions and all functions that they call to LLVM text. It compiles the text or loads its
-machine code from the cache. Its calls pass numbers, arrays and records to the functions.
+machine code from the cache. Its calls pass numbers, arrays and records (structures of named fields) to the
+functions.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ class NativeFunctions:
         files = sorted({function.__code__.co_filename for function in functions})
         texts = [Path(file).read_text(encoding="utf-8") for file in files]
         identity = "\n".join([SOURCE.hex(), str(lanes), *signatures, *texts])
+        # the lambda returns LLVM text and LLVM's code generation level for it
         self.module = NativeModule(
             identity, lambda: (text(functions, lanes), CODE_LEVEL), signatures, optimize=True
         )

@@ -70,8 +70,9 @@ from newton_euler.scalars import Array, Scalar, minimum
 MULTI_STATE_GROUPS = (("output",), ("position", "velocity"))
 """Groups of programs that evaluate several states per call, one in each lane of a vector register.
 
-All programs of a group take the same number of states. If one of them has `MIN_ROLLED_SIZE` operations or
-more, all of them take one state per call."""
+All programs of a group take the same number of states. A program of `MIN_ROLLED_SIZE` operations or more is
+rolled: compiled as loops over repeated pieces instead of straight-line code. If one program of a group is
+rolled, all of them take one state per call."""
 
 POSITION_OUTPUTS = frozenset({"violation"})
 """Outputs of a scene that depend on the coordinates q but not on the velocities; poses always do."""
@@ -650,7 +651,7 @@ class CompiledEquations:
         # 2. collect the arrays by name
         state = observation.state
         arrays: dict[str, Any] = {"position": state.position, "quaternion": state.quaternion}
-        if state.angles:
+        if state.angles:  # angles with full revolutions, on which forces or couplings depend
             arrays["joint_angle"] = np.array(list(state.angles.values()))
         if "velocities" in wanted:
             arrays["linear_velocity"] = state.linear_velocity

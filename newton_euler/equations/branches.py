@@ -1,10 +1,10 @@
 """Check of an initial state at a singular configuration: are its velocities tangent to a branch of motion?
 
-In a singular configuration, such as a flat four-bar, several motions (branches) cross. The constraint
-Jacobian J loses rank, so that more velocities v satisfy J v = 0 than are tangent to a branch. A motion exists
-only if some acceleration a satisfies J a + dJ/dt v = 0. Each combination w of rows with w J = 0 (a vector of
-coefficients) therefore demands w dJ/dt v = 0. This equation is of second degree in v; its solutions are the
-tangents of the branches.
+In a singular configuration, such as a flat four-bar, several motions (branches) cross. The Jacobian J of the
+constraint residuals phi loses rank, so that more velocities v satisfy J v = 0 than are tangent to a branch. A
+motion exists only if some acceleration a satisfies J a + dJ/dt v = 0. Each combination w of rows with w J = 0
+(a vector of coefficients) therefore demands w dJ/dt v = 0. This equation is of second degree in v; its
+solutions are the tangents of the branches.
 
 Source: A. Mueller, Local kinematic analysis of closed-loop linkages: mobility, singularities, and shakiness,
 Journal of Mechanisms and Robotics 8, 2016.

@@ -76,7 +76,8 @@ class HeldLaw(ControlLaw):
     period: float
     held: float
 
-    # Attributes that differ between runs or sampling instants: unit, unit at a hinge, shape
+    # Attributes that may differ between runs or sampling instants: the unit, and the unit at a hinge
+    # (`unit_about`). The constructor checks attributes without a shape.
     number_fields: ClassVar = {
         "held": NumberField("N", unit_about="N m"),
         "period": NumberField("s", shape=None),
@@ -205,9 +206,9 @@ class Digital(HeldLaw):
         "resolution": NumberField("m", unit_about="rad", least=0.0),
         "force_limit": NumberField("N", unit_about="N m", shape=None),
         "slew_limit": NumberField("N/s", unit_about="N m/s", shape=None),
-        "stroke": NumberField(shape=None, allowed="constructor"),
+        "stroke": NumberField(shape=None, allowed="constructor"),  # it checks both ends
     }
-    constant: ClassVar = HeldLaw.constant | {"delay": "a whole number of samples"}  # cannot vary
+    constant: ClassVar = HeldLaw.constant | {"delay": "a whole number of samples"}  # why it cannot vary
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, DeclaredLaw):
@@ -247,6 +248,7 @@ class Digital(HeldLaw):
         return self.law.number(name) if name in self.law.variables else super().number(name)
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        # numbers of the declared law go to a copy of the law, which `change` makes
         of_law = {name: value for name, value in values.items() if name in self.law.variables}
         of_digital = {name: value for name, value in values.items() if name not in of_law}
         fields = super().fields_with(of_digital, change)
@@ -305,7 +307,7 @@ class DigitalController:
             commands = [float(each.command(self._references(each, time), readings)) for each in torque_laws]
             model_forces = self._model(readings, commands, time)
 
-        # Compute the force, limit it and its change, and delay it
+        # Compute the force towards the set-points, limit it and its change, and delay it
         force = float(law.towards(self._references(law, time), readings, time, model_forces))
         force = float(np.clip(force, -digital.force_limit, digital.force_limit))
         max_change = digital.slew_limit * digital.period

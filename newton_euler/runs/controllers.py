@@ -117,17 +117,19 @@ class ControllerModel:
         encoder_q, v = self.encoders.coordinates(readings, time)
         # computed torque at the measured velocities, then gravity compensation at rest (zero velocities and
         # accelerations)
+        both_keys = self.roles.torque, self.roles.holding
         desired = accelerations, [0.0] * len(self.roles.holding)
-        for model, model_accelerations, speed_factor in zip(self._models, desired, (1.0, 0.0), strict=True):
+        cases = zip(self._models, both_keys, desired, (1.0, 0.0), strict=True)
+        for model, keys, model_accelerations, speed_factor in cases:
             if model is None:
                 continue
             # inputs of the native function, see `InverseDynamics.forces`
             q = model.system.coordinates_from(self.encoders.system, encoder_q)
-            flags = model.flags(q[None])[0]  # of redundant constraint rows
+            flags = model.flags(q[None])[0]  # 1 for a redundant constraint row that is left out, else 0
             functions = pieces(model.scene, time).values()
             x = np.concatenate([q, speed_factor * v, flags, model_accelerations, [time], *functions])
-            *model_forces, pivot_ratio, _ = model.forces(x).tolist()
-            keys = model.servos.actuators
+            # the pivot ratio of the elimination is at most 0 if the coordinates do not determine the motion
+            *model_forces, pivot_ratio, _squared_loop_error = model.forces(x).tolist()
             if not (pivot_ratio > 0.0 and np.isfinite(model_forces).all()):
                 raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there")
             forces_by_key = dict(zip(keys, model_forces, strict=True)) | forces_by_key
@@ -149,7 +151,7 @@ def _compiled(
         if no law needs it; forward kinematics, None if the coordinates do not determine the pose.
     """
     law_roles = roles(scene, digital=True)
-    model_scene = known_scene(scene, law_roles.model)  # the scene as the controller knows it
+    model_scene = known_scene(scene, law_roles.model)  # without wind, with the laws' own parameter values
     # gravity compensation computes the forces at rest, with prescribed motions that stand still
     scene_at_rest = replace(model_scene, motions=tuple(motion.held_at_start() for motion in scene.motions))
     torque, holding = (

@@ -1,9 +1,13 @@
 """Report of fault injection: detection and location rates, and the missed faults with their reasons.
 
 A fault is a single error that is injected into the model of an engine, or into a scene that was read from a
-model file (`READING`). A fault is detected if a check of crosscheck fails; a fault is located if the
-diagnosis names the engine with the fault and the body, joint or term at fault. "By motion alone" leaves out
-the checks of the model's numbers, such as masses. A fault is observable if it changes the motion.
+model file. In the second case, `READING` stands in place of the engine's name. The size of a fault is a
+relative error, a shift divided by the mechanism's size, or a change of direction in rad.
+
+A fault is detected if a check of crosscheck fails. Levels are groups of checks: one level compares the
+model's numbers, such as masses; the others compare its motion. "By motion alone" leaves out the first level.
+A fault is located if the diagnosis names the outlier, the engine with the fault, and the body, joint or term
+at fault. A fault is observable if it changes the motion, and detectable if it is observable or detected.
 """
 
 from __future__ import annotations
@@ -36,7 +40,7 @@ class Count(NamedTuple):
     """Numbers of faults.
 
     Attributes:
-        total: number of faults that can be detected.
+        total: number of detectable faults, or of observable faults if motion alone is compared.
         detected: number of these faults that were detected.
         located: number of these faults that were located correctly.
     """
@@ -53,14 +57,14 @@ class Count(NamedTuple):
 
 
 def count_detected(faults: Iterable[FaultResult]) -> Count:
-    """Count the detectable faults, and those that all levels of equations or a verification detect."""
+    """Count the detectable faults, and those that any check detects and locates."""
     counted = [found for found in faults if found.is_detectable]
     seen = sum(found.detection is not None for found in counted)
     return Count(len(counted), seen, sum(found.located for found in counted))
 
 
 def count_detected_by_motion(faults: Iterable[FaultResult]) -> Count:
-    """Count the faults that change the motion, and those that comparisons of the motion alone detect."""
+    """Count the observable faults, and those that comparisons of the motion alone detect and locate."""
     counted = [found for found in faults if found.observable]
     seen = sum(found.detection_by_motion is not None for found in counted)
     return Count(len(counted), seen, sum(found.located_by_motion for found in counted))
@@ -195,7 +199,7 @@ def _outcome(found: FaultResult, detection: Detection | None) -> str:
         return f"missed: {fault}: {found.engine}'s own model does not contain the fault: {text}"
     if detection is None:
         return f"missed: {fault}: smaller than the tolerances"
-    if detection.level == REFUSED:
+    if detection.level == REFUSED:  # an engine raised an error, whose text is in `quantity`
         return f"located wrongly: {fault}: refused: {detection.quantity}"
     outlier = detection.outlier or "no outlier"
     place = f"{outlier}, level {detection.level!r}, {detection.quantity}, at {detection.where}"

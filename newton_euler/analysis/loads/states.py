@@ -1,4 +1,4 @@
-"""Input states of inverse dynamics and statics: a state, a trajectory or solved poses, as arrays.
+"""Input states of inverse dynamics and statics: a state, a trajectory or poses from kinematics, as arrays.
 
 Poses show angles only up to full revolutions. Some forces depend on the revolutions, so that states have
 these angles in addition, by joint coordinate (joint, number).
@@ -84,7 +84,8 @@ class States:
             system: equations of motion of the scene, which define q and v.
             times: (n,) s, for prescribed motions.
         """
-        # solved poses have the coordinates already, apart from full revolutions of angles
+        # `Poses` come from kinematics: at rest, with tree coordinates apart from full revolutions. q has more
+        # elements if forces depend on angles outside the tree, or if the scene tracks work.
         if self._solved_poses is not None and system.nq == system.tree.nq:
             q = self._solved_poses.tree_coordinates.copy()
             for key, place in system.angles.items():
