@@ -104,7 +104,8 @@ def measure(
     Args:
         scene: the scene.
         grid: values of each varied joint coordinate, m or rad.
-        axis: axis whose elevation and azimuth are computed; None for no axis.
+        axis: axis fixed in a body, whose direction is computed; None for no axis. Its elevation is the angle
+            above the world's xy plane, its azimuth the angle in this plane from x to y.
         progress: called with the name of each stage.
 
     Raises:
@@ -160,7 +161,8 @@ def _row(found: WorkspaceMap, name: str, which: Array) -> list[str | Cell]:
         name: text in the first column.
         which: (n,) True for the points of the row.
     """
-    # Ranges of the coordinates, and of elevation and azimuth of the axis in degrees
+    # Ranges of the coordinates, and of elevation and azimuth of the axis in degrees. `poses` has reachable
+    # points only, the other arrays of the workspace have all points of the grid
     space = found.space
     total = space.reachable.size
     row: list[str | Cell] = [name, f"{int(np.sum(which))} of {total}"]
@@ -242,6 +244,8 @@ def _picture(found: WorkspaceMap) -> bytes:
     if space.elevation is not None:
         maps.append(("elevation of the axis, deg", np.degrees(space.elevation)))
     figure = Figure(figsize=(5.2 * len(maps), 4.6), layout="constrained")
+    # two colors of the palette; no engine is drawn
+    dot, edge = ENGINE_COLORS["mujoco"], ENGINE_COLORS["newton_euler"]
     # clearances over the whole grid, NaN at points that are not reachable
     clearance = np.full(space.reachable.shape, np.nan)
     clearance[space.reachable] = found.clearance
@@ -250,13 +254,12 @@ def _picture(found: WorkspaceMap) -> bytes:
         ax = figure.add_subplot(1, len(maps), k + 1)
         figure.colorbar(ax.contourf(x, y, values.T, 16, cmap="cividis"), ax=ax)
         curves = (found.singular.coordinates[name] for name in (first, second))
-        ax.plot(*curves, linestyle="", marker=".", markersize=2.0, color=ENGINE_COLORS["mujoco"])
+        ax.plot(*curves, linestyle="", marker=".", markersize=2.0, color=dot)
         if collide:
             ax.contourf(x, y, clearance.T, [-np.inf, 0.0], colors="none", hatches=["////"])
-            ax.contour(x, y, clearance.T, [0.0], colors=[ENGINE_COLORS["newton_euler"]], linewidths=2.0)
+            ax.contour(x, y, clearance.T, [0.0], colors=[edge], linewidths=2.0)
         ax.set(title=title, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
         ax.set(xlabel=f"{first}, {_unit(found, first)}", ylabel=f"{second}, {_unit(found, second)}")
-    dot, edge = ENGINE_COLORS["mujoco"], ENGINE_COLORS["newton_euler"]
     dots = Line2D(
         [], [], linestyle="", marker=".", color=dot, label="singular configurations, of all branches"
     )

@@ -75,7 +75,9 @@ def _switch(value: str) -> bool:
     return bool(("off", "on").index(value))
 
 
-# Arguments `read` and `needed` of `Option`, and an option, that several tables share
+# Arguments `read` and `needed` of `Option`, and an option, that several tables share. The file of `own_run`
+# has the time step, integrator and constraint gains of the user's program loop around Pinocchio. crosscheck
+# measures the error of this loop
 _SECONDS = plain_number, "a positive number of seconds"
 _OWN_RUN = Option("FILE with the settings of your simulation loop", "those of Pinocchio's examples")
 _GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {MAX_MODEL_NUMBER:g}, or 0"
@@ -195,7 +197,7 @@ def fates_line(report: ImportReport) -> str:
     """Count the elements of a file by their fate, in one line.
 
     Elements that are not imported exactly are also counted by kind, for example "2 left out (2 tendons)".
-    Elements that are not exact and move nothing are not counted.
+    Elements that are not exact and move nothing are not counted, except those that the file switches off.
     """
     exact = len({entry.element for entry in report.of("exactly")})
     found = [f"{exact} element{'' if exact == 1 else 's'} read exactly"]
@@ -218,7 +220,8 @@ def _count_by_kind(names: set[str]) -> str:
         names: kinds and names of elements, such as "tendon 'left'". An element without a name, such as
             "option density", is listed instead of counted.
     """
-    kinds, plurals = Counter(name.partition(" '")[0] for name in sorted(names)), dict(ALWAYS_ACTING)
+    kinds = Counter(name.partition(" '")[0] for name in sorted(names))
+    plurals = dict(ALWAYS_ACTING)  # by singular; all irregular plurals are among them
     found = []
     for kind, count in kinds.items():
         if kind in names:  # the whole text: an element without a name

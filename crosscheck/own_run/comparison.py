@@ -1,7 +1,9 @@
 """Runs of a model file compared with a reference solution at the same output times.
 
-In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`). Out: runs with any settings,
-and their errors, for `crosscheck.own_run.judge` and `crosscheck.own_run.tune`.
+In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`): MuJoCo for MJCF, Pinocchio for
+URDF. Out: runs with any settings, and their errors, for `crosscheck.own_run.judge` and
+`crosscheck.own_run.tune`. The reference does not simulate contacts, limits and dry friction. A reduced run
+has these elements switched off.
 """
 
 from __future__ import annotations
@@ -79,12 +81,15 @@ class Comparison:
         Args:
             simulation: the file in its own engine.
             method: arguments of `newton_euler.simulate` for the reference; those of crosschecks if None.
-            until: time, s, at which the comparison ends; found from the reference if `method` is None.
+            until: time, s, at which the comparison ends, None for the whole run. Without `method`, it is
+                found from the reference instead, as the time at which the motion becomes chaotic.
         """
         step = simulation.timestep(simulation.settings)
         scene = simulation.scene
-        # a multiple of four, so that RK4 at four times the step has the same outputs
+        # a multiple of four, so that RK4 at four times the step (the same number of evaluations) has the same
+        # outputs
         every = 4 * round(scene.output_period / step / 4.0) or max(1, round(scene.output_period / step))
+        # evaluations of the equations of motion: the limit of a run, and the number per simulated second
         max_duration = simulation.max_evaluations / simulation.evaluations(simulation.settings)
         duration = min(scene.duration, max_duration, MAX_STEPS * step)
         steps = int(duration / step * (1.0 + 1e-9)) // every * every
@@ -104,14 +109,20 @@ class Comparison:
     def run(
         self, settings: Any, reduced: bool = True, simulation: FileSimulation[Any] | None = None
     ) -> FileRun:
-        """Simulate the file, or another simulation, with outputs at the times of the reference."""
+        """Simulate the file, or another simulation, with outputs at the times of the reference.
+
+        Args:
+            settings: settings of the run.
+            reduced: True to switch off all elements that the reference does not simulate.
+            simulation: simulation of a changed model; that of the file if None.
+        """
         ratio = self.simulation.timestep(self.simulation.settings) / self.simulation.timestep(settings)
         every = max(1, round(self.every * ratio))
         steps = self.steps // self.every * every
         return (simulation or self.simulation).run(settings, steps, every, reduced)
 
     def run_once(self, settings: Any) -> FileRun:
-        """Return the run without what the reference does not have; it is simulated at the first call."""
+        """Return the reduced run with some settings; it is simulated at the first call."""
         if settings not in self._runs:
             self._runs[settings] = self.run(settings)
         return self._runs[settings]

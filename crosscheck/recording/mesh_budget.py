@@ -34,7 +34,7 @@ def engines_with_meshes(mechanism: Mechanism, engines: Sequence[str]) -> list[st
 
 
 def without_meshes(mechanism: Mechanism) -> Mechanism:
-    """Copy a mechanism without the meshes of its bodies, for drawing."""
+    """Copy a mechanism without the meshes of its bodies."""
     bodies = [replace(body, meshes=()) for body in mechanism.bodies]
     return Mechanism(bodies, mechanism.joints, mechanism.couplings)
 

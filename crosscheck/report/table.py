@@ -19,7 +19,7 @@ class Cell:
 
     Attributes:
         text: text of the cell.
-        verdict: judgment of the cell, which selects its color.
+        verdict: judgment, such as "holds" or "fails", which selects the color of the cell; "" for none.
         about: body, joint or time that the cell is about, or an explanation; pages show it when the mouse
             points at the cell.
     """
@@ -89,7 +89,7 @@ class Lines:
         title: title of the sentences; may be empty.
         lines: the sentences.
         folded: whether pages show the sentences on demand, and the terminal does not show them.
-        verdict: judgment of the first sentence.
+        verdict: judgment of the first sentence, which selects its color as in a `Cell`.
     """
 
     title: str
@@ -108,12 +108,12 @@ class Report:
 
     Attributes:
         title: the command and the model.
-        verdict: the result in one line.
-        judged: the result in one word such as "AGREE", with its color.
-        parts: tables and sentences, in order.
+        verdict: the result in one sentence; not a judgment like `Cell.verdict`.
+        judged: the result in one word such as "AGREE", with its judgment.
+        parts: tables and sentences, in order; the terminal shows them with `--verbose`.
         wall_time: run time of the command, s; None if it was not measured.
-        summary: short tables and sentences, which the terminal shows without `--verbose`; pages show `parts`
-            instead if there are none.
+        summary: short tables and sentences, which the terminal always shows last. Pages show the summary and,
+            on demand, `parts`; without a summary, they show `parts`.
     """
 
     title: str
@@ -153,7 +153,7 @@ def checked_cell(value: float, allowed: float, agrees: bool, about: str = "") ->
     Args:
         value: the value.
         allowed: its tolerance.
-        agrees: whether the check passes.
+        agrees: whether the check passes; also True for a check that is not judged, whatever its value is.
         about: body, joint or time of the value.
     """
     text = f"{value:.1e} {'<' if value <= allowed else '>'} {allowed:.0e}"

@@ -109,8 +109,8 @@ class Factor:
         order: row numbers in the order of their elimination, without rows that `factorize` has dropped.
         columns: for each row k, the elements of column k of L below the diagonal, by row.
         pivots, inverse_pivots: d and 1 / d for each row.
-        pivot_ratio: smallest ratio of a pivot to its reference magnitude, minus `SINGULAR_PIVOT_RATIO`; not
-            positive if A is singular.
+        pivot_ratio: smallest ratio of a pivot to its reference magnitude. `SINGULAR_PIVOT_RATIO` is
+            subtracted from it, so that the result is not positive if A is singular.
     """
 
     order: list[int]
@@ -221,9 +221,10 @@ def gram(rows: Rows, others: Rows) -> Rows:
 class RowsInUse(NamedTuple):
     """Selection of rows of a constraint Jacobian J from which all other rows follow.
 
-    Some selected rows may be exchangeable: compiled code contains a few redundant rows too many, and flags
-    determine at each call which of them are omitted. A run changes the flags when the rows in use become
-    dependent (`newton_euler.equations.row_choice`).
+    In some mechanisms no fixed selection stays independent in all configurations. Compiled code then contains
+    more rows than are independent, the exchangeable rows, and flags determine at each call which of them are
+    omitted. A run changes the flags when the rows in use become dependent
+    (`newton_euler.equations.row_choice`).
 
     Attributes:
         numbers: numbers of the selected rows in J, exchangeable rows included.
@@ -272,7 +273,7 @@ class MassFactor(Protocol):
 
     @property
     def pivot_ratio(self) -> Scalar:
-        """Smallest ratio of a pivot to its reference magnitude; not positive if M is singular."""
+        """Smallest pivot ratio, less `SINGULAR_PIVOT_RATIO` as in `Factor`; not positive if M is singular."""
 
     def lower(self, right: dict[int, Any]) -> dict[int, Any]:
         """Compute L^-1 b for a sparse vector b."""
@@ -296,9 +297,10 @@ class Equations(NamedTuple):
         jacobian: sparse rows of J.
         gamma: (k,) right side of the constraints.
         rows: rows of J and gamma to use; the other rows must follow from them.
-        refine: True for one step of iterative refinement, which solves again for the residual gamma -
-            J a. This recovers digits that an ill-conditioned Schur complement loses.
-        softness: by row number, for rows that are soft constraints; 0 for all other rows.
+        refine: True for one step of iterative refinement, which solves again for the residual gamma - J a -
+            softness * lambda. This recovers digits that an ill-conditioned Schur complement loses.
+        softness: by row number, for rows that are soft constraints; 0 for all other rows. Exchangeable rows
+            are never soft.
     """
 
     factor: MassFactor
@@ -360,7 +362,7 @@ def solve_constrained(equations: Equations) -> Solution:
         if i in soft:
             add(schur[n], n, soft[i])
     complement = factorize(schur, minimum_degree(schur), rows.scales)
-    # residuals gamma - J a, first of the accelerations without constraints
+    # residuals gamma - J a - softness * lambda, first of the accelerations without constraints (lambda = 0)
     right = {n: gamma[i] - dot(weighted[n], reduced_force) for n, i in enumerate(numbers)}
     # multipliers for these residuals, then accelerations under the forces f + J^T lambda; with `refine`, a
     # second time for the residuals that remain

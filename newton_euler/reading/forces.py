@@ -54,7 +54,7 @@ def force_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
         yield _force_check(placed, kind, [each[kind] for each in found], [each[kind] for each in wanted])
     yield _armature_check(placed)
     _, velocities = placed.reference.file_state
-    if placed.reference.force_limits(placed.reference.start, velocities):
+    if placed.reference.force_limits(placed.reference.start, velocities):  # the file has limits
         yield _limit_check(placed)
 
 
@@ -89,6 +89,8 @@ def _limit_check(placed: ScenePlacement) -> ReadingCheck:
 def _limited_force(placed: ScenePlacement, place: SamplePlacement, bounds: Bounds) -> tuple[float, float]:
     """Compute a limited force constant + by_value * x + by_rate * dx/dt, N or N m, at a sample.
 
+    x is the sum of joint coordinates times factors that `bounds.terms` lists.
+
     Returns:
         The force, and the sum of the magnitudes of its terms.
     """
@@ -112,8 +114,8 @@ def _force_check(
     Args:
         placed: bodies of the scene at the poses of the file.
         kind: number of the kind in `FORCE_KINDS`.
-        found: for each sample, the scene's wrenches (b, 6) on bodies and the sums (b, 6) of the magnitudes of
-            their terms.
+        found: for each sample, the scene's wrenches on bodies and the sums of the magnitudes of their terms,
+            see `_wrenches_by_kind`.
         wanted: for each sample, the generalized forces (nv,) of the reference model.
     """
     reference, differences, scales = placed.reference, [], []
@@ -287,9 +289,12 @@ def _wrenches_by_kind(
 ) -> list[tuple[Array, Array]]:
     """Compute the scene's wrenches (b, 6) of each of the `FORCE_KINDS`, and the sums of their magnitudes.
 
+    A wrench is a force and a torque about the center of mass of a body, N and N m, world frame.
+
     Args:
         placed: bodies of the scene at the poses of the file.
-        place: the same bodies at one sample.
+        place: the same bodies at one sample: `state` has their velocities, `rest` has the same poses without
+            velocities.
         scenes: the scene with springs, with dampers, and with all other forces.
     """
     weight = np.zeros((len(placed.mechanism.bodies), 6))
@@ -323,7 +328,7 @@ def _armature_speeds(placed: ScenePlacement, place: SamplePlacement) -> Array:
     for armature in placed.scene.armatures:
         if armature.on_ball:
             first, second = joint_bodies(mechanism, armature.joint)
-            rows = SPIN
+            rows = SPIN  # Jacobian of the relative angular velocity (3,)
         else:
             joint, coordinate = armature.key
             equations = mechanism.joint_equations(joint)

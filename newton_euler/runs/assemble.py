@@ -33,7 +33,7 @@ from newton_euler.model.state import State, stacked, whole_revolutions
 from newton_euler.scalars import Array, unstacked
 
 VELOCITY_TOLERANCE = 1e-9
-"""Largest rate of a constraint residual at the start, divided by the largest speed of the state (`_speed`).
+"""Largest rate of a constraint residual at the start, divided by the speed of the state (`_speed`).
 
 Rates in rad/s are multiplied by the mechanism's size before the division."""
 
@@ -168,7 +168,8 @@ def coordinates_of(system: Formulation, states: Sequence[State]) -> Array:
     if system.couplings:
         return np.array([np.concatenate(system.coordinates(state)) for state in states])
     rows = unstacked(np.concatenate(system.coordinates(stacked(states))), len(states))
-    for key, place in system.angles.items():
+    for key, place in system.angles.items():  # `place`: column of the angle
+        # an angle that a state does not have is NaN, for which `whole_revolutions` returns 0
         angles = np.array([state.angles.get(key, np.nan) for state in states])
         rows[:, place] += whole_revolutions(angles - rows[:, place])
     return rows
@@ -211,7 +212,7 @@ def _rates_allowed(equations: JointEquations, speed: Any, size: float) -> Array:
 
     Args:
         equations: constraint rows of the joint.
-        speed: largest speed of the state, m/s.
+        speed: speed of the state (`_speed`), m/s.
         size: size of the mechanism, m.
     """
     return VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
@@ -309,18 +310,19 @@ def _is_closed_but_for_rounding(scene: Scene, state: State) -> bool:
 
     Only almost redundant constraints stay open in `assemble`.
     """
-    if mobility(scene).residual == 0.0:  # no constraint is almost redundant
+    # `residual`: largest residual of almost redundant constraints in a closed pose; 0 if there are none
+    if mobility(scene).residual == 0.0:
         return False
     try:
         closed = assemble(scene, state)
     except AssemblyError:
         return False
-    differences = (  # with the unit of each
+    differences = (  # each with a scale, m, rad or m/s; a scale below 1 counts as 1
         (closed.position - state.position, 1.0),
         (closed.quaternion - state.quaternion, 1.0),
         (closed.linear_velocity - state.linear_velocity, _speed(scene, state)),
     )
-    return all(np.max(np.abs(gap)) <= CLOSURE_TOLERANCE * max(1.0, unit) for gap, unit in differences)
+    return all(np.max(np.abs(gap)) <= CLOSURE_TOLERANCE * max(1.0, scale) for gap, scale in differences)
 
 
 def _check_couplings(scene: Scene, state: State) -> None:
@@ -348,7 +350,7 @@ def _check_couplings(scene: Scene, state: State) -> None:
 
 
 def _speed(scene: Scene, state: State) -> float:
-    """Compute the largest speed of a state, m/s.
+    """Compute the speed of a state by which velocity tolerances are multiplied, m/s.
 
     The result is the largest speed of a center of mass, plus the largest angular velocity times the
     mechanism's size.

@@ -1,8 +1,11 @@
 """Levels at which two models of one mechanism are compared.
 
-In: the equations of two aligned models (`align.py`) at the same states. Out: checks. The level "model"
-compares masses, inertias, joints and couplings, "start" the initial states, "dynamics" the forces element by
-element. The levels "kinematics" and "accelerations and reactions" are those of the comparison of engines.
+In: the equations of two aligned models (`align.py`) at the same states. Alignment gives the second model the
+order, names and frames of the first model's bodies; centers of mass may differ. Out: checks.
+
+The level "model" compares masses, inertias, joints and couplings, "start" the initial states, "dynamics" the
+forces element by element. The levels "kinematics" and "accelerations and reactions" are those of the
+comparison of engines.
 """
 
 from __future__ import annotations
@@ -152,7 +155,7 @@ def differences(states: SharedStates) -> Iterator[Difference]:
     """
     # Bodies
     aligned, first = states.aligned, states.scene
-    names = first.mechanism.body_names[1:]
+    names = first.mechanism.body_names[1:]  # without the ground
     pairs = list(zip(*(scene.mechanism.bodies[1:] for scene in aligned.both), strict=True))
     masses = [abs(two.mass - one.mass) / one.mass for one, two in pairs]
     inertias = [np.max(np.abs(two.inertia - one.inertia)) / np.max(np.abs(one.inertia)) for one, two in pairs]
@@ -170,6 +173,7 @@ def differences(states: SharedStates) -> Iterator[Difference]:
     # Joints and couplings
     if joints := [aligned.joint_names.get(name, name) for name in aligned.both[1].mechanism.joint_names]:
         lengths, angles, freedoms = joint_differences(states)
+        # `noise`: relative error of nearly redundant constraints; `closure_error`: residual of the states
         tolerance = round_off(states.condition, states.noise) + states.condition * states.closure_error
         largest_reach = max(reach(first, state.position) for state in states.all)
         of_axes, of_points = (lambda k: _axes(aligned, joints[k])), (lambda k: _points(aligned, joints[k]))
@@ -195,6 +199,7 @@ def _arms(aligned: Aligned, body: str) -> tuple[dict[str, Array], dict[str, Arra
             found, (first, second), (first.joint(name), second.joint(other)), strict=True
         ):
             if body in (joint.first, joint.second):
+                # `point` is fixed in the first body of the joint, `reaction_point` in the second
                 point = joint.point if joint.first == body else joint.reaction_point
                 arms[name] = mechanism.body(body).pose.point_to_body(point)
     return found
@@ -258,7 +263,7 @@ def joint_differences(states: SharedStates) -> Array:
     found, names = np.zeros((3, len(mechanism.joints))), aligned.joint_names
     alike = {other: name for other, name in names.items() if aligned.same_kind(name)}
     for state in states.all:
-        # Centers of mass of the second model: `arms` from those of the first
+        # Centers of mass of the second model: `arms` from those of the first, `centers` in body frames
         arms = (rotations(state.quaternion) @ aligned.centers[:, :, None])[:, :, 0]
         here, there = state.frames(), replace(state, position=state.position + arms).frames()
         for n, equations in enumerate(mechanism.equations):
@@ -323,7 +328,7 @@ def _coupling_differences(aligned: Aligned) -> Iterator[tuple[str, float]]:
             yield coupling.name, 1.0
             continue
         there.remove(other)
-        starts = [aligned.at_start[key] for key, _ in pairs]
+        starts = [aligned.at_start[key] for key, _ in pairs]  # values in both models at the same poses
         one = _expanded(coupling, [(key, x, 1.0) for (key, _), (x, _) in zip(pairs, starts, strict=True)])
         two = _expanded(other, [(p.key, x, p.sense) for (_, p), (_, x) in zip(pairs, starts, strict=True)])
         scale = float(one @ two / (two @ two))
@@ -378,6 +383,7 @@ def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
     arms = np.array([-turn @ center for turn, center in zip(turns, states.aligned.centers, strict=True)])
     length = scene.mechanism.size
     speeds = here.linear_velocity, length * here.angular_velocity
+    # the unit of velocities, m/s: the largest speed, at least one size of the mechanism per second
     unit = max(length, *(float(np.max(np.abs(speed))) for speed in speeds))
     position = there.position + arms - here.position
     velocity = there.linear_velocity + np.cross(there.angular_velocity, arms) - here.linear_velocity
@@ -437,7 +443,8 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
                 joint = key[0]
                 values[joint] = max(values.get(joint, 0.0), float(difference.max()) / unit)
             yield term(quantity, values, partial(_element_differences, pair, aligned, members))
-    # Forces on bodies, then energies, effective inertia and force
+    # Forces on bodies, which depend on poses and velocities but not on the joint angles of `in_second`; then
+    # energies, effective inertia and force
     wrenches = np.array([_on_bodies(scene, states, scales.size) for scene in aligned.both])
     if np.any(wrenches):
         unit = max(scales.force, float(np.max(np.abs(wrenches))))
@@ -507,7 +514,7 @@ def _at_joints(
         size. For armatures, momenta, N s, instead of forces.
     """
     found = dict[Key, Array]()
-    places = [surroundings(scene, state) for state in states]
+    places = [surroundings(scene, state) for state in states]  # what forces depend on
     for number, element in enumerate(members(scene)):
         slides = not element.on_ball and scene.mechanism.is_slide(*element.key)
         if isinstance(element, ControlLaw):  # the force may depend on a model of the mechanism
@@ -531,6 +538,7 @@ def _on_bodies(scene: Scene, states: Iterable[State], size: float) -> Array:
     Returns:
         (n, b, 6) forces, N, and torques / size; 0 on the ground.
     """
+    # `applied_wrenches` omits forces on joint coordinates, but not springs of ball joints
     without = replace(scene, forces=tuple(force for force in scene.forces if not force.on_ball))
     found = np.array([applied_wrenches(without, surroundings(without, state)) for state in states])
     found[:, 0] = 0.0

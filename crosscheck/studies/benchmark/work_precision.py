@@ -1,9 +1,10 @@
 """Work-precision benchmark: run time and error of every engine at each of its settings.
 
 A setting is a method (equations of motion and integrator) with its step or tolerance. A ladder is a list of
-settings of one method, from coarse to fine. The time of a setting includes everything until the poses of all
-bodies at all outputs are known, but not loading, compilation and the first run. The error is the largest
-difference from the reference motion of `crosscheck.studies.benchmark.reference`, over all bodies and outputs.
+settings of one method, from coarse to fine. The time of a setting is the wall time until the poses of all
+bodies at all outputs are known in the engine's own form. Loading, compilation and the first run do not count.
+The error is the largest difference from the reference motion (`crosscheck.studies.benchmark.reference`) over
+all bodies and outputs. Time limits are CPU time.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ LADDER_TIME_LIMIT = 1.5
 """CPU time of a run, s, above which finer settings of the same method are not tried."""
 
 RUN_TIME_LIMIT = 3.0
-"""Longest duration of a run, s; longer runs are aborted."""
+"""CPU time of a run, s, after which the run is aborted."""
 
 ENGINE_TIME_LIMIT = 20.0
 """CPU time of an engine, s, after which no further method of the engine is tried."""
 
 SETTING_TIME = 0.15
-"""Duration of all repeats of one setting together, s, unless `MIN_REPEATS` take longer."""
+"""Wall time of all repeats of one setting together, s, unless `MIN_REPEATS` take longer."""
 
 MIN_REPEATS = 3
 """Smallest number of repeats of a setting."""
 
 REPEAT_TIME = 0.02
-"""Shortest duration of one repeat, s; a repeat consists of as many consecutive runs as necessary.
+"""Shortest wall time of one repeat, s; a repeat consists of as many consecutive runs as necessary.
 
 A single run of less than a millisecond would be timed with the processor's caches full of another engine's
 data.
@@ -71,8 +72,8 @@ class Measurement(Timed):
         error_position: largest position error over bodies and outputs, m.
         error_angle: largest orientation error over bodies and outputs, rad.
         evaluations: number of evaluations of the equations of motion in one run.
-        first: duration of the first run, s, which is not a repeat.
-        times: mean duration of a run in each repeat, s.
+        first: wall time of the first run, s, which is not a repeat.
+        times: mean wall time of a run in each repeat, s.
     """
 
     engine: str
@@ -159,12 +160,12 @@ def _run_ladder(
         run: simulates the scene at a setting.
         exact: reference poses.
         found: measurements and failures, to which those of this method are added.
-        calls: functions that repeat a run and return its duration, to which those of this method are added.
+        calls: functions that repeat a run and return its wall time, to which those of this method are added.
 
     Returns:
         The reason why no finer setting was run.
     """
-    for number in ladder.numbers:
+    for number in ladder.numbers:  # the larger the number, the finer the setting
         name, options = ladder.setting(number)
         start = time.process_time()
         try:
@@ -187,7 +188,7 @@ def _run_ladder(
 
 
 def _time_runs(run: Callable[[Options], Run], options: Options) -> float:
-    """Return the mean duration, s, of consecutive runs that together take `REPEAT_TIME` or more."""
+    """Return the mean wall time, s, of consecutive runs that together take `REPEAT_TIME` or more."""
     seconds = [run(options).seconds]
     while sum(seconds) < REPEAT_TIME:
         seconds.append(run(options).seconds)
