@@ -220,7 +220,7 @@ def _excite(
         reading.drives,
         np.array(start.data.ctrl),
         start.model.actuator_ctrladr,
-        reading.report.bounds,
+        reading.report.bounds,  # limits of coordinates and forces
     )
     excited = _import(source_name, model, key, request, excitation.control, excitation.sines)
     # describe the excitation in one line of the report
@@ -314,7 +314,8 @@ def _build_scene(
     path, model = start.path, start.model
     if len(bodies.bodies) < 2:  # the ground is the first body
         raise SourceError(path, "no body can move")
-    # each of these classes imports one kind of element, and reports it
+    # Each of these classes imports one kind of element, and reports it. Gear groups are joint coordinates
+    # that gears make proportional to each other; a tendon on such coordinates acts as a force on one of them
     joints = Joints(start, bodies, driven_joints(model), report)
     loops = Loops(start, bodies, joints, report)
     gravity = np.array(model.opt.gravity)
@@ -328,7 +329,9 @@ def _build_scene(
     report.names = _file_names(start, bodies, joints, actuators.drives)
     # the name of the scene is the name of the model, or of the file
     given_name = model_name(model)
-    name = unique_name(Path(path).stem if given_name in ("", UNNAMED) else given_name, "model", ())
+    name = unique_name(
+        Path(path).stem if given_name in ("", UNNAMED) else given_name, fallback="model", taken=()
+    )
     # `unweld_loops` merges the body halves by which `mjcf.write` closes loops in exported files
     mechanism = unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.couplings))
     scene = Scene(
@@ -339,7 +342,7 @@ def _build_scene(
         gravity,
         actuators.laws,
         forces=tuple(forces.forces),
-        motions=tuple(loops.held_motions),
+        motions=tuple(loops.held_motions),  # of coordinates that an equality holds constant
         armatures=(
             *(Armature(joint, inertia, k) for (joint, k), inertia in coordinate_armatures.items()),
             *(BallArmature(joint, inertia) for joint, inertia in ball_armatures.items()),
@@ -372,6 +375,8 @@ def _file_names(
         point = rotation(body.quaternion).T @ (data.xpos[k] - body.center_of_mass)
         turn = product(conjugate(body.quaternion), data.xquat[k] / np.linalg.norm(data.xquat[k]))
         names.frames[name] = FileFrame(body.name, point, turn)
+    # actuators whose force is proportional to the control: `gains` are forces on joint coordinates per unit;
+    # with activation dynamics, the force depends on earlier controls
     for actuator, drive in drives.items():
         if (name := model.actuator(actuator).name) and not drive.has_dynamics:
             names.inputs[name] = FileInput(drive.control, drive.gains)
@@ -389,7 +394,8 @@ def _with_file_velocities(scene: Scene, start: ModelAtStart, bodies: Bodies, rep
     mechanism = scene.mechanism
     linear, angular = np.zeros((2, len(mechanism.bodies), 3))
     for k, body in enumerate(mechanism.bodies[1:], start=1):
-        linear[k], angular[k] = bodies.velocity(bodies.root(body.name), body.center_of_mass)
+        root = bodies.root(body.name)  # MuJoCo's number of the body that the others were merged into
+        linear[k], angular[k] = bodies.velocity(root, body.center_of_mass)
     at_rest = State.initial(mechanism)
     # the nearest state that satisfies the constraints
     state = assemble(scene, replace(at_rest, linear_velocity=linear, angular_velocity=angular))

@@ -11,6 +11,9 @@ with Jacobians J1 and J2 of the points and their accelerations a1 and a2 at qddo
 prescribed motion f(t) is Phi = x - f(t). Couplings are sums of polynomials p(x) of joint coordinates,
 
     Phi = sum p(x),    Phi_x = p'(x),    Phi_q qddot + sum p''(x) (dx/dt)^2 = 0
+
+Tree coordinates q and tree velocities belong to the scene's spanning tree; Pinocchio has the same ones in
+another order (`CoordinateMap`). Lagrange multipliers lambda exert the generalized forces Phi_q^T lambda.
 """
 
 from __future__ import annotations
@@ -179,7 +182,7 @@ class Rows:
         return np.concatenate([of_rods, self._couplings.phi(q, time)])
 
     def phi_t(self, time: float) -> Array:
-        """Return the partial derivative (r,) of `phi` with respect to time."""
+        """Return the time derivative (r,) of `phi` at constant q: -df/dt of prescribed motions, else 0."""
         return np.concatenate([np.zeros(len(self._rods)), -self._couplings.rate(time)])
 
     def jacobian(self, data: Any, q: Array) -> Array:

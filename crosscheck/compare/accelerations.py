@@ -31,9 +31,10 @@ to 0.9999, which causes errors of about 0.1 % at any step, and larger errors in 
 def acceleration_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Compare accelerations of bodies and joints, and reactions of joints, of two engines.
 
-    Tolerances are round-off times the condition numbers of the constraints and of the mass matrix. For
-    reactions, the condition number of the constraints is squared. A failing check is attributed to the body,
-    the joint or gravity: the element whose equations of motion are violated.
+    Tolerances are the round-off, or the relative error of the constraints (`noise`) if that is larger, times
+    the condition numbers of the constraints and of the mass matrix. For reactions, the condition number of
+    the constraints is squared. A failing check is attributed to the body, the joint or gravity: the element
+    whose equations of motion are violated.
 
     Args:
         pair: names of the two engines.
@@ -46,7 +47,15 @@ def acceleration_checks(pair: tuple[str, str], first: Samples, second: Samples) 
     acceleration_tolerance = round_off(constraint_condition * mass_condition, states.noise)
     reaction_tolerance = round_off(constraint_condition**2 * mass_condition, states.noise)
     # The condition number, for information
-    yield Check(LEVEL, "condition of masses", pair, mass_condition, 1.0 / MACHINE_EPSILON, "", judged=False)
+    yield Check(
+        LEVEL,
+        "condition of masses",
+        pair,
+        value=mass_condition,
+        tolerance=1.0 / MACHINE_EPSILON,
+        where="",
+        judged=False,
+    )
     # Units that differences are divided by: largest acceleration, m/s^2, largest force, N, and size, m
     scales, mechanism = first.scales, states.scene.mechanism
 
@@ -81,7 +90,7 @@ def acceleration_checks(pair: tuple[str, str], first: Samples, second: Samples) 
     bodies, joints = mechanism.body_names, mechanism.joint_names
     yield check_largest("linear acceleration, rel", linear, acceleration_tolerance, bodies)
     yield check_largest("angular acceleration, rel", angular, acceleration_tolerance, bodies)
-    gap = _joint_acceleration_differences(first, second)
+    gap = _joint_acceleration_differences(first, second)  # by finite differences, hence `RATE_ERROR`
     yield check_largest("joint acceleration, rel", gap, acceleration_tolerance + RATE_ERROR, joints)
     # Reactions
     force, torque = (first.stack(name) - second.stack(name) for name in ("reaction_force", "reaction_torque"))
@@ -118,7 +127,8 @@ def _is_shifted_joint_point(torque: Array, force: Array) -> bool:
     """Return True if the differences of reaction torques come from a shifted point of one joint.
 
     The torque of a reaction about another point differs by arm x force. If a single point is shifted, only
-    the torques of this joint differ, perpendicularly to its reaction force in every state.
+    the torques of this joint differ, perpendicularly to its reaction force in every state. Differences up to
+    `MIN_RESIDUAL_RATIO` of the largest count as zero.
 
     Args:
         torque: (n, j, 3) differences of the reaction torques of j joints at n states, N m.
@@ -146,7 +156,8 @@ def softness_check(name: str, soft: Evaluation, rigid: Samples) -> Check:
     """
     states = rigid.states
     force = rigid.evaluations[0].reaction_force
-    smallest_unit = states.energy / states.scene.mechanism.size  # N
+    # differences are divided by the largest force, N, or by this lower bound if all forces are nearly zero
+    smallest_unit = states.energy / states.scene.mechanism.size
     gap = np.linalg.norm(soft.reaction_force - force, axis=1)
     gap = gap / max(smallest_unit, float(np.linalg.norm(force, axis=1).max()))
     return Check(

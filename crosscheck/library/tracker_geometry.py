@@ -1,8 +1,9 @@
-"""Identify the joint points of the solar tracker from the paper's tables, which list bodies but no joints.
+"""Identify the joint points of a published solar tracker from the paper's tables.
 
-Run `python -m crosscheck.library.tracker_geometry` to repeat the identification and print its residuals. The
-result is stored in `tracker_joints.json`. Numbers in names of bodies are those of the paper: sliders 2 and 3,
-column 4, legs 5 and 6, panel 7. Joint `hinge_26` connects bodies 2 and 6.
+The tables list bodies but no joints; `crosscheck.library.tracker` cites the paper. Run
+`python -m crosscheck.library.tracker_geometry` to repeat the identification and print its residuals. The
+result is stored in `tracker_joints.json`. Numbers in names of bodies are those of the paper: fixed base 1,
+sliders 2 and 3, column 4, legs 5 and 6, panel 7. Joint `hinge_26` connects bodies 2 and 6.
 
 Assumption: the design is symmetric about the vertical plane through (1, -1, 0). Both sliders carry their
 joint at the same height and inward offset. The column stands on a hinge with axis (-1, 1, 0). The universal
@@ -102,7 +103,8 @@ class Design:
         slider = np.array([CENTERS[1, 0] + offset, CENTERS[1, 1], height])
         foot = np.array([CENTERS[2, 0], CENTERS[1, 1], hinge])
         universal = np.array([0.0, eta, zeta])
-        # leg 6 swings in the vertical plane of its slider, so that the eta of both balls is a + eta
+        # leg 6 swings in the vertical plane y = const. of its slider, which contains the column's foot; ball
+        # 6 at (-a, b, c) is in this plane in the horizontal pose (yaw 45 degrees) if b = a + eta
         ball_6, ball_5 = np.array([-a, a + eta, c]), np.array([a, a + eta, c])
         return slider, foot, universal, ball_6, ball_5
 
@@ -141,7 +143,8 @@ class Design:
                 ]
             )
 
-        solution = root(gaps, np.array([0.09, 0.0, 0.0]), tol=1e-14)
+        lean_guess = 0.09  # of the published column, rad
+        solution = root(gaps, np.array([lean_guess, 0.0, 0.0]), tol=1e-14)
         # Centers of mass: those of column and legs lie on the lines between their joints
         center, orientation = self.panel(*solution.x)
         top_6, top_5 = center + orientation @ ball_6, center + orientation @ ball_5
@@ -187,7 +190,7 @@ def close_exactly(design: Design) -> dict[str, Array]:
     its vertical plane (1).
     """
     # start values of fifteen unknowns: 11 coordinates of joint points at the initial position, then, for the
-    # horizontal pose, the center of the panel (3) and the angle of the column
+    # horizontal pose, the center of the panel (3) and the angle of the column from its initial position, rad
     slider, foot, universal, ball_6, ball_5 = design.points()
     on_panel = [CENTERS[6] + PANEL_ROTATION @ s for s in (universal, ball_6, ball_5)]
     start = np.concatenate([slider[[0, 2]], foot[2:], on_panel[0], on_panel[1][[0, 2]], on_panel[2]])
@@ -262,6 +265,7 @@ def main() -> None:
         print(f"{name:55s} {value:8.4f}" if "share" in name else f"{name:55s} {1e3 * value:8.3f} mm")
     residuals = 1e3 * design.residuals()
     print("\nresiduals, mm:      x        y        z")
+    # r: center of mass of a body, p: orientation
     for name, row in zip(("r4", "r5", "r6", "r7", "p7"), residuals.reshape(5, 3), strict=True):
         print(f"{name:12s}" + "".join(f"{value:9.3f}" for value in row))
     print(f"rms {np.sqrt(np.mean(residuals**2)):.4f} mm over {len(residuals)} numbers")

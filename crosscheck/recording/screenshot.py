@@ -49,7 +49,8 @@ def screenshots(
     Args:
         rrd: path of the recording.
         times: times, s, on the recording's timeline `time`.
-        view_class: Rerun's class of the view to show, such as `MECHANISM`; None for the whole window.
+        view_class: Rerun's class of the view to show, such as `MECHANISM`; the first such view is shown.
+            None, or a class without a view, shows the whole window.
 
     Returns:
         The content of a PNG for each time.
@@ -97,6 +98,7 @@ def _viewer() -> Iterator[ViewerClient]:
                 raise
             log.seek(0)
             output = log.read().decode(errors="replace").splitlines()
+            # the viewer is a Rust program: the line that gives the reason of a crash has the word "panicked"
             reason = next((line for line in output if "panicked" in line), "no reason given")
             raise CrosscheckError(
                 "the Rerun viewer died; it needs a Vulkan driver, on Debian the packages "

@@ -1,8 +1,8 @@
 """Limits of actuator forces in a compiled MuJoCo model.
 
-Imported scenes do not simulate these limits. The import report names each limit. A watch (`Bounds`) tests,
-after a run, whether the force would have exceeded the limit. Excitation, which moves controls so that a run
-tests the model, chooses controls whose forces stay within the limits.
+Scenes that are imported from MuJoCo do not simulate these limits. The import report names each limit. A watch
+(`Bounds`) tests, after a run, whether the force would have exceeded the limit. Excitation, which moves
+controls so that a run tests the model, chooses controls whose forces stay within the limits.
 """
 
 from __future__ import annotations
@@ -83,8 +83,9 @@ def distances_from_limits(
 def joint_force_watch(actuation: JointActuation, low: float, high: float, unit: str) -> Bounds | None:
     """Return the watch of a limit of the actuator forces on a joint coordinate.
 
-    A `Bounds` can watch a force of the form f(t) + a s + b ds/dt, where s = sum_j w_j x_j. The force here is
-    f(t) - sum_j (k_j x_j + d_j dx_j/dt), which has this form if all d_j / k_j are equal.
+    A `Bounds` can watch a force of the form f(t) + a s + b ds/dt, where s = sum_j w_j x_j is a weighted sum
+    of joint coordinates x_j. The force here is f(t) - sum_j (k_j x_j + d_j dx_j/dt), with the stiffness k_j
+    and the damping d_j of the actuators' feedback. It has this form if all d_j / k_j are equal.
 
     Args:
         actuation: sum of the actuator forces.
@@ -99,7 +100,7 @@ def joint_force_watch(actuation: JointActuation, low: float, high: float, unit: 
     keys, gains = list(actuation.feedback), np.array(list(actuation.feedback.values())).reshape(-1, 2)
     force_of_time = constant_plus_sines(actuation.constant, actuation.sines)
     if not keys:
-        return Bounds((), low, high, unit, constant=force_of_time)
+        return Bounds(terms=(), low=low, high=high, unit=unit, constant=force_of_time)
     # weights w_j such that row j is w_j times the row with the largest gain
     largest_row = gains[int(np.argmax(np.abs(gains).max(axis=1)))]
     weights = gains @ largest_row / (largest_row @ largest_row) if np.any(gains) else np.ones(len(gains))

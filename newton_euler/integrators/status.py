@@ -8,6 +8,9 @@ from enum import IntEnum
 class Status(IntEnum):
     """Result of a step, a projection or a run: `DONE` or the reason why it stopped.
 
+    A projection moves a state onto the constraint equations of closed loops, against drift. At a singular
+    configuration several motions branch; projection keeps a run on the motion of its initial velocities.
+
     The compiled integrators return the integer. `newton_euler.compiled.failures` turns it into an exception
     with the message.
 
@@ -32,6 +35,7 @@ class Status(IntEnum):
     STEP_TOO_SMALL = 4, "steps have become too small"
     OPEN = 5, "projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
     INTERRUPTED = 6, "the run was interrupted"
+    # accelerations are those at the stages of one Runge-Kutta step; "another step" means another step size
     STRAYING = 7, "accelerations of a step contradict each other near {place}; another step may pass"
     UNDETERMINED = (
         8,

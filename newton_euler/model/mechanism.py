@@ -84,7 +84,7 @@ def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
         raise MechanismError(element, f"coordinate is {quoted(coordinate)}", needed)
 
 
-@description
+@description  # makes a frozen dataclass
 class Body(Variable):
     """A rigid body.
 
@@ -115,8 +115,9 @@ class Body(Variable):
     allow_unrealisable_inertia: bool = False
     meshes: tuple[Mesh, ...] = ()
 
-    # Attributes that may vary from run to run, with unit, shape and checks. `moves_loops`: a change moves the
-    # poses in which loops are closed. `constant`: reasons why other attributes cannot vary
+    # Attributes that may vary from run to run, as in parameter studies. `allowed`: rule for their values.
+    # `moves_loops`: a change moves the poses in which loops are closed. `constant`: reasons why other
+    # attributes cannot vary
     number_fields: ClassVar = {
         "mass": NumberField("kg"),
         "center_of_mass": NumberField("m", shape=(3,), moves_loops=True),
@@ -222,7 +223,7 @@ class Body(Variable):
 
         Args:
             values: new values by attribute name; the quaternion may have any nonzero length.
-            change: function that copies an attribute with new numbers, see `Variable.fields_with`.
+            change: function that copies an object with other values of some of its fields.
         """
         fields = super().fields_with(values, change)
         if "quaternion" in fields:
@@ -420,6 +421,7 @@ class Mechanism:
         # The integral of r^2 over the mass is half the trace of the inertia tensor
         lengths = [float(np.sqrt(0.5 * np.trace(body.inertia) / body.mass)) for body in self.bodies[1:]]
         for equations in self.equations:
+            # the joint point fixed in the first body, and the one fixed in the second body
             ends = (
                 (equations.first, equations.joint.point),
                 (equations.second, equations.joint.reaction_point),

@@ -54,11 +54,11 @@ def initial_numbers(scene: Scene, names: Iterable[str]) -> dict[str, Initial]:
         # the coordinate must be free, and named once
         if key in {motion.key for motion in scene.motions}:
             where = f"joint {key[0]!r}"
-            raise MechanismError(where, "follows a prescribed motion", "a joint that none prescribes")
+            raise MechanismError(where, "follows a prescribed motion", needed="a joint that none prescribes")
         number = Initial(key, int(name.endswith(RATE_SUFFIX)))
         if twin := next((other for other, known in numbers.items() if known == number), None):
             problem = f"{twin!r} and {name!r} are one number of the start"
-            raise MechanismError(f"joint {key[0]!r}", problem, "one of the two")
+            raise MechanismError(f"joint {key[0]!r}", problem, needed="one of the two")
         numbers[name] = number
     return numbers
 

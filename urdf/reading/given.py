@@ -91,6 +91,7 @@ class Given:
             copied,
             pin.StdVec_RigidConstraintModel(self.constraints),
             frames=tuple(pairs),
+            # only loop files have rods, and couplings: polynomials of joint coordinates, (number, degree, nv)
             rods=(),
             couplings=np.zeros((0, MAX_DEGREE, copied.nv)),
             urdf_joints=(PINOCCHIO_GROUND, *(str(name) for name in list(copied.names)[1:])),
@@ -190,7 +191,7 @@ class Given:
         )
         dry_limits = (model.lowerDryFrictionLimit[in_v], model.upperDryFrictionLimit[in_v])
         friction = max([friction, *(float(x) for x in np.ravel(np.abs(dry_limits)))], key=abs)
-        # rotor inertia reflected to the joint
+        # rotor inertia reflected to the joint, for a warning: Pinocchio's dynamics use the armature instead
         reflected = model.rotorInertia[in_v] * model.rotorGearRatio[in_v] ** 2
         rotor = float(np.max(reflected, initial=0.0)) if not armature else 0.0
         limits = None

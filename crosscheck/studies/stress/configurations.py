@@ -50,8 +50,9 @@ from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.assemble import CONSISTENT_STARTS, assemble, initial_state
 
-# (g) Initial states (starts) that violate the constraints. The cases measure the state after assembly, which
-# moves bodies until the constraints hold, and the run of each engine from the violating state.
+# (g) Initial states (starts) that violate the constraints. The mechanism is the solar tracker, in which two
+# sliders tilt a panel by legs. The cases measure the state after assembly, which moves bodies until the
+# constraints hold, and the run of each engine from the violating state.
 
 START_OFFSETS = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 """Displacements, m, and rotations, rad, of each body in random directions."""
@@ -65,15 +66,16 @@ START_OUTPUTS = 50
 ASSEMBLED = Bound(
     "constraint violation after assembly",
     "m or rad",
-    1e-14,
-    CLOSURE_TOLERANCE,
-    "round-off of residuals on a machine of 0.1 m",
+    survives=1e-14,
+    degrades=CLOSURE_TOLERANCE,
+    reason="round-off of residuals on a machine of 0.1 m",
 )
-"""Bound on the constraint violation of the state after assembly."""
+"""Bound on the constraint violation of the state after assembly: a value up to `survives` is accurate, a
+value up to `degrades` still useful."""
 
 VIOLATED_START = refusal("constraint violation at the start", "m or rad")
-"""Bound of scenes whose initial state violates the constraints by more than `CLOSURE_TOLERANCE`: the engine
-must raise an error."""
+"""Bound of scenes whose initial state violates the constraints by more than `CLOSURE_TOLERANCE`, the largest
+violation (m or rad) that newton_euler accepts at a start: the engine must raise an error."""
 
 START_SETTINGS: tuple[Setting, ...] = (
     *STABILIZED_SETTINGS,
@@ -93,17 +95,26 @@ def violated_start_cases(full: bool) -> Iterator[Case]:
         # The assembly of a violating state
         setting = Setting("newton_euler", {"function": "assemble"})
         yield Case(name, setting, ASSEMBLED, partial(measure_assembled_violation, offset))
-        # A scene with a violating initial state, which must raise an error
+        # A scene with a violating initial state, which must raise an error before any engine runs
         if offset > CLOSURE_TOLERANCE:
             setting = Setting("all", {"argument": "Scene(initial_state=...)"})
-            names = ("joint", "initial state")
             yield Case(
-                name, setting, VIOLATED_START, partial(measure_rejected_start, offset), required_texts=names
+                name,
+                setting,
+                VIOLATED_START,
+                partial(measure_rejected_start, offset),
+                required_texts=("joint", "initial state"),  # in the message of the error
             )
         # Runs from the violating state, without the check of initial states
         degraded = 10.0 * max(offset, CLOSURE_TOLERANCE)
         reason = "the violation decreases, or at least does not grow"
-        bound = Bound("constraint violation at the end", "m or rad", CLOSURE_TOLERANCE, degraded, reason)
+        bound = Bound(
+            "constraint violation at the end",
+            "m or rad",
+            survives=CLOSURE_TOLERANCE,
+            degrades=degraded,
+            reason=reason,
+        )
         for setting in START_SETTINGS:
             run = partial(measure_end_violation, offset)
             yield Case(f"{name}, unchecked, {START_DURATION:g} s", setting, bound, run, time_limit=40.0)
@@ -175,9 +186,9 @@ def measure_end_violation(offset: float, setting: Setting) -> Measurement:
 SLIDER_BOUND = Bound(
     "position error",
     "m",
-    1e-6,
-    1e-2,
-    "1e-6 m is invisible in a plot; a centimeter of 0.4 m of travel is visible",
+    survives=1e-6,
+    degrades=1e-2,
+    reason="1e-6 m is invisible in a plot; a centimeter of 0.4 m of travel is visible",
 )
 """Bound on the error of the slider's position in the slider-crank."""
 
@@ -190,14 +201,15 @@ FLAT_SPEED = 4.0
 
 SINGULAR_SETTINGS: tuple[Setting, ...] = (
     *STABILIZED_SETTINGS,
-    newton_euler_setting("relative", integrator="Radau", rtol=1e-8, atol=1e-10),
-    newton_euler_setting("relative", integrator="RK4", step=1e-3),
+    newton_euler_setting(formulation="relative", integrator="Radau", rtol=1e-8, atol=1e-10),
+    newton_euler_setting(formulation="relative", integrator="RK4", step=1e-3),
     mujoco_setting("RK4"),
     mujoco_setting("implicitfast"),
     pinocchio_setting(),
     pinocchio_setting(stabilization="projection"),
 )
-"""Settings of the cases with singular configurations, in the full form."""
+"""Settings of the cases with singular configurations, in the full form. The formulation "relative" has joint
+coordinates."""
 
 CRANK_LENGTH, ROD_LENGTH, CRANK_SPEED = 0.2, 0.7, 12.0
 """Lengths, m, and prescribed angular velocity of the crank, rad/s, of `centered_slider_crank`."""

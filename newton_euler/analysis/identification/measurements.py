@@ -6,7 +6,7 @@ Columns are in SI or the units of `UNITS`, vectors in the world frame. Names of 
   of several coordinates has `coordinate.JOINT.0`, `coordinate.JOINT.1`.
 - as in `Trajectory.to_dataframe`: `position.BODY.x` (m, the center of mass), `quaternion.BODY.w`,
   `linear_velocity.BODY.x`, `angular_velocity.BODY.x`, `reaction_force.JOINT.x`, `reaction_torque.JOINT.x`,
-  `actuator_force.0`, `kinetic_energy`, `potential_energy`, `work`.
+  `actuator_force.0` (index of the control law), `kinetic_energy`, `potential_energy`, `work`.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
         {'coordinate.pivot': 0.001}
     """
     where = path_text(path)
-    rows = csv_rows(where, read_text(path, "csv_size"))
+    rows = csv_rows(where, read_text(path, limit="csv_size"))
     header, units = _headings(rows[0].cells if rows else [])
     if "time" not in header or len(header) < 2:
         names = listed(header) or "no columns"
@@ -217,7 +217,7 @@ def measurements_from_csv(path: str | os.PathLike[str]) -> Measurements:
     table = TimeTable.of(where, header, data)
     columns = dict(table.columns)
     time = columns.pop("time")
-    table.refuse(time < 0.0, "time", time, "times from 0 on")
+    table.refuse(time < 0.0, "time", time, needed="times from 0 on")
     try:
         start = {}
         for name, number in special_rows[START].items():
@@ -252,15 +252,17 @@ def column_places(
 ) -> dict[str, tuple[str, int]]:
     """Find all columns that can be measured, by name: their compiled program, and index in its results.
 
+    The compiled programs are functions of a state of the mechanism: "coordinates" returns all joint
+    coordinates, then their rates; "output" returns the arrays of a trajectory at one time.
+
     Args:
         mechanism: gives names of bodies, joints and coordinates.
         layout: layout of the results of the program "output": for each quantity, first index, end and shape.
     """
-    # the program "coordinates" returns all joint coordinates, then their rates
     labels = list(mechanism.coordinate_labels.values())
     places = {f"coordinate.{label}": ("coordinates", k) for k, label in enumerate(labels)}
     places |= {f"rate.{label}": ("coordinates", len(labels) + k) for k, label in enumerate(labels)}
-    # the program "output" returns the arrays of a trajectory; axes of bodies and joints have names
+    # names along dimensions b (bodies) and j (joints) of a trajectory's arrays
     names = {"b": mechanism.body_names, "j": mechanism.joint_names}
     for name, (start, _, shape) in layout.items():
         if name in QUANTITIES:
