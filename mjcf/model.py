@@ -50,8 +50,9 @@ class MujocoScene:
 
     MuJoCo can close a loop by a ball, a rod (a massless link with a ball at each end) or a weld only. At any
     other joint that closes a loop, one of the bodies is cut into two halves, which a weld joins: the welded
-    mechanism. Coordinates q (nq,) and velocities v (nv,) belong to the spanning tree of this mechanism;
-    quaternions are (w, x, y, z). MuJoCo's qpos and qvel stay inside this class.
+    mechanism. Its body frames in MuJoCo have their origins at the centers of mass. Coordinates q (nq,) and
+    velocities v (nv,) belong to the spanning tree of this mechanism; quaternions are (w, x, y, z). MuJoCo's
+    qpos and qvel stay inside this class.
 
     Attributes:
         scene: the scene; results are for the bodies and joints of its mechanism.
@@ -59,7 +60,7 @@ class MujocoScene:
         welded: welded mechanism, which MuJoCo models.
         tree: spanning tree of the welded mechanism.
         quaternions: slices of the quaternions in q.
-        layout: map between coordinates of the tree and of MuJoCo.
+        layout: orthogonal maps between coordinates of the tree and of MuJoCo.
         model: `MjModel`.
         data: `MjData`, which every call may overwrite.
         body_id: MuJoCo's number of each body of `welded.mechanism`; added halves of cut bodies are last.
@@ -74,7 +75,7 @@ class MujocoScene:
         """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         self.scene = scene
         self.mechanism = scene.mechanism
-        # loaded: joints whose ball has a spring, damper or armature, which an equality could not have
+        # a ball with a spring, damper or armature must be a joint of MuJoCo's tree, not a `connect` equality
         self.welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self.tree = self.welded.tree
         self.quaternions = self.tree.quaternions
@@ -121,10 +122,10 @@ class MujocoScene:
         self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
     def _set_ball_spring_rests(self) -> None:
-        """Set the rest orientations of ball springs to those of the keyframe.
+        """Set the rest orientations of ball springs to those of the keyframe in the MJCF text.
 
-        The keyframe has the rests of springs with a yield angle (`plastic`). A rest in `model.qpos_spring`,
-        unlike a rest in the state, stays in every later reset of `data`.
+        MuJoCo's state has the rests of springs with a yield angle (`springyield`) in `plastic`. A rest in
+        `model.qpos_spring`, unlike a rest in the state, stays in every later reset of `data`.
         """
         model = self.model
         for joint in np.flatnonzero(model.jnt_plasticadr >= 0):
@@ -134,7 +135,10 @@ class MujocoScene:
         mujoco.mj_resetData(model, self.data)
 
     def mass_properties(self) -> MassProperties:
-        """Return masses and inertias of the compiled model, with the halves of cut bodies combined."""
+        """Return masses and inertias of the compiled model at the initial pose (`qpos0`), in the world frame.
+
+        The halves of cut bodies are combined.
+        """
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)

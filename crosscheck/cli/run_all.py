@@ -25,11 +25,11 @@ from crosscheck.support.processes import ProcessLostError, run_in_processes
 from newton_euler.errors import MissingPackageError
 from newton_euler.runs.batch import thread_count
 
-LEFT_OUT = Cell("left out", "doubtful")
-"""Table cell of a scene whose optional packages are not installed."""
+LEFT_OUT = Cell("left out", verdict="doubtful")
+"""Table cell, in the color of a doubtful verdict, of a scene whose optional packages are not installed."""
 
-NOT_RUN = Cell("FAILS", "fails")
-"""Table cell of a scene that did not run."""
+NOT_RUN = Cell("FAILS", verdict="fails")
+"""Table cell, in the color of a failure, of a scene that did not run."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,11 @@ def run_scene(name: str, engines: Sequence[str], folder: Path) -> SceneOutcome:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's; results are checked for finiteness where they are used
-            result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
-            write(result, report(result), folder / name, folder / name / f"{name}.rrd", name)
+            result = crosscheck(
+                load(name), choose(list(engines)), progress=lambda _: None, source=name, options={}
+            )
+            recording = folder / name / f"{name}.rrd"  # for the Rerun viewer
+            write(result, report(result), folder / name, recording, name=name)
     except MissingPackageError as error:
         wall_time = time.perf_counter() - start
         return SceneOutcome(name, wall_time, False, str(error), word=LEFT_OUT, left_out=True)
@@ -106,6 +109,7 @@ def outcomes_table(outcomes: Sequence[SceneOutcome]) -> Table:
     heads = [*text_columns("scene", "verdict"), *number_columns("time, s")]
     return Table(
         "",
+        # `below`: on narrow screens, HTML pages move this column below the others
         [*heads, Column("% of tolerance, where", below=True)],
         [[found.scene, found.word, f"{found.wall_time:.1f}", found.nearest] for found in outcomes],
     )

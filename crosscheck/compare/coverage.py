@@ -3,7 +3,8 @@
 A run may not depend on an element: the mass of a body in free fall, a spring that stays at rest, a hinge that
 does not turn. Agreement of the engines then shows nothing about this element. In: a scene and the tolerances
 of its trajectories. Out: for each element, how much a change of 10 % would move the bodies, relative to the
-difference that a comparison of engines would detect. The change is visible if this ratio is above 1.
+difference that a comparison of engines would detect. The change is visible if this ratio is above 1. A joint
+is displaced instead: rotated by 0.1 rad, and moved by a tenth of the longest body.
 
 The scene is simulated again with each element changed. Most simulations are shortened or avoided:
 
@@ -11,10 +12,12 @@ The scene is simulated again with each element changed. Most simulations are sho
   change is visible.
 - Changes of bodies in mechanisms without loops: a lower bound from the accelerations may suffice, see
   `joint_loads.py`.
-- Changes of constraints need new code, so other evidence is tried first. The change is visible in two cases:
-  the poses of the original run violate the changed constraints, or a displaced joint does not support the
-  reactions. The change is invisible if a displaced joint supports the reactions, or if the changed equations
-  give the same accelerations along the run.
+- Changes of constraints need new code, so other evidence is tried first. The change is visible if the poses
+  of the original run violate the changed constraints. The change is invisible if the changed equations give
+  the same accelerations along the run.
+- A displaced joint can transmit forces only in its own constraint directions. The other part of the original
+  reaction would accelerate the mechanism. The change is invisible if this part is small, and visible if it is
+  large in a mechanism without loops.
 """
 
 from __future__ import annotations
@@ -249,8 +252,8 @@ class _ChangedRuns:
         """Compute `Covered.effect` of an element whose parameters change."""
         effect = 0.0
         if element.body is not None and self._loads is not None:
-            number, what = element.body
-            effect = self._loads.body_effect(number, what, CHANGE, self._length, self._angle)
+            number, mass_or_inertia = element.body
+            effect = self._loads.body_effect(number, mass_or_inertia, CHANGE, self._length, self._angle)
             if effect > SURELY_SEEN:
                 return effect
         for shorter in self._shorter_scenes:

@@ -36,13 +36,14 @@ GRAVITY = np.array([0.0, -9.81, 0.0])
 X, Y, Z = np.eye(3)
 
 POINT = -0.5 * BAR_LENGTH * X
-"""Position (3,) of the point mass in the frame of the dumbbell, m."""
+"""Vector (3,) from the dumbbell's center of mass to the point mass, frame of the dumbbell, m."""
 
 
 def pendulum() -> Scene:
     """Return the pendulum: 1 kg on a bar of 1 m that falls from rest at x = -1 m, 10 s; gravity along -y."""
     across = 0.5 * POINT_MASS * BAR_LENGTH**2
-    dumbbell = Body("dumbbell", 2.0 * POINT_MASS, POINT, np.diag([BAR_INERTIA, across, across]))
+    center = -0.5 * BAR_LENGTH * X  # halfway between the pivot at the origin and the point mass
+    dumbbell = Body("dumbbell", 2.0 * POINT_MASS, center, np.diag([BAR_INERTIA, across, across]))
     return Scene(
         "pendulum",
         Mechanism([Body.ground(), dumbbell], [Revolute("pivot", "ground", "dumbbell", np.zeros(3), axis=Z)]),
@@ -73,4 +74,5 @@ REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("vx", "vy"), lambda run: velocity(run, "dumbbell", POINT)),
     "bar_tension": _bar_tension,
 }
-"""Position (m) and velocity (m/s) of the point mass, tension of the bar (N)."""
+"""Position (m) and velocity (m/s) of the point mass, tension of the bar (N), by name. A crosscheck compares
+them with values of the closed form."""

@@ -95,7 +95,7 @@ def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
     text += markdown(replace(report, title="", verdict=verdict, parts=report.summary), links=links)
     tolerances = {(check.quantity, *check.between): check.tolerance for check in result.checks}
     moments = list(_worst_moments(result.checks))
-    directions = None
+    directions = None  # no further unit vectors to draw, such as the direction of the sun
     return (
         result.scene,
         result.trajectories,
@@ -104,7 +104,7 @@ def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
         tolerances,
         moments,
         directions,
-        result.own_run,
+        result.own_run,  # judgement of the model file's run with its own settings, or None
     )
 
 

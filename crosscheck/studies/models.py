@@ -266,7 +266,7 @@ def _first_kind(content: dict[str, Any]) -> str:
         return ""
     entry = ImportedElement(**content["not_simulated"][0])
     tag = entry.element.split()[0]  # an element is described by its tag and name, such as "joint 'knee'"
-    plurals = dict(ALWAYS_ACTING)
+    plurals = dict(ALWAYS_ACTING)  # pairs of tag and plural, such as "tendon" and "tendons"
     return entry.topic or plurals.get(tag, tag)
 
 
@@ -290,7 +290,8 @@ def table(repositories: Sequence[Repository], found: dict[str, ModelResult]) -> 
         repositories: the list of models.
         found: results by path OWNER/NAME/FILE.
     """
-    # Counts of verdicts, and of elements by the result of their import
+    # Counts of verdicts, and of elements by the result of their import. An element is "not watched" if no
+    # run was examined for whether the element would have acted
     pairs = [(entry, found.get(f"{r.repository}/{entry.file}")) for r in repositories for entry in r.files]
     known = [(entry, result) for entry, result in pairs if result is not None]
     counts = Counter(result.verdict for _, result in known)

@@ -14,7 +14,7 @@ class CrosscheckError(Exception):
 
     Examples:
         >>> try:
-        ...     sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, 0, "peak:reaction_force")
+        ...     sweep("pendulum", {"dumbbell.mass": "normal(1, 0.1)"}, runs=0, keep="peak:reaction_force")
         ... except CrosscheckError as error:
         ...     print(error)
         runs is 0; needed: a whole number, 1 to 4294967296

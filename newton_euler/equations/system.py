@@ -114,7 +114,8 @@ class System(Protocol):
     def joint_geometry(self) -> dict[str, JointGeometry]:
         """Return the joints at the initial pose, by name, as the model of this engine has them.
 
-        Joints that a model adds, to carry bodies that only rods hold, are not included.
+        A model adds a free joint for a body that only rods (constant distances) connect with others; these
+        joints are not included.
         """
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
@@ -165,7 +166,10 @@ class System(Protocol):
         """Compute accelerations, reactions and energies."""
 
     def velocity_transformation(self, q: Array) -> Array:
-        """Compute the matrix (6 b, nv) from v to the linear and angular velocity of bodies 0, 1, ..."""
+        """Compute the Jacobian (6 b, nv) of the velocities of bodies 0, 1, ... with respect to v.
+
+        Each body has six rows, world frame: velocity of the center of mass, then angular velocity.
+        """
 
 
 S = TypeVar("S", bound=System)
@@ -200,5 +204,6 @@ def fastest_joint(mechanism: Mechanism, state: State) -> str:
     """
     with np.errstate(all="ignore"):
         motion = np.hstack([state.linear_velocity / mechanism.size, state.angular_velocity])
-        speeds = [np.max(np.abs(motion[e.second] - motion[e.first])) for e in mechanism.equations]
+        # one item of `equations` per joint; `first` and `second` are the indices of its bodies
+        speeds = [np.max(np.abs(motion[joint.second] - motion[joint.first])) for joint in mechanism.equations]
     return mechanism.joint_names[int(np.argmax(np.nan_to_num(speeds, nan=np.inf)))]

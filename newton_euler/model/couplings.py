@@ -83,7 +83,8 @@ class Gear(JointCoupling):
     driver_coordinate: int = 0
     follower_coordinate: int = 0
     kind: ClassVar[str] = "gear"
-    # Numbers that may vary from run to run; `moves_loops`: a change moves the poses in which loops are closed
+    # Numbers that may vary from run to run. `shape` None: the constructor checks the value; `moves_loops`: a
+    # change moves the poses in which loops are closed. `constant`: reasons why other attributes cannot vary
     number_fields: ClassVar = {"ratio": NumberField(shape=None, allowed="nonzero", moves_loops=True)}
     constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
 
@@ -148,7 +149,7 @@ class PolynomialCoupling(JointCoupling):
     constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
-        # The only number that may vary is the array of coefficients
+        """Return the new coefficients, the only numbers that may vary; `change` is for functions of time."""
         return {name: tuple(value) for name, value in values.items()}
 
     def factors(self) -> dict[tuple[str, int], float]:
@@ -222,6 +223,7 @@ class LinearCoupling(JointCoupling):
         return np.array([factor for _, _, factor in self.terms])
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+        """Return the terms with new factors; `change` is for functions of time."""
         terms = zip(self.terms, values["terms"], strict=True)
         return {"terms": tuple((joint, k, factor) for (joint, k, _), factor in terms)}
 

@@ -25,7 +25,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 REST_SPEED = 1e-12
-"""Speed, m/s or rad/s, below which velocities are round-off."""
+"""Speed, m/s or rad/s, and displacement, m or rad, up to which a motion is round-off."""
 
 POINTS_PER_INTERVAL = 16
 """Number of equal parts of each output interval; elements are checked at the ends of the parts."""
@@ -137,6 +137,7 @@ class SampledMotion:
         """
         if key not in self._coordinates:
             (joint, index), time = key, self.run.time
+            # a trajectory that was made from arrays has no mechanism
             measured = replace(self.run, mechanism=self.scene.mechanism).joint(joint)
             assert measured.rates is not None
             x, rate = measured.coordinates[:, index], measured.rates[:, index]

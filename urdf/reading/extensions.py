@@ -311,7 +311,10 @@ class _Reader:
         self._report_unused_properties(element)
 
     def _report_unused_properties(self, element: ET.Element) -> None:
-        """Report damping, friction, stiffness and limits of a joint in `<gazebo>` as left out."""
+        """Report damping, friction, stiffness and limits of a joint in `<gazebo>` as left out.
+
+        The topic of an entry in the report is the property; its numbers are the values that are lost.
+        """
         name = f"joint {element.get('name')!r} of gazebo"
         for part in ("damping", "friction", "spring_stiffness"):
             text = element.findtext(f"axis/dynamics/{part}")
@@ -411,6 +414,7 @@ class _Reader:
                 self._used.add(f"closing_{name}")
                 self._report.left_out(f"loop 'closing_{name}'", "ignored by the option `ignore`")
                 continue
+            # content of a loop file; `name_mot` lists joints with a motor
             text = f"closed_loop: [[{', '.join(frames)}]], type: [3d], name_mot: []"
             problem = f"links {' and '.join(frames)}: onshape-to-robot's ends of a loop that nothing closes"
             remedy = f"write a loop file with {text} (--set loops=FILE), or --set ignore=closing_{name}"
@@ -468,7 +472,7 @@ class _Reader:
                 self.extensions.dampings[joint] = self.extensions.dampings.get(joint, 0.0) + damping
             if friction := numbers.get("friction"):
                 why = f"its dry friction {friction:g}"
-                self._report.left_out(f"joint {joint!r}", why, FRICTION, numbers=[friction])
+                self._report.left_out(f"joint {joint!r}", why, topic=FRICTION, numbers=[friction])
             return
         value = self._number(element, element.text, tag)
         if tag == "springStiffness":

@@ -34,15 +34,16 @@ class Freedom(NamedTuple):
         name: name of the joint or key of the joint coordinate; `JOINT.ball.x` for a rotation of a ball joint;
             `NAME.number` for a coordinate of a body that only rods connect with others.
         key: key of the joint coordinate; None for the other coordinates.
-        place: index in v of the rate of a coordinate without a key; -1 for a joint coordinate.
-        ball: index in v of the first component of a ball joint's angular velocity; -1 for other coordinates.
+        v_index: index in v of the rate of a coordinate without a key; -1 for a joint coordinate.
+        ball_start: index in v of the first component of a ball joint's angular velocity; -1 for other
+            coordinates.
         unit: the size of the mechanism, m, for slides, else 1.
     """
 
     name: str | Key
     key: Key | None
-    place: int
-    ball: int
+    v_index: int
+    ball_start: int
     unit: float
 
 
@@ -53,20 +54,21 @@ def _other_freedoms(system: Relative) -> list[Freedom]:
     """
     freedoms: list[Freedom] = []
 
-    def add(name: str, place: int, ball: int) -> None:
-        """Add the velocity at index `place` in v."""
-        unit = system.velocity_units[place]
-        freedoms.append(Freedom(name, key=None, place=place, ball=ball, unit=unit))
+    def add(name: str, v_index: int, ball_start: int) -> None:
+        """Add a velocity, see `Freedom`."""
+        unit = system.velocity_units[v_index]
+        freedoms.append(Freedom(name, key=None, v_index=v_index, ball_start=ball_start, unit=unit))
 
     for tree_joint in system.tree.joints:
         name = system.tree.joint(tree_joint.joint).name
         is_added = tree_joint.joint >= len(system.mechanism.joints)  # a free joint of the tree alone
+        # hinges, slides and balls of the joint, each with its slice in v
         for number, (motion, _, on_v) in enumerate(tree_joint.places):
             if motion.kind == "ball":
                 for k, axis in enumerate(AXIS_NAMES):
-                    add(f"{name}.ball.{axis}", place=on_v.start + k, ball=on_v.start)
+                    add(f"{name}.ball.{axis}", v_index=on_v.start + k, ball_start=on_v.start)
             elif is_added:
-                add(f"{name}.{number}", place=on_v.start, ball=-1)
+                add(f"{name}.{number}", v_index=on_v.start, ball_start=-1)
     return freedoms
 
 
@@ -92,9 +94,10 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
         keys = list(mechanism.coordinate_labels)
     else:
         keys = [mechanism.coordinate(name) for name in names if name not in others]
+    # `measuring` makes the equations measure these coordinates: each gets a control law of zero force
     system = Relative(measuring(scene, keys))
     of_joints = {
-        key: Freedom(mechanism.coordinate_name(key), key, place=-1, ball=-1, unit=system.unit(key))
+        key: Freedom(mechanism.coordinate_name(key), key, v_index=-1, ball_start=-1, unit=system.unit(key))
         for key in keys
     }
     # the coordinates that the user names
@@ -129,5 +132,5 @@ def rates_of(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
         freedoms: the d independent coordinates.
     """
     measured, units = system.measured(q, np.zeros(system.nv)), np.array([each.unit for each in freedoms])
-    rows = [measured[each.key].jacobian if each.key else {each.place: 1.0} for each in freedoms]
+    rows = [measured[each.key].jacobian if each.key else {each.v_index: 1.0} for each in freedoms]
     return to_array(rows, system.nv) * system.velocity_units / units[:, None]

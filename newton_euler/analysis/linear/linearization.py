@@ -261,14 +261,14 @@ class Linearization:
             [dot(row, solution.acceleration) - g for row, g in zip(rows, gamma, strict=True)]
         )
         accelerations = [
-            next(joint_accelerations) if freedom.key else solution.acceleration.get(freedom.place, 0.0)
+            next(joint_accelerations) if freedom.key else solution.acceleration.get(freedom.v_index, 0.0)
             for freedom in self.freedoms
         ]
         # [J; J_z] v, whose change along z at constant v gives dv
         jacobian = system.phi_and_jacobian(q)[1]
         rates = [sum((x * v[k] for k, x in jacobian[i].items()), start=0.0) for i in self.rows.numbers]
         measured = system.measured(q, v)
-        rates += [measured[each.key].rate if each.key else v[each.place] for each in self.freedoms]
+        rates += [measured[each.key].rate if each.key else v[each.v_index] for each in self.freedoms]
         scalars = [
             *accelerations,
             *differentiate_along(graph, accelerations, x.tolist(), directions.tolist()),
@@ -377,9 +377,9 @@ class Linearization:
         a[:d, d:] = np.eye(d)
         a[d:] = results[: 2 * d, d : 2 * d].T
         for row, freedom in zip(a, freedoms, strict=False):
-            if freedom.ball >= 0:  # d/dt dtheta = domega - omega x dtheta
-                place = slice(freedom.ball, freedom.ball + 3)
-                row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.place - freedom.ball]
+            if freedom.ball_start >= 0:  # d/dt dtheta = domega - omega x dtheta
+                place = slice(freedom.ball_start, freedom.ball_start + 3)
+                row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.v_index - freedom.ball_start]
         b, input_labels = self._columns(results[2 * d :, d : 2 * d], inputs, names)
         c, output_labels = self._outputs(q, tangent, twists, outputs)
         rates = rates_of(self.system, q, freedoms)
