@@ -1,9 +1,9 @@
 """Write the forces of a scene (a mechanism with forces and control laws) as MJCF elements, for `mjcf.write`.
 
 - Springs and armatures (rotor inertias) of hinges and slides are attributes of MuJoCo's joints.
-- Springs of balls rest at qpos0 in MuJoCo. Only a spring with the attribute `springyield`, whose rest is part
-  of MuJoCo's state, can rest elsewhere. A spring that rests elsewhere gets a yield angle that is never
-  reached, and the keyframe has its rest.
+- Springs of balls rest at qpos0 in MuJoCo. Only a plastic spring can rest elsewhere: a joint of MuJoCo 4 with
+  the attribute `springyield`, whose rest is the part `plastic` of the state. A spring that rests elsewhere
+  gets a yield angle that is never reached, and the attribute `plastic` of the keyframe has its rest.
 - Springs between points are spatial tendons.
 - A wrench, a constant force and torque, is a motor on a site with control 1. The motor turns with its site
   unless its `refsite` is a site of the world.
@@ -213,7 +213,7 @@ def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
     mechanism = scene.mechanism
     for wrench in wrenches(scene):
         pose = mechanism.body(wrench.body).pose
-        force_and_torque = [wrench.force, wrench.torque]
+        force_and_torque = [wrench.force, wrench.torque]  # world components at the initial pose
         if wrench.frame == "body":
             force_and_torque = [pose.vector_to_body(vector) for vector in force_and_torque]
         name = f"wrench {wrench.name}"

@@ -28,7 +28,10 @@ class NameClashError(UrdfError):
 
 
 class LoopFileError(UrdfError):
-    """Loop file with a missing or invalid entry; the message names file and key."""
+    """Loop file with a missing or invalid entry; the message names file and key.
+
+    A loop file is a YAML file with what a URDF cannot describe: closed loops and ball joints.
+    """
 
     def __init__(self, source: str, key: str, problem: str) -> None:
         """Make the error for a key of the loop file `source`."""

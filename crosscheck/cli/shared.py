@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from newton_euler.reading.import_report import ImportReport
 
 VERDICT_COLORS = {"": None, "holds": "green", "improved": "green", "doubtful": "yellow", "fails": "red"}
-"""Terminal color of each verdict of `crosscheck.report.table.Cell`; a cost below its baseline is improved."""
+"""Terminal color of each verdict of `crosscheck.report.table.Cell`. In a regression test, a cost (such as a
+number of steps) or an error below its stored baseline is improved."""
 
 PROGRESS_DELAY_S = 10.0
 """Time without a message, s, before a command whose standard error is no terminal prints its stage."""
@@ -61,7 +62,8 @@ def cli() -> None:
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
     """Add the option `--set` to a command, whose argument `settings` gets the values.
 
-    Settings that are limits, such as time=600, apply until the command ends and are not passed on.
+    Settings that are limits of a command's work, such as time=600 (processor time of a run, s), apply until
+    the command ends and are not passed on.
     """
     option = click.option(
         "--set",
@@ -138,6 +140,9 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
 
 def without_excitation(options: dict[str, str], why: str) -> dict[str, str]:
     """Return the options of a command that does not excite the scene; raise if they switch excitation on.
+
+    Excitation adds start velocities and sines for actuators to a model file, because a model at rest tests
+    little.
 
     Args:
         options: options of the scene.

@@ -1,7 +1,9 @@
 """Find settings that reduce the error of a model file's run. Every remedy is measured by a run.
 
-In: the file with its reference solution, and the judged run. Out: at most two remedies: the most accurate
-settings that cost no more than those of the file, and the cheapest settings that reach the error `TARGET`.
+In: the file with its reference solution, and the judged run, which has the file's own engine (such as
+MuJoCo), time step, integrator and solver. Out: at most two remedies: the most accurate settings that cost no
+more than those of the file, and the cheapest settings that reach the error `TARGET`. Settings are of one
+*kind* if they differ only in the time step and in values that follow from it.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ class _Trial:
     """Settings of a completed run, and the divisor of the file's time step in them."""
 
     divisor: float
-    settings: Any
+    settings: Any  # `newton_euler.reading.file_run.Settings` of the file's engine
     remedy: MeasuredRemedy
 
 
@@ -96,7 +98,9 @@ def _completed(compared: Comparison, run: FileRun, kinds: Iterable[tuple[float, 
             continue
         evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
         run_time = evaluations if run.stopped else tried.trajectory.wall_time / run.trajectory.wall_time
-        remedy = MeasuredRemedy(*compared.measured(settings, tried), evaluations, run_time)
+        # the fields of `MeasuredSettings`: changes, fragment (text for the file), error
+        measured = compared.measured(settings, tried)
+        remedy = MeasuredRemedy(*measured, evaluations=evaluations, run_time=run_time)
         yield _Trial(divisor, settings, remedy)
 
 
@@ -105,6 +109,7 @@ def _smaller_steps(compared: Comparison) -> list[tuple[float, Any]]:
     simulation = compared.simulation
     divisors = [2**k for k in range(1, int(np.log2(MAX_COST)) + 1)]
     kinds = [(float(n), settings) for n in divisors for settings in simulation.alternatives(n)]
+    # without those that need more evaluations than their engine can do in a run
     affordable = [pair for pair in kinds if compared.affords(pair[1])]
     return sorted(affordable, key=lambda pair: simulation.evaluations(pair[1]))
 

@@ -153,7 +153,10 @@ def _kind_of(check: Check, engines: set[str]) -> str:
 
 
 def _checks_table(title: str, checks: list[Check]) -> Table:
-    """Make a table of checks: a section per level, a row per quantity, a column per engine or pair."""
+    """Make a table of checks: a section per level, a row per quantity, a column per engine or pair.
+
+    A level is a group of checks, such as "dynamics" or "trajectories".
+    """
     columns = list(dict.fromkeys(check.between for check in checks))
     rows: Rows = []
     for level in dict.fromkeys(check.level for check in checks):
@@ -212,8 +215,8 @@ def _settings(result: ComparisonResult) -> Iterator[tuple[str, str]]:
 def verdict_limits(result: ComparisonResult) -> Iterator[str]:
     """Yield sentences that limit the verdict.
 
-    They report parts that stopped, likely mistakes in the file, a start that differs from the file's, and
-    elements that acted and were not simulated.
+    They report analyses that did not complete, likely mistakes in the file, a start that differs from the
+    file's, and elements that would have acted in the run but are not simulated.
     """
     yield from result.notes
     if result.singular:
@@ -230,10 +233,13 @@ def verdict_limits(result: ComparisonResult) -> Iterator[str]:
         return
     yield from moved_start_lines(mapping, result.scene)
     acting = mapping.acting
+    # `how`: reason why the element is left out; `seen`: observation in the run
     for entry in acting[:MAX_ACTING_LINES]:
         yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MAX_ACTING_LINES:]]:
         yield f"active, and left out, too: {_name_list(more)}"
+    # `until`: time at which the first of these elements acts. Excitation: start velocities and sines for
+    # actuators, which the reader adds to a file at rest
     if result.until and mapping.excitation:
         yield (
             f"the excitation may be the cause of what acts from {result.until:.4g} s on; "
@@ -290,6 +296,7 @@ def notes(result: ComparisonResult) -> Iterator[str]:
     # the model file, and the start
     for title, import_report in _import_reports(result):
         yield f"{title}: {fates_line(import_report)}"  # numbers of elements imported exactly, left out ...
+        # lines about the initial state, the one about the excitation first
         yield from sorted(import_report.start, key=lambda line: line != import_report.excitation)
     yield from undetermined_lines(scene)
 

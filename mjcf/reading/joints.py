@@ -52,7 +52,7 @@ class Joints:
             driven: numbers of MuJoCo's joints that actuators drive.
             report: report that receives one entry for each of MuJoCo's joints.
         """
-        self._start, self._model, self._data = start, start.model, start.data
+        self._model, self._data = start.model, start.data
         self.joints: list[Joint] = []
         self.coordinate_keys: dict[int, Key] = {}
         self.joint_names: dict[int, str] = {}
@@ -80,7 +80,7 @@ class Joints:
             numbers: numbers of MuJoCo's joints of the body, in the order of MuJoCo.
             parent: name of the first body of the joint.
             child: name of the second body, which the joint moves.
-            actuated: True if an actuator drives one of the joints.
+            actuated: True if an actuator drives one of the joints, so that control laws may drive the result.
         """
         model, data = self._model, self._data
         names = [model.joint(k).name for k in numbers]

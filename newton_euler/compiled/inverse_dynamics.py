@@ -68,8 +68,10 @@ class InverseDynamics:
 
     Attributes:
         scene: the scene, whose control laws are replaced by laws of zero force on the actuators, then on the
-            coordinates. The actuator forces of a state are set as the constant parts of these laws.
-        servos: the joint coordinates with desired accelerations, and the actuators.
+            coordinates: the equations measure only coordinates that forces or couplings need. The actuator
+            forces of a state are set as the constant parts of these laws.
+        servos: the joint coordinates with desired accelerations, the actuators, and the constraint rows in
+            use (`rows`).
         system: equations of the scene in joint coordinates.
     """
 
@@ -93,8 +95,9 @@ class InverseDynamics:
     def forces(self) -> NativeFunction:
         """Native function that computes actuator forces (a,), pivot ratio and squared loop-closure error.
 
-        The pivot ratio is at most 0 at a singular state. Inputs are q, v, flags of constraint rows, desired
-        accelerations, time and the polynomial pieces of functions of time at that time.
+        The pivot ratio is at most 0 at a singular state; a ratio above 1 is returned as 1. Inputs are q, v,
+        flags of constraint rows, desired accelerations, time and the polynomial pieces of functions of time
+        at that time.
         """
         return self._function("forces", self._trace_forces, len(self.servos.coordinates))
 
@@ -129,7 +132,7 @@ class InverseDynamics:
         ends = np.cumsum(lengths)
 
         def traced(x: Array) -> tuple[list[Scalar], None]:
-            """Split x (inputs,) into its parts and compute the results; they need no description (layout)."""
+            """Split x (inputs,) into its parts and compute the results; None: no description for callers."""
             q, v, flags, given, (time,), *coefficients = np.split(x, ends[:-1])
             scene = with_values(self.scene, dict(zip(functions, coefficients, strict=True)))
             servos = self.servos.with_flags(dict(zip(rows, flags, strict=True)))
@@ -138,6 +141,8 @@ class InverseDynamics:
         # constraint rows are selected at the initial pose, which depends on prescribed motions
         initial_motions = [float(motion.function.value(0.0)) for motion in self.scene.motions]
         depends_on = self.scene, self.servos.coordinates, self.servos.actuators, initial_motions
+        # cached code is found by the contents of `depends_on` without the fields `neutral`, which do not
+        # change the results; `many` allows several states at once in the lanes of vector registers
         name, neutral = f"inverse dynamics {name}", NOT_COMPILED_FIELDS
         return native_program(name, int(ends[-1]), traced, *depends_on, neutral=neutral, many=True)
 

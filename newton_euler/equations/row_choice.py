@@ -12,12 +12,16 @@ row is left out, 0 if it is in use (`newton_euler.equations.sparse.RowsInUse`). 
 row that is left out is exchanged for a row in use whose share in it is larger than 1. Each exchange
 multiplies the volume of the rows in use by the share, so that the exchanges end at a local maximum of the
 volume (S. A. Goreinov, I. V. Oseledets, D. V. Savostyanov, E. E. Tyrtyshnikov, N. L. Zamarashkin, How to
-find a good
-submatrix, in: Matrix Methods: Theory, Algorithms and Applications, World Scientific 2010). At a state that
-satisfies the constraints, the accelerations do not depend on the choice, so that a run keeps its steps.
+find a good submatrix, in: Matrix Methods: Theory, Algorithms and Applications, World Scientific 2010). At a
+state that satisfies the constraints, the accelerations do not depend on the choice. An exchange therefore
+does not change the motion.
 
 If all shares are small and a pivot of the elimination is small as well, all rows together lose rank: this is
 a singular configuration (`newton_euler.integrators.singular`).
+
+The equations of motion have two forms (`Formulation`). The joint-coordinate form has constraint rows only for
+joints that close loops and for couplings such as gears. The Cartesian form has these rows, with other
+numbers, and rows for all other joints.
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ import numpy as np
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import shares
 from newton_euler.equations.redundancy import mobility
-from newton_euler.equations.row_shares import MAX_SHARE_CHANGE, are_independent
+from newton_euler.equations.row_shares import SHARE_ROUND_OFF, are_independent
 from newton_euler.equations.sparse import Rows, RowsInUse, gram_factor
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.state import State
@@ -65,7 +69,8 @@ NO_ROWS = ExchangeableRows([], [], [])
 
 def exchangeable_rows(system: Formulation) -> ExchangeableRows:
     """Return the exchangeable rows of a form of the equations, from the scene's mobility analysis."""
-    # the analysis has row numbers of the joint-coordinate form; `closing_rows` has those of this form
+    # the analysis has row numbers of the joint-coordinate form (and a natural magnitude for each exchangeable
+    # row); `closing_rows` translates them into row numbers of this form
     decided, numbers = mobility(system.scene), system.closing_rows()
     ordered = sorted((numbers[row], row) for row in decided.exchangeable)
     return ExchangeableRows(
@@ -158,7 +163,7 @@ def regular_choices(
         choices = [used]
         for other, of_rows in zip(others, shares(at.rows, used, others), strict=True):
             replaced = max(of_rows, key=lambda row: abs(of_rows[row]), default=other)
-            if abs(of_rows.get(replaced, 0.0)) > MAX_SHARE_CHANGE:  # a smaller share is zero
+            if abs(of_rows.get(replaced, 0.0)) > SHARE_ROUND_OFF:  # else the share is zero
                 choices.append([other if row == replaced else row for row in used])
         for chosen in choices:
             in_use = set(system.rows_of(chosen))

@@ -23,9 +23,9 @@ from newton_euler.scalars import Array
 MIN_REGULAR = 3
 """Number of regular configurations needed to decide whether shares are constant."""
 
-MAX_SHARE_CHANGE = 1e-6
-"""Largest change of a share between configurations for which the share counts as constant. A share below this
-number counts as zero."""
+SHARE_ROUND_OFF = 1e-6
+"""Largest change of a share between configurations that counts as round-off, so that the share is constant.
+A share below this number counts as zero."""
 
 
 class ScaledRows(NamedTuple):
@@ -60,7 +60,7 @@ def varying_rows(
     regular = [at for at in configurations if are_independent(at.rows, used)]
     shares_at = [_unscaled_shares(at, used, others) for at in regular]
     connected = [
-        {other, *(i for of_rows in shares_at for i, x in of_rows[n].items() if abs(x) > MAX_SHARE_CHANGE)}
+        {other, *(i for of_rows in shares_at for i, x in of_rows[n].items() if abs(x) > SHARE_ROUND_OFF)}
         for n, other in enumerate(others)
     ]
     # left-out rows whose shares vary
@@ -99,4 +99,4 @@ def _vary(shares_of_row: Sequence[dict[int, float]]) -> bool:
     """
     numbers = set().union(*shares_of_row)
     values = np.array([[each.get(i, 0.0) for i in numbers] for each in shares_of_row])
-    return bool(np.any(np.ptp(values, axis=0) > MAX_SHARE_CHANGE))
+    return bool(np.any(np.ptp(values, axis=0) > SHARE_ROUND_OFF))

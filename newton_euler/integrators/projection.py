@@ -92,6 +92,7 @@ def project_densely(system: Equations, x: Vector, scratch: Vector) -> Status:
     """Project coordinates and velocities of a state by the dense form; return `DONE` or `OPEN`.
 
     Args:
+        system: the equations, whose `closing` has the data of the dense form.
         x: state with time and parameters (inputs,); changed only if the projection succeeds.
         scratch: (n + 1,) working memory, for the projected state and 1.0 for success or -1.0 for failure.
     """
@@ -116,6 +117,8 @@ def project(system: Equations, with_velocities: int, x: Vector) -> Status:
     """Project one state onto the constraints, coordinates first, then velocities; return a status.
 
     Args:
+        system: the equations. Residuals below `tolerance` need no step; a residual above `open_tolerance`
+            after the last step is a failure (`OPEN`). Both are dimensionless.
         with_velocities: 1 to project velocities too, 0 for coordinates only.
         x: state with time and parameters (inputs,), changed.
     """
@@ -232,6 +235,7 @@ def project_rows(
     """Project the output states of a run, if the run projects; return a status.
 
     Args:
+        table: output times, and `output_state_size`: n, or nq if outputs need coordinates only.
         states: (count, n) states of the run at the output times.
         first, end: the rows to project are `first` to `end` - 1.
         near: 1 near a singular configuration, where the dense form projects; else 0.
@@ -416,14 +420,15 @@ def is_error_of_step(change: float, change_before: float, noise: float) -> int:
 def project_position(system: System, q: Array) -> Array:
     """Find the coordinates nearest to q that satisfy phi(q) = 0, by Newton steps of least length.
 
-    Only independent constraints are solved. Redundant ones keep the residual that follows from the others.
+    Only independent constraints are solved. Exactly redundant ones are then satisfied, too. Almost redundant
+    ones, whose rows of the Jacobian are dependent only up to a tolerance, keep a small residual.
 
     Args:
         q: (nq,) coordinates to start from.
 
     Raises:
-        AssemblyError: if an independent constraint keeps a residual of more than `CLOSURE_TOLERANCE`, or a
-            redundant one more than `newton_euler.equations.redundancy.loose_tolerance`.
+        AssemblyError: if an independent constraint keeps a residual of more than `CLOSURE_TOLERANCE`, or an
+            almost redundant one more than `newton_euler.equations.redundancy.loose_tolerance`.
     """
     at = best = system.retract(q, np.zeros(system.nv))
     if not len(system.phi_units):

@@ -106,25 +106,25 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
     # 1. largest speed of each joint, from its kind and from limits of forces: each of the n joints on which a
     # force depends may use 1/n of the distance to the limit of the force
     lengths = system.tree.is_length
-    limits = np.where(lengths, MAX_START_SPEED * scene.mechanism.size, MAX_START_SPIN)
+    max_speeds = np.where(lengths, MAX_START_SPEED * scene.mechanism.size, MAX_START_SPIN)
     bounds = list(bounds)
     force_rows = _force_rows(system, q, bounds)
     for row in force_rows:
         nonzero = row != 0.0
-        limits[nonzero] = np.minimum(limits[nonzero], 1.0 / (np.sum(nonzero) * np.abs(row[nonzero])))
+        max_speeds[nonzero] = np.minimum(max_speeds[nonzero], 1.0 / (np.sum(nonzero) * np.abs(row[nonzero])))
     # 2. direction and largest speed of each joint, from the limits of its coordinate
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], system.nv)
-    rooms, fastest = list(_rooms(system, bounds)), limits.copy()
+    rooms, fastest = list(_rooms(system, bounds)), max_speeds.copy()
     for room in rooms:
         k, down, up = room.velocity_index, room.down, room.up
         if k is not None:
             signs[k] = signs[k] if down == up else np.sign(up - down)
-            limits[k] *= np.clip(
-                START_ROOM_SHARE * max(down, up) / (scene.duration * limits[k]), MIN_KEPT_SHARE, 1.0
+            max_speeds[k] *= np.clip(
+                START_ROOM_SHARE * max(down, up) / (scene.duration * max_speeds[k]), MIN_KEPT_SHARE, 1.0
             )
     # 3. random speeds, projected on the motions that the constraints leave free
-    wanted = limits * signs * rng.uniform(0.5, 1.0, system.nv)
+    wanted = max_speeds * signs * rng.uniform(0.5, 1.0, system.nv)
     free = orthonormal_null(jacobian, constraint_rank(system))
     v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
     # 4. groups of velocities that constraints and limits connect, and the ratio of each group to its limits
@@ -132,12 +132,12 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
     spin_rows = spin_jacobian.reshape(-1, system.nv) * system.velocity_units
     scaled_rows = (row / np.max(np.abs(row)) for row in force_rows if np.any(row))
     groups = list(_connected_groups([*jacobian, *spin_rows, *scaled_rows]))
-    limit_ratios = [_limit_ratio(v * group, limits, spin_jacobian, force_rows) for group in groups]
+    limit_ratios = [_limit_ratio(v * group, max_speeds, spin_jacobian, force_rows) for group in groups]
     if max(limit_ratios, default=0.0) * MAX_START_SPIN < MIN_START_SPEED:
         return scene, "no start velocities, as constraints leave none"
     # 5. scale each group to its limits. The ratios of the speeds of different groups are those of the random
     # speeds; the largest one reaches its limit
-    drawn = np.abs(wanted) / limits
+    drawn = np.abs(wanted) / max_speeds
     moving_groups = [
         (group, ratio)
         for group, ratio in zip(groups, limit_ratios, strict=True)
@@ -160,8 +160,10 @@ def with_start_velocities(scene: Scene, bounds: Iterable[Bounds] = ()) -> tuple[
 def _force_rows(system: Relative, q: Array, bounds: Iterable[Bounds]) -> list[Array]:
     """Return a row (nv,) for each limited force that depends on velocities, such as that of a damper.
 
-    If row @ v is 1, velocities v use `START_ROOM_SHARE` of the distance to the limit of the force. A limit
-    that the start has already reached has no row.
+    A limited force is constant + by_value * x + by_rate * dx/dt (`Bounds`), with a weighted sum x of joint
+    coordinates (`terms`). In scenes from model files, joint coordinates are zero at the start, and x with
+    them. If row @ v is 1, velocities v use `START_ROOM_SHARE` of the distance to the limit of the force. A
+    limit that the start has already reached has no row.
 
     Args:
         system: equations of motion of the scene.
@@ -262,21 +264,21 @@ def _within_rooms(system: Relative, rooms: Iterable[LimitRoom], fastest: Array, 
 def _spin_jacobian(scene: Scene, system: Relative, q: Array) -> Array:
     """Return the Jacobian (joints, 3, nv) of the angular velocities between the two bodies of each joint."""
     angular = system.velocity_transformation(q).reshape(-1, 6, system.nv)[:, 3:]
-    equations = scene.mechanism.equations
-    return angular[[each.second for each in equations]] - angular[[each.first for each in equations]]
+    joints = scene.mechanism.equations  # of each joint, with the numbers of its two bodies
+    return angular[[each.second for each in joints]] - angular[[each.first for each in joints]]
 
 
-def _limit_ratio(v: Array, limits: Array, spin_jacobian: Array, force_rows: Iterable[Array]) -> float:
+def _limit_ratio(v: Array, max_speeds: Array, spin_jacobian: Array, force_rows: Iterable[Array]) -> float:
     """Compute the largest ratio of any limited quantity to its limit at velocities v.
 
     Args:
         v: (nv,) velocities.
-        limits: (nv,) largest velocities.
+        max_speeds: (nv,) largest absolute value of each velocity.
         spin_jacobian: (joints, 3, nv) of the angular velocities of joints, limited by `MAX_START_SPIN`.
         force_rows: (nv,) each, see `_force_rows`; the limit of row @ v is 1.
     """
     spins = np.linalg.norm(spin_jacobian @ v, axis=1)
-    ratios = np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / MAX_START_SPIN
+    ratios = np.max(np.abs(v) / max_speeds, initial=0.0), np.max(spins, initial=0.0) / MAX_START_SPIN
     return float(max(*ratios, *(abs(row @ v) for row in force_rows)))
 
 
