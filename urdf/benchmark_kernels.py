@@ -81,9 +81,8 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     Raises:
         UrdfError: for a scene with elements that `lcaba` does not support.
     """
-    scene = replace(
-        scene, outputs=frozenset()
-    )  # with output "energy", the work would be one of the coordinates
+    # the output "energy" would add the work of forces without potential to the coordinates
+    scene = replace(scene, outputs=frozenset())
     system = PinocchioSystem(scene, alpha)
     unsupported = _unsupported_elements(scene)
     if unsupported and lcaba:
@@ -178,7 +177,8 @@ def _equations_by_system(system: PinocchioSystem) -> Equations:
 def _unsupported_elements(scene: Scene) -> list[str]:
     """Return the names of elements that `constraintDynamics` and `lcaba` do not support.
 
-    They support gravity, loops that balls or welds close, and affine laws of joint coordinates.
+    They support gravity, loops that balls or welds close, and affine laws of joint coordinates. They do not
+    support couplings, which are gears, screws and prescribed motions.
     """
     names = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
     names += [law.element for law in scene.control if not isinstance(law, PD) or law.depends_on_time]
@@ -194,6 +194,7 @@ def _affine_laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
     # index in the tree of each of Pinocchio's coordinates and velocities
     tree_q = list(system.map.q_to_pinocchio(np.arange(system.nq)))
     tree_v = list(system.map.v_to_pinocchio(np.arange(system.nv)))
+    # tree of joints after the cut of all loops at balls, rods or welds; a ball with a spring is not cut
     tree = weld_loops(scene.mechanism, loaded=scene.loaded_balls).tree
     gains, constant = np.zeros((tree.nv, tree.nq + tree.nv)), np.zeros(tree.nv)
     for law in scene.joint_forces:

@@ -141,6 +141,7 @@ class PinocchioSystem:
         # units, constraints and control laws
         self.velocity_units, length = self._tree.velocity_units, self._tree.mechanism.size
         q_units = np.ones(self.nq)
+        # elementary motions of the joints of the tree: slides, hinges and balls
         for motion, in_q, _ in self._tree.motions:
             q_units[in_q] = length if motion.kind == "slide" else 1.0
         mass = sum(body.mass for body in self.mechanism.bodies[1:])
@@ -157,7 +158,7 @@ class PinocchioSystem:
         self._measured_q, self._measured_v = indices.T
         self._actuated_v = self._measured_v[: len(actuated)]
         self._sensed = [keys.index(key) for key in scene.sensed]
-        # inverse dynamics, if a control law uses a model of the mechanism
+        # inverse dynamics, if a control law uses a model of the mechanism (`roles` finds such laws)
         self._model_control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
         self._rank = constraint_rank(self)
@@ -318,7 +319,8 @@ class PinocchioSystem:
     def _solve(self, q: Array, v: Array) -> Solution:
         """Solve for accelerations and multipliers, by `constraintDynamics` or by elimination."""
         if not self._eliminates:
-            # dimensionless forces and accelerations
+            # forces and accelerations in units in which the mechanism has size 1 and mass 1; `moment` is the
+            # unit of moments of inertia
             force = self.generalized_force(q, v) * self.velocity_units / self._units.moment
             acceleration = self._checked(self._proximal.acceleration(q, v, force))
             return Solution(self.velocity_units * acceleration, np.zeros(0), np.zeros(0))
@@ -493,6 +495,7 @@ class PinocchioSystem:
         actuation = self.actuation(q, v)
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
+        # `single`: inertias of rotors at hinges and slides; rotors at balls follow below
         drive_forces = -self._rotors.single * solution.acceleration
         np.add.at(drive_forces, self._actuated_v, actuation)
         points = joint_points(self.mechanism, frames)

@@ -32,8 +32,8 @@ MAX_NUMBERS = 9
 """Largest number of components that are listed of one parameter; an inertia has 9."""
 
 DIGITS = 12
-"""Significant digits of listed values relative to the largest of their array; further digits are
-round-off."""
+"""Digits of listed values before round-off: significant digits relative to the largest number of an array of
+parameters, and decimal places of initial coordinates."""
 
 LINE_WIDTH = 80
 """Characters of a line of the list of parameters."""
@@ -52,7 +52,7 @@ def list_command(scene: str | None, settings: tuple[str, ...]) -> int:
     if scene is not None:
         for line in _parameter_lines(load_with_warnings(scene, scene_options(settings))):
             click.echo(printable(line))
-        return AGREE
+        return AGREE  # exit status 0
     if settings:
         raise CrosscheckError("--set has no effect here: it is of a scene")
     from crosscheck.engines.engine import ENGINES
@@ -138,12 +138,14 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
 
     check_target(target)
     options = scene_options(settings)
-    if target.suffix == ".urdf":
-        without_excitation(options, "a URDF holds no control and no start")
-    check_no_source(files_written(target), [source, *([options["loops"]] if "loops" in options else [])])
+    if target.suffix == ".urdf":  # refuse the option excitation=on, which adds inputs and initial velocities
+        without_excitation(options, why="a URDF holds no control and no start")
+    loop_files = [options["loops"]] if "loops" in options else []  # the file of a URDF's loop closures
+    check_no_source(files_written(target), [source, *loop_files])
     check_writable(target)
+    # The report lists how each element was imported, and then the elements that the target cannot hold
     scene, report = load_scene(source, options)
-    report = report or scene_report(scene)
+    report = report or scene_report(scene)  # a source other than MJCF and URDF has no report
     written = write_as(scene, target, report)
     for line in (*map(str, report.findings), *report_lines(report, exact=is_verbose())):
         say(line)

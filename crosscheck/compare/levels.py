@@ -4,7 +4,7 @@ In: a scene (a mechanism with its forces and initial state), the engines and the
 checks. Each `Check` compares one quantity of a pair of engines with its tolerance, or tests one engine; a
 level is a group of checks. The first four levels use each engine's equations of motion with rigid
 constraints, at states that satisfy the constraints; a difference there comes from the models. The later
-levels use runs.
+levels use runs; only their check of the momentum balance uses the equations.
 
 Relative differences are relative to the largest value over all states, since the value at a single state may
 be round-off: at rest, in equilibrium and in free fall many quantities vanish.
@@ -83,8 +83,8 @@ def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iter
     """Compare the equations of every pair of engines, and the formulations of each engine with each other.
 
     Formulations that differ are also compared with every other engine, and each gets a check of its momentum
-    balance, so that the diagnosis can find the wrong one. An engine with soft constraints gets a check of
-    their effect on its reactions, if the first state is the initial state of the scene.
+    balance, so that `crosscheck.compare.diagnosis` can find the wrong one. An engine with soft constraints
+    gets a check of their effect on its reactions, if the first state is the initial state of the scene.
     """
     pairs = (
         compare_pair((a.name, b.name), samples[a.name], samples[b.name]) for a, b in combinations(engines, 2)
@@ -116,7 +116,8 @@ def _compare_formulations(
                 if other is not engine:
                     pair = (formulation.name, other.name)
                     yield from compare_pair(pair, [formulation], samples[other.name])
-    # The effect of soft constraints at the initial state
+    # The effect of soft constraints at the initial state, a single object per scene. A singular initial state
+    # is not among the states
     rigid = samples[engine.name][0]
     scene = rigid.states.scene
     if engine.evaluate_soft_constraints is not None and rigid.states.all[0] is initial_state(scene):
@@ -169,15 +170,15 @@ def stages(
 
     def trajectories(checks: Sequence[Check]) -> Iterator[Check]:
         engines_with_run = [engine for engine in engines if engine.name in runs]
-        # The unit of energy differences, J: the states are the same for all engines and formulations
+        # Smallest unit, J, of energy differences. It depends on the states only, which all engines share
         try:
-            energy = samples()[engines[0].name][0].states.energy
+            energy_unit = samples()[engines[0].name][0].states.energy
         except AssemblyError:  # no random states could be found; runs can be compared without them
-            energy = start.energy
+            energy_unit = start.energy
         differing = {check.between for check in checks if not check.agrees}
-        yield from compare_runs(scene, engines_with_run, runs, energy, differing)
+        yield from compare_runs(scene, engines_with_run, runs, energy_unit, differing)
         if until is not None:
-            yield from compare_runs_until(until, scene, engines_with_run, runs, energy, differing)
+            yield from compare_runs_until(until, scene, engines_with_run, runs, energy_unit, differing)
 
     def momentum(_: Sequence[Check]) -> Iterator[Check]:
         yield from (momentum_check(engine.name, samples()[engine.name][0]) for engine in engines)

@@ -6,8 +6,8 @@ duration and outputs. This file also chooses the settings of each run: integrato
 newton_euler and Pinocchio are integrated with adaptive steps (DOP853, or Radau for stiff scenes), MuJoCo with
 a fixed step. "Native" means that the equations are compiled; in Pinocchio, Python evaluates the equations.
 
-A refined run has half the step or a hundred times tighter tolerances; its difference from the default run
-measures the integration error.
+A refined run has half the step or tighter tolerances: a hundredth of the default ones for DOP853, a tenth for
+Radau. Its difference from the default run measures the integration error.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ FORCE_OUTPUTS = frozenset({"reactions", "actuation"})
 """Outputs that comparisons need of runs, but not of refined runs."""
 
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
-"""Tolerances of refined runs, a hundredth of the default ones. DOP853 accepts no rtol below 2.2e-14."""
+"""Tolerances of refined runs with DOP853, a hundredth of the default ones. DOP853 accepts no rtol below
+2.2e-14."""
 
 EXACT_RTOL, EXACT_ATOL = 1e-13, 1e-15
 """Tolerances of runs for reference values of twelve digits; tighter ones only add round-off."""
@@ -47,8 +48,8 @@ MIN_MUJOCO_STEPS = 500
 too long for a machine that reaches 1000 rad/s after 50 ms."""
 
 MAX_HALVINGS = 4
-"""Largest number of halvings of MuJoCo's step if a run diverges. If the run with the smallest step diverges,
-too, `IMPLICIT` is used with that step."""
+"""Largest number of halvings of the longest step at which MuJoCo's RK4 is stable, if runs diverge. If all of
+them diverge, or no step is stable, `IMPLICIT` is used at the longest step halved this number of times."""
 
 MAX_RK4_STEPS = 100_000
 """Largest number of steps of MuJoCo's RK4, which take some seconds. If stability would require more steps,
@@ -82,8 +83,7 @@ NATIVE_MAX_STEPS, PYTHON_MAX_STEPS = 200_000, 10_000
 """Largest numbers of steps of adaptive runs in native code and in Python, so that none lasts for hours."""
 
 STIFF_RTOL, STIFF_ATOL = 1e-8, 1e-10
-"""Tolerances of Radau, a method of order 5: a hundred times tighter tolerances need about ten times as many
-steps."""
+"""Tolerances of Radau. A hundred times tighter tolerances need about ten times as many steps."""
 
 STIFF_REFINEMENT = 0.1
 """Factor on the tolerances of Radau in refined runs."""
@@ -100,7 +100,7 @@ class Engine:
     Attributes:
         name: name in files and options.
         simulate: simulates a scene with crosscheck's default settings for the engine.
-        refined: simulates a scene with half the step or a hundredth of the tolerance.
+        refined: simulates a scene with half the step or tighter tolerances.
         systems: returns the engine's equations of motion with rigid constraints, one per formulation (choice
             of coordinates).
         trajectory_error: expected error of poses, relative to the mechanism's reach (positions) or in rad.
@@ -205,7 +205,10 @@ def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
 
 
 def _expected_run(scene: Scene) -> Trajectory | None:
-    """Return newton_euler's run, by which MuJoCo's step is chosen; partial if it stopped, None on failure."""
+    """Return newton_euler's run, by which settings of the other engines are chosen.
+
+    The run is partial if it stopped, and None if it failed.
+    """
     try:
         return native_run(scene)
     except StoppedError as error:

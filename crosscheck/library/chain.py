@@ -34,15 +34,16 @@ def rod(name: str, start: Array, axis: Array) -> Body:
 X, Y, Z = np.eye(3)
 
 HINGE_AXES = (Y + Z, Y - Z)
-"""Axes of the hinges, used alternately, perpendicular to the rods and to each other. With hinges along y, or
-along y and z alternately, the chain would stay in a plane: no force turns a hinge along z."""
+"""Axes of the hinges, of any length, used alternately, perpendicular to the rods and to each other. With
+hinges along y, or along y and z alternately, the chain would stay in a plane: no force turns a hinge along
+z."""
 
 
 def chain(N: Annotated[int, range(1, 1001)] = 5) -> Scene:
     """Return N rods of 1 m and 1 kg that fall from rest, stretched out along x from a wall, 1 s.
 
     Args:
-        N: number of rods, each with one hinge.
+        N: number of rods, each with one hinge; the annotation has the allowed numbers.
     """
     names = ["ground", *(f"rod_{k}" for k in range(N))]
     starts = [k * ROD_LENGTH * X for k in range(N)]

@@ -1,4 +1,7 @@
-"""Fit the velocities at the start of a log that has none: the reference passes through the first rows."""
+"""Fit the velocities at the start of a log that has none.
+
+A run of newton_euler with the fitted velocities passes through the first rows of the log.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +19,23 @@ from newton_euler.model.state import State
 from newton_euler.runs.batch import simulate_batch
 from newton_euler.scalars import Array
 
-FITS = 2
-"""Number of Gauss-Newton steps. The motion of a few rows is nearly linear in the velocities of the start."""
+GAUSS_NEWTON_STEPS = 2
+"""Number of steps of the fit. The motion of a few rows is nearly linear in the velocities of the start."""
 
 PERIODS_PER_ROW = 10
-"""Number of outputs of the reference between two rows; poses are interpolated between outputs."""
+"""Number of output periods of a run between two rows; poses are interpolated between outputs."""
 
 CHANGE = 1e-5
-"""Change of poses, sizes or rad, by which derivatives by velocities are computed."""
+"""Change of poses for derivatives with respect to velocities, rad or a fraction of the mechanism's size."""
 
 RANK_TOLERANCE = 1e-6
-"""Smallest singular value of free motions and of their effects, relative to the largest one, that counts."""
+"""Ratio of a singular value to the largest one, or to 1 for small constraint Jacobians, below which the value
+counts as zero."""
 
 
 def free_motions(system: Relative, q: Array) -> Array:
     """Return the velocities that constraints leave free at coordinates q, as columns (nv, f)."""
-    units = system.velocity_units
+    units = system.velocity_units  # the mechanism's size, m, for linear velocities, else 1
     _, values, basis = np.linalg.svd(system.phi_jacobian(q) * units, full_matrices=True)
     rank = int(np.sum(values > RANK_TOLERANCE * max(1.0, float(np.max(values, initial=0.0)))))
     return np.asarray(basis[rank:].T * units[:, None])
@@ -46,7 +50,7 @@ def fitted_velocities(
         scene: the scene.
         state: consistent state at time 0 with estimated velocities.
         times: (n,) times of the first rows, s, from 0 on.
-        position, quaternion: (n, k, 3), m, and (n, k, 4), poses of k bodies at these times.
+        position, quaternion: (n, k, 3), m, and (n, k, 4), (w, x, y, z), poses of k bodies at these times.
         bodies: indices of the k bodies.
 
     Returns:
@@ -65,14 +69,17 @@ def fitted_velocities(
         initial_state=state,
         duration=float(times[-1]),
         output_period=float(times[-1]) / periods,
-        outputs=frozenset({"velocities"}),
+        outputs=frozenset({"velocities"}),  # for the interpolation of poses
     )
     change = CHANGE / float(times[-1])
 
     def residuals(rates: list[Array]) -> list[Array]:
-        """Return differences of runs with these velocities (nv,) from the log, sizes and rad."""
+        """Return differences of poses between the log and runs with these initial velocities (nv,).
+
+        Distances are divided by the mechanism's size; rotations are in rad.
+        """
         batch = simulate_batch(
-            short, [system.state(q, each) for each in rates], **native_method(short, False)
+            short, [system.state(q, each) for each in rates], **native_method(short, refined=False)
         )
         if batch.errors:
             raise next(iter(batch.errors.values()))
@@ -92,7 +99,7 @@ def fitted_velocities(
         return found
 
     try:
-        for _ in range(FITS):
+        for _ in range(GAUSS_NEWTON_STEPS):
             now, *changed = residuals([v, *(v + change * column for column in free.T)])
             slopes = np.stack([(each - now) / change for each in changed], axis=1)
             steps, *_ = np.linalg.lstsq(slopes, -now, rcond=RANK_TOLERANCE)

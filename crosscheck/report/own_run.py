@@ -21,7 +21,7 @@ from newton_euler.reading.file_run import Event
 from newton_euler.reading.small_motions import MovingBody
 
 OWN_MOTION = "without that: --set excitation=off"
-"""Option that judges the motion of the file without inputs and velocities of crosscheck."""
+"""Option that judges the motion without the inputs and initial velocities that crosscheck adds."""
 
 MIN_CAUSE = 0.01
 """Smallest error by a cause that is listed, divided by the error of the largest cause."""
@@ -48,11 +48,13 @@ def own_run_lines(judgement: Judgement, excitation: str = "", allowed: Sequence[
         excitation: line of the import report on inputs and velocities that the file does not have.
         allowed: largest errors that the user allows.
     """
-    return Lines("", list(_lines(judgement, excitation, allowed)), verdict=judgement.band.verdict)
+    lines = list(_lines(judgement, excitation, allowed))
+    return Lines(title="", lines=lines, verdict=judgement.band.verdict)
 
 
 def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError]) -> Iterator[str]:
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
+    # a file without settings of a run, such as a URDF, is judged with usual settings, which are assumed
     yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
     yield f"  run     {judgement.settings} ({judgement.engine})"
     if excitation:
@@ -112,7 +114,8 @@ def _causes(judgement: Judgement) -> list[str]:
         which = "one of these" if names[1:] else "it"
         return [f"{', '.join(names)} (the run completes if {which} is changed)"] if names else []
     by_position = judgement.error.is_of_position
-    # causes are sorted, the largest first; `part` is the error of positions or of rotations
+    # causes are sorted, the largest first; `part` is the error of positions or of rotations,
+    # relative to the motion
     causes = [each for each in judgement.causes if each.error.part(by_position) > 0.0]
     if not causes:
         return []
@@ -183,7 +186,10 @@ def headline(judgement: Judgement) -> str:
 
 
 def sizes(error: RunError) -> str:
-    """Format the errors of positions and of rotations, unless one of them is small."""
+    """Format the error of positions, of rotations, or both.
+
+    The smaller one, relative to the motion, is left out if it is less than a tenth of the larger one.
+    """
     shown = [by_position for by_position in (True, False) if error.part(by_position) >= 0.1 * error.relative]
     return " and ".join(size(error, by_position) for by_position in shown)
 
@@ -226,7 +232,10 @@ def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
 
 
 def cost_text(remedy: MeasuredRemedy) -> str:
-    """Format the run time of settings relative to that of the file's settings."""
+    """Format the run time of settings relative to that of the file's settings.
+
+    Settings with no more evaluations of the equations of motion than the file's have "same run time".
+    """
     if remedy.run_time <= SAME_RUN_TIME or remedy.evaluations <= 1.0:
         return "same run time"
     return f"{remedy.run_time:.1f} times the run time"

@@ -1,9 +1,9 @@
 """Check the files of a sweep's store before Zarr opens them, and lock a store against other processes.
 
 A store is a folder in the format of Zarr. It has one array for each varied parameter and each output of the
-runs of a sweep; arrays are divided into chunks of consecutive runs, one file per chunk. A store may come from
-an untrusted source. Zarr would wait forever for a named pipe, and would read a link to a device until the
-memory is full.
+runs of a sweep, divided into chunks of consecutive runs, one file per chunk. Other arrays label the further
+dimensions of outputs, such as times. A store may come from an untrusted source. Zarr would wait forever for a
+named pipe, and would read a link to a device until the memory is full.
 """
 
 from __future__ import annotations
@@ -173,6 +173,7 @@ def _check_array(file: Path, array: _Array, sweep: _Attributes) -> None:
     chunk, of_runs = array.chunk_grid.configuration.chunk_shape, array.dimension_names[:1] == ["run"]
     if not len(array.shape) == len(chunk) == len(array.dimension_names):
         raise CrosscheckError(f"{file}: shape, chunk_shape and dimension_names differ in length")
+    # an array has fewer runs than the sweep if a process was killed while it extended the sweep
     if of_runs and (chunk[0] != sweep.chunk or array.shape[0] > sweep.runs):
         needed = f"chunks of {sweep.chunk} and at most {sweep.runs} runs, as the sweep has"
         raise CrosscheckError(f"{file}: chunks of {chunk[0]} of {array.shape[0]} runs; needed: {needed}")
@@ -242,8 +243,8 @@ def stored_chunks(folder: Path, dimensions: int) -> set[int]:
 def locked(path: Path | None) -> Iterator[None]:
     """Lock a store at a path against other processes; without a path do nothing.
 
-    The operating system removes the lock if the process is killed. Without a lock, two processes with
-    different numbers of runs would overwrite each other's last chunk.
+    The operating system removes the lock if the process is killed. Without a lock, two processes that extend
+    a sweep to different numbers of runs would overwrite each other's last chunk.
 
     Raises:
         CrosscheckError: if another process has the lock, and naming a path that cannot be written or is a

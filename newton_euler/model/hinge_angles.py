@@ -1,6 +1,8 @@
 """Angles and constraints of two or three hinges in a row between two bodies i and j.
 
-`newton_euler.model.compound_joint.Compound` builds its coordinates and constraints from these classes.
+`newton_euler.model.compound_joint.Compound` builds its coordinates and constraints from these classes. Those
+with a method `phi` are `newton_euler.model.constraints.Constraint`s: `count` equations with the residual phi,
+in meters if `is_length`, else in radians, and the right side gamma of Phi_q qddot = gamma.
 
 Angles. The first axis is fixed in body i and the last axis in body j. The middle one of three axes is fixed
 in the massless links. It keeps its angles to the other two axes, and stays on one side of their plane. The
@@ -102,8 +104,10 @@ class HingeRow:
         next_to_last_axis: (3,) unit axis of the hinge before the last one at the initial pose, in the frame
             of body j.
         cosines: a_1 . a_2 and a_2 . a_3 of three axes, which are constant; None for two hinges.
-        sine: a_2 . (a_1 x a_3) of three axes at the initial pose.
-        cosine: a_1 . a_3 - (a_1 . a_2)(a_2 . a_3) of three axes at the initial pose.
+        sine: a_2 . (a_1 x a_3) of three axes at the initial pose: the sine of the angle about a_2 from a_1 to
+            a_3, times a factor.
+        cosine: a_1 . a_3 - (a_1 . a_2)(a_2 . a_3) of three axes at the initial pose: the cosine of the same
+            angle, times the same factor.
         side: sign of `sine`: the side of the plane of a_1 and a_3 on which a_2 is.
     """
 
@@ -238,6 +242,7 @@ class Separation:
     def vector(self, first: Frame, second: Frame) -> SeparationVector:
         """Compute D with its Jacobian and drift at given frames of the two bodies."""
         axes = self.row.motion(first, second).axes
+        # the separation without offsets: r_j + s_j - r_i - s_i, and its drift
         span = Span.of(first, second, self.s_first, self.s_second)
         theta_i, theta_j = tilde(span.s_i), -tilde(span.s_j)
         value, drift = span.d, span.drift(first, second)
@@ -256,7 +261,8 @@ class Separation:
 class ClosedRow:
     """Three equations -D = 0 of a row of hinges whose axes do not meet, without slides.
 
-    If the axes meet in one point, `Coincidence` of this point in both bodies is the same constraint.
+    If the axes meet in one point, `Coincidence` of this point in both bodies is the same constraint, with the
+    same sign.
     """
 
     separation: Separation

@@ -87,14 +87,14 @@ def bench(
 
     Raises:
         CrosscheckError: if the error is out of range, or the scene cannot be run. Also if a file cannot be
-            written, is the source itself, or (without `output`) belongs to another model.
+            written or is the source itself, or if the default folder has results of another model.
     """
     # Check the arguments and the files before the measurement
     if not SMALLEST_ERROR <= wanted.error < math.inf:
         needed = f"{SMALLEST_ERROR:g} or more (m and rad), the best accuracy of references"
         raise CrosscheckError(f"--error is {wanted.error:g}; needed: {needed}")
     files, measure_kind = KINDS[kind]
-    folder = output or usual_folder(Path("output/bench"), wanted.source, "benchmark")
+    folder = output or usual_folder(Path("output/bench"), wanted.source, results="benchmark")
     json_path = folder / files.json
     plot_path = folder / files.plot if files.plot else None
     paths = [path for path in (json_path, plot_path) if path]
@@ -106,12 +106,15 @@ def bench(
     # Make the report and write the files
     processor, cores, load = (machine_data[name] for name in ("processor", "cores", "load"))
     head = f"{processor}, {cores} cores, load {load:g} by others"
-    parts = [Lines("", [head]), *found.parts]
-    summary = [*(found.parts if found.summary is None else found.summary), Lines("", [head])]
-    whole = Report(f"bench {wanted.title}", found.verdict, Cell(""), parts, summary=summary)
+    heading = Lines(title="", lines=[head])
+    parts = [heading, *found.parts]
+    summary = [*(found.parts if found.summary is None else found.summary), heading]
+    no_judgment = Cell("")  # a benchmark has no result in one word, such as AGREE
+    whole = Report(f"bench {wanted.title}", found.verdict, no_judgment, parts, summary=summary)
     pictures = {plot_path: found.picture} if plot_path and found.picture else {}
     data = {"source": wanted.source, "options": dict(wanted.options), "machine": machine_data, **found.data}
-    write_files({json_path: as_json(data, whole, pictures), **pictures})
+    # the JSON file has the SHA-256 of the plot
+    write_files({json_path: as_json(data, whole, files=pictures), **pictures})
     return whole, paths
 
 
@@ -119,7 +122,9 @@ def _whole_runs(wanted: BenchmarkRequest, progress: Progress) -> BenchmarkResult
     """Measure time and error of whole runs at all settings of all engines."""
     scene = poses_only(wanted.scene)
     motion = reference(scene, progress)
-    measured = measure({name: engine(scene) for name, engine in ENGINES.items()}, motion.poses, progress)
+    # for each engine, the functions that load the scene, by variant of the engine's equations
+    loaders = {engine: loaders_of(scene) for engine, loaders_of in ENGINES.items()}
+    measured = measure(loaders, motion.poses, progress)
     result = report.Benchmark(wanted.title, scene, motion, measured)
     return BenchmarkResult(
         data=report.data(result),

@@ -42,8 +42,9 @@ def at_rest(scene: Scene) -> Scene:
 def equilibrium(scene: Scene, state: State | None = None) -> State:
     """Find a pose near a state in which the mechanism stays at rest.
 
-    Control laws, springs, wrenches and gravity balance in this pose, stable or not. Prescribed motions hold
-    their values at time 0, as in the scene that `at_rest` returns.
+    Control laws, springs, wrenches and gravity balance in this pose. The pose is unstable only if no force
+    leads the search away from it, for example if the search begins there. Prescribed motions hold their
+    values at time 0, as in the scene that `at_rest` returns.
 
     Args:
         scene: the mechanism with its forces and control laws.
@@ -69,16 +70,19 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     system, model = Relative(scene), linearize(scene, state, names, inputs=[], outputs=[])
     d = len(names)
     for _ in range(MAX_ITERATIONS):
-        # accelerations, and their derivatives with respect to the coordinates (minus stiffness by mass)
+        # the model is xdot = f + A x: accelerations, and their derivatives -M^-1 K with respect to the
+        # coordinates, with mass matrix M and stiffness matrix K
         accelerations, derivatives = model.f[d:], model.A[d:, :d]
-        # The step in each mode is the acceleration divided by the magnitude of the eigenvalue. For a stable
-        # mode this is Newton's step; for an unstable mode it follows the force, away from the equilibrium.
+        # The step in each mode is the acceleration divided by the magnitude of the eigenvalue, 1/s^2. For a
+        # stable mode this is Newton's step; for an unstable mode it follows the force, away from the
+        # equilibrium. `RIGID_MODE` limits the step in a mode without stiffness.
         values, vectors = np.linalg.eig(derivatives * model.units / model.units[:, None])
         along = least_squares(vectors, accelerations / model.units)
         step = (vectors @ (along / np.maximum(np.abs(values), RIGID_MODE))).real
         if model.is_equilibrium and largest(step) < CONVERGED_STEP:
             return state
-        # take the step with limited length, and close the loops
+        # take the step with limited length, and close the loops; `twists` (b, 6, d) are derivatives of the
+        # linear and angular displacements of the b bodies with respect to the coordinates
         step *= min(1.0, MAX_EQUILIBRIUM_STEP / max(largest(step), MAX_EQUILIBRIUM_STEP))
         q, _ = system.coordinates(state)
         body_displacements = model.twists.reshape(-1, d) @ (model.units * step)
