@@ -2,7 +2,9 @@
 
 A level is a group of checks; these checks compare two engines at the same states of a mechanism. Effective
 inertia and force are the mass matrix and the force vector projected onto the velocities that the constraints
-allow. They do not depend on an engine's choice of coordinates (`free_motion` in `samples.py`).
+allow. They do not depend on an engine's choice of coordinates (`free_motion` in `samples.py`). Velocities are
+divided by units, so that effective inertias are in kg m^2 and effective forces in N m. `States.noise` is the
+relative error of the constraint equations, from round-off or nearly redundant equations.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ def motion_checks(
     Args:
         pair: names of the two engines or models.
         first, second: their equations at the same states.
-        cause: called if a check fails, to find the body, joint or term that it is attributed to.
+        cause: called if a check fails, to find the body, joint or gravity that it is attributed to.
     """
     states = first.states
     condition = max(first.condition, second.condition)
@@ -82,7 +84,7 @@ def motion_checks(
     gap, unit = _largest_differences(one_inertia, two_inertia, floor=0.0)
     yield _check_largest(pair, states, "effective inertia, rel", gap, unit, tolerance, cause)
     tolerance = round_off(condition * states.mass_condition, states.noise)
-    gap, unit = _largest_differences(one_force, two_force, floor=states.energy)
+    gap, unit = _largest_differences(one_force, two_force, floor=states.energy)  # J = N m
     yield _check_largest(pair, states, "effective force, rel", gap, unit, tolerance, cause)
 
 
@@ -99,7 +101,7 @@ def _check_largest(
 
     Args:
         pair, quantity, tolerance: attributes of the check.
-        states: n states.
+        states: n states, `states.all`.
         gap: (n, ...) differences at the states.
         unit: unit that differences are divided by.
         cause: finds the element that the check is attributed to if it fails; without an element, the check is

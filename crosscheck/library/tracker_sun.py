@@ -1,4 +1,7 @@
-"""Scenes of the solar tracker that follows the sun: under gravity, with stiff PD control of its sliders."""
+"""Scenes of the solar tracker that follows the sun: under gravity, with stiff PD control of its sliders.
+
+The sliders are two carriages on vertical rails, which tilt the panel (`crosscheck.library.tracker`).
+"""
 
 from __future__ import annotations
 
@@ -56,12 +59,15 @@ def tracker_sun_day(
     from crosscheck.solar.place import Place, day_times, sun_over
     from crosscheck.solar.tracking import Tracking
 
-    # times of a day, every 300 s of the real sun, which are 1 s of the scene; then the hour before noon
+    # times of a day in the nautical time zone (whole hours from Greenwich), every 300 s of the real sun:
+    # 1 s of the scene; then the hour before noon
     location = Place(*PLACES[place])
     day = day_times(DATES[date], location.zone, SPEED_UP)
     noon = len(day) // 2
     sun = sun_over(location, day[noon - SET_POINTS + 1 : noon + 1])
-    # set-points at which the panel faces the sun, up to its largest tilt
-    scene, _, _ = following(sun_tracker(), PANEL_NORMAL, Tracking().normals(sun), period=1.0)
+    # set-points at which the panel faces the sun, up to its largest tilt. The default rules of tracking are
+    # for a panel that stands alone, without a wind limit. Only the scene is needed here
+    wanted = Tracking().normals(sun)
+    scene, _poses, _loads = following(sun_tracker(), PANEL_NORMAL, wanted, period=1.0)
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)

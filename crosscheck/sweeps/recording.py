@@ -1,9 +1,10 @@
 """Record a sweep for the Rerun viewer: the nominal run, extreme runs as ghosts, and envelopes of many runs
 over time.
 
-A sweep simulates a scene many times with varied parameters. The nominal run has the parameters of the scene;
-an extreme run has the largest or smallest value of a number. A ghost is a transparent copy of the bodies. An
-envelope shows quantiles of a number over many runs as lines over time.
+A sweep simulates a scene many times with varied parameters. Each run has results, such as the peak of an
+actuator force. The nominal run has the parameters of the scene. An extreme run has the largest or smallest
+value of a result. A ghost is a transparent copy of the bodies. An envelope shows quantiles, over many runs,
+of the time series that a result is computed from.
 
 Entities (paths of logged data in the recording):
     /ground                 shapes of the fixed body
@@ -36,13 +37,13 @@ ENVELOPE_WIDTH, RUN_WIDTH = 1.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """A number of many runs over time.
+    """A time series of many runs, such as an actuator force over time.
 
     Attributes:
-        title: name and unit of the number.
+        title: name and unit of the result that is computed from the time series.
         times: (n,) s, output times.
-        sample: (runs, n) values in a sample of runs; NaN after the time at which a run failed.
-        lines: (n,) values in single runs, by name of the run.
+        sample: (runs, n) values in a random sample of the runs; NaN after the time at which a run failed.
+        lines: (n,) values in the nominal run and in each extreme run, by name of the run.
     """
 
     title: str
@@ -73,7 +74,7 @@ def log_sweep(
     mechanism = scene.mechanism
     log_text(recording, "/sweep", text)
     first, colors = next(iter(runs.values())), palette(list(runs))
-    log_ground(recording, mechanism, first)
+    log_ground(recording, mechanism, first)  # its pose is the same in all runs
     for name, run in runs.items():
         style = Style(rgb(colors[name]), RUN_WIDTH, ghost=run is not first)
         log_bodies(recording, ["mechanism", name], mechanism, run, style)
@@ -89,7 +90,7 @@ def log_sweep(
     report_view = rrb.TextDocumentView(origin="/sweep", name="Sweep")
     left = rrb.Vertical(view, report_view, row_shares=[1.6, 1.0])
     whole = rrb.Horizontal(left, rrb.Vertical(*plots)) if plots else left
-    send_layout(recording, make_layout(whole, float(first.time[-1])))
+    send_layout(recording, make_layout(whole, duration=float(first.time[-1])))
     recording.send_recording_name(title)
 
 
@@ -115,4 +116,4 @@ def _log_envelope(
     for name, (values, look) in lines.items():
         path = rr.new_entity_path(["plots", number, name])
         recording.log(path, look, static=True)
-        send_columns(recording, path, envelope.times[: len(values)], rr.Scalars.columns, scalars=values)
+        send_columns(recording, path, envelope.times, rr.Scalars.columns, scalars=values)

@@ -83,7 +83,7 @@ def _multiply_add(name: str, a: str, b: str, c: str, lanes: int) -> str:
 def _polynomial(name: str, coefficients: Sequence[float], lanes: int) -> str:
     """Return instructions that evaluate a polynomial at %z by Horner's rule; the result is %name0."""
     t = vector_type("double", lanes)
-    last = constant(coefficients[-1], lanes)
+    last = constant(coefficients[-1], lanes)  # plus 0, since no LLVM instruction only names a constant
     lines = [f"  %{name}{len(coefficients) - 1} = fadd {t} {last}, {constant(0.0, lanes)}"]
     for k in range(len(coefficients) - 2, -1, -1):
         lines.append(
@@ -126,8 +126,9 @@ def sincos(lanes: int) -> str:
     t, i, w, b = (vector_type(element, lanes) for element in ("double", "i32", "i64", "i1"))
     ending = intrinsic_suffix(lanes)
     # The function calls the C library if an angle is large. It reduces the angle %x to %r3 within an eighth
-    # of a turn and evaluates both polynomials. After an odd number %k of quarter turns it exchanges sine and
-    # cosine. %k also sets their signs.
+    # of a turn and evaluates both polynomials. The cosine is %w + %c.rest: %w is 1 - %z/2, and %lost its
+    # rounding error. After an odd number %k of quarter turns the function exchanges sine and cosine. Shifts
+    # by 62 bits move bit 1 of %k (sine) or of %k + 1 (cosine) to the place of the sign.
     all_near = f"call i1 @llvm.vector.reduce.and.v{lanes}i1({b} %lanes.near)"
     return f"""
 declare double @sin(double)

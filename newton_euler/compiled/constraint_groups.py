@@ -23,9 +23,10 @@ def constraint_groups(system: System) -> Array:
         (nq + nv,) group numbers from 1 of the elements of q and v; 0 for an element without constraints.
     """
     # groups of velocities: nonzeros of the constraint Jacobian in a random configuration, in which no
-    # element vanishes because axes are aligned; steps are dimensionless
+    # element vanishes because axes are aligned. Steps are random numbers times `velocity_units`: the
+    # mechanism's size, m, for linear velocities, else 1
     rng, units = np.random.default_rng(0), system.velocity_units
-    q = system.coordinates(State.initial(system.mechanism))[0]
+    q, _v = system.coordinates(State.initial(system.mechanism))
     q = system.retract(q, units * rng.uniform(-0.3, 0.3, system.nv))
     of_v = connected(system.phi_jacobian(q) != 0.0)
     # groups of coordinates: move along a small step, then along the same step times the group number of each
@@ -34,6 +35,7 @@ def constraint_groups(system: System) -> Array:
     step = shift * units * rng.uniform(0.5, 1.5, system.nv)
     start = system.retract(q, np.zeros(system.nv))
     plain, multiplied = (system.retract(q, factor * step) - start for factor in (np.ones(system.nv), of_v))
+    # smaller displacements are round-off, or of higher order in the step
     moves = np.abs(plain) > 1e-3 * shift * units.min(initial=1.0)
     of_q = np.where(moves, np.clip(np.rint(multiplied / plain), 0.0, of_v.max(initial=0.0)), 0.0)
     for quaternion in system.quaternions:  # its four elements belong together

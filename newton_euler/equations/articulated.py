@@ -3,10 +3,9 @@
 A tree connects bodies to the ground by joints without loops. Each joint velocity has an axis: the axis of a
 hinge, the direction of a slide, or one of three axes of a ball. Velocities and axes are numbered from the
 ground to the leaves: the axis before an axis, on the path from the ground, has a smaller number. Each axis
-    has
-a point, which lies on the axis of a hinge. Spatial vectors are about these points, in the world frame: a
-wrench (6,) is (force, torque), a motion (6,) is (linear, angular). The recursions are those of R.
-Featherstone, Rigid Body Dynamics Algorithms, Springer 2008:
+has a point: any point of a hinge's axis, the center of a ball, and a free choice for a slide. Spatial vectors
+are about these points, in the world frame: a wrench (6,) is (force, torque), a motion (6,) is (linear,
+angular). The recursions are those of R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008:
 
     rnea_backward   wrenches on bodies, projected onto velocities                       section 5.3
     crba            M, by composite rigid bodies                                        section 6.2
@@ -14,11 +13,12 @@ Featherstone, Rigid Body Dynamics Algorithms, Springer 2008:
 
 The articulated body of an axis consists of all bodies beyond the axis, on the side away from the ground, with
 all joints between them free to move. An axis s whose articulated body has the inertia I has the pivot
-d = s^T U with U = I s. The inertia I - U U^T / d is passed to the axis before. L and D are the same as if M
-was computed and eliminated, because the factor for an order of elimination is unique. By articulated bodies,
-the factor and each product with L^-1 or L^-T take a constant number of operations per axis. The operations of
-an elimination of M grow with the square of the number of axes between an axis and the ground. Near the
-ground, however, eliminating M takes fewer operations, so that `factorize` combines both.
+d = s^T U with U = I s, plus the armature (rotor inertia) of the axis. The inertia I - U U^T / d is passed to
+the axis before. L and D are the same as if M was computed and eliminated, because the factor for an order of
+elimination is unique. By articulated bodies, the factor and each product with L^-1 or L^-T take a constant
+number of operations per axis. The operations of an elimination of M grow with the square of the number of
+axes between an axis and the ground. Near the ground, however, eliminating M takes fewer operations, so that
+`factorize` combines both.
 """
 
 from __future__ import annotations
@@ -274,7 +274,7 @@ class AxisTree:
 
         # joint coordinates, with the articulated bodies of the deeper axes in place of composite bodies
         rows = self.crba(bodies, in_joint_space)
-        add_rotors(rows, [rotor for rotor in rotors if not deep or not pivots.keys() & rotor.jacobian])
+        add_rotors(rows, [rotor for rotor in rotors if not pivots.keys() & rotor.jacobian])
         factor = sparse.factorize(rows, in_joint_space, scales)
         pivot_ratio = factor.pivot_ratio
         for k, pivot in pivots.items():

@@ -8,9 +8,11 @@ from automatic differentiation, unless Python evaluates the equations; then fini
 enough. `integrate_radau` makes all runs of a `Table`.
 
 A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
-time and parameters* is one vector with the state, the time, flags of constraint rows, and parameters of the
-scene (`newton_euler.integrators.stepper`). Each evaluation of the rates also gives the *pivot ratio*: the
-distance to a singular configuration, where constraints become dependent; 1 far away, 0 in it.
+time and parameters* is one vector of length `system.inputs`: the state, the time, flags of constraint rows (1
+for a redundant row that is left out), and parameters of the scene. During a run, rows that are left out may
+be exchanged for rows in use (`newton_euler.integrators.row_exchange`). Each evaluation of the rates also
+gives the *pivot ratio*: the distance to a singular configuration, where constraints become dependent; 1 far
+away, 0 in it.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -129,15 +131,16 @@ class Radau(Record):
         projected: state with time and parameters at the end of the step, after projection onto the
             constraints.
         before: (n,) state at the start of the step before.
-        slope: (n + 2,) rates at `now`, then the pivot ratio; the last element is not used.
+        slope: (n + 1,) rates at `now`, then the pivot ratio.
         z: (3, n) stages, as differences from the state at the start of the step.
         w: (3, n) transformed stages W = T^-1 Z.
         f: (3, n + 1) rates and pivot ratio of each stage.
-        change: (3 n + 2,) Newton correction of w, then the rate of convergence; the last element is not used.
+        change: (3 n + 1,) Newton correction of w, then the rate of convergence.
         terms: (3, n) coefficients of the collocation polynomial.
         matrix: (n, n) Jacobian J, row by row.
-        real: (n, n) LU factors of gamma/h I - J.
-        re, im: (n, n) real and imaginary parts of the LU factors of (alpha + i beta)/h I - J.
+        real: (n, n) LU factors of gamma/h I - J, column by column.
+        re, im: (n, n) real and imaginary parts of the LU factors of (alpha + i beta)/h I - J, column by
+            column.
         pivots: (2, n) row exchanges of both factorizations.
     """
 
@@ -414,10 +417,12 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     is_factored = 0  # 1 if the LU factors are those of the present Jacobian and step size
     before_h = 0.0  # size of the step before, s; 0 if there is none
     before_error = 0.0  # error of the step before, in units of the tolerance
-    change_before = HUGE  # change by projection for which the last try of this step was rejected
-    change_noise = 0.0  # change by projection of the step before if it was 1 or more, else 0
+    # changes of states by projection, in units of the tolerance; a change that a shorter try does not reduce
+    # is round-off, and is accepted
+    change_before = HUGE  # change for which the last try of this step was rejected, if any
+    change_noise = 0.0  # change in the step before if it was 1 or more, so round-off; else 0
     rejected = 0  # 1 if the last try of this step was rejected for its error
-    m = 0  # size of the leading block of zeros of the Jacobian
+    m = 0  # size of the leading block of zeros of the Jacobian: rates of q that are elements of v
     for i in range(3 * n):
         z[i] = 0.0
     while next_row < table.count:
@@ -491,7 +496,8 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             is_factored = 0
             rejected = 1
             continue
-        # project the end; its change by projection is the part of the error that violates the constraints
+        # project the end; its change by projection is the part of the error that violates the constraints.
+        # The argument 0 chooses the sparse form of projection, not the dense one for singular configurations
         for i in range(n):
             f[i] = now[i] + z[2 * n + i]
         f[n] = now[n] + h
@@ -512,7 +518,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             is_factored = 0
             rejected = 1
             continue
-        # accept the step, and interpolate and project the outputs within it
+        # accept the step, and interpolate and project (again in the sparse form, 0) the outputs within it
         change_before = HUGE
         change_noise = projection_change if projection_change >= 1.0 else 0.0
         counts[Count.STEPS] += 1.0

@@ -16,7 +16,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number, items_of, quoted
 from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import Key
-from newton_euler.model.variable import COORDINATE_INDEX, Change, Variable
+from newton_euler.model.variable import INDEX_REASON, Change, Variable
 from newton_euler.scalars import Array
 
 
@@ -86,7 +86,7 @@ class Gear(JointCoupling):
     # Numbers that may vary from run to run. `shape` None: the constructor checks the value; `moves_loops`: a
     # change moves the poses in which loops are closed. `constant`: reasons why other attributes cannot vary
     number_fields: ClassVar = {"ratio": NumberField(shape=None, allowed="nonzero", moves_loops=True)}
-    constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
+    constant: ClassVar = {"driver_coordinate": INDEX_REASON, "follower_coordinate": INDEX_REASON}
 
     def factors(self) -> dict[tuple[str, int], float]:
         follower = self.follower, self.follower_coordinate
@@ -146,7 +146,7 @@ class PolynomialCoupling(JointCoupling):
     follower_coordinate: int = 0
     kind: ClassVar[str] = "polynomial coupling"
     number_fields: ClassVar = {"coefficients": NumberField(shape=None, moves_loops=True)}
-    constant: ClassVar = {"driver_coordinate": COORDINATE_INDEX, "follower_coordinate": COORDINATE_INDEX}
+    constant: ClassVar = {"driver_coordinate": INDEX_REASON, "follower_coordinate": INDEX_REASON}
 
     def fields_with(self, values: Mapping[str, Any], change: Change) -> dict[str, Any]:
         """Return the new coefficients, the only numbers that may vary; `change` is for functions of time."""

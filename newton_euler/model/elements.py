@@ -21,7 +21,7 @@ from newton_euler.model.constraints import Frame
 from newton_euler.model.fields import POINT
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
-from newton_euler.model.variable import COORDINATE_INDEX, Variable
+from newton_euler.model.variable import INDEX_REASON, Variable
 from newton_euler.scalars import Array, Scalar, cross
 
 BALL = -1
@@ -173,7 +173,7 @@ class OnCoordinate(OnJoint):
     """
 
     coordinate: int
-    constant: ClassVar = {"coordinate": COORDINATE_INDEX}  # reason why this attribute cannot vary in studies
+    constant: ClassVar = {"coordinate": INDEX_REASON}  # why this attribute cannot vary in studies
 
     @property
     def key(self) -> Key:

@@ -5,6 +5,9 @@ class of functions of time. Parameter studies, fits and sensitivities name a num
 and give another value: `Variable.rebuilt` checks the value, `Variable.varied` accepts any scalar, such as a
 symbolic expression of the code generator. The values that a number may take are declared in
 `newton_euler.model.fields`.
+
+Such an attribute is a number, an array, a function of time, or a mapping. The mappings are those of state
+feedback (`newton_euler.model.control.StateFeedback`): from joint coordinates to gains or to targets.
 """
 
 from __future__ import annotations
@@ -36,8 +39,8 @@ PART_UNITS = {"angular_frequency": "rad/s", "phase": "rad"}
 Parameter names are ATTRIBUTE.PART, such as `target.phase`.
 """
 
-COORDINATE_INDEX = "which coordinate it is"
-"""Reason, for error messages, why the index of a joint coordinate cannot vary."""
+INDEX_REASON = "which coordinate it is"
+"""Reason, for error messages of model elements, why the index of a joint coordinate cannot vary."""
 
 
 def altered(thing: T, **fields: Any) -> T:

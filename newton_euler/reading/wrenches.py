@@ -1,9 +1,10 @@
 """Wrenches of a scene's force elements and armatures on its bodies, computed from the elements' attributes.
 
-An armature is the inertia of a motor's rotor, which resists the acceleration of a joint coordinate. The
-equations of motion of newton_euler call methods of the force elements, such as `PointSpring.wrenches`; this
-module computes the same forces independently. The checks of imported files and of engines compare with these
-wrenches, so that the checks also find mistakes in the methods.
+An armature is the inertia of a motor's rotor, which resists the acceleration of a joint coordinate, or the
+relative angular acceleration in a ball joint. The equations of motion of newton_euler call methods of the
+force elements, such as `PointSpring.wrenches`; this module computes the same forces independently. The checks
+of imported MJCF and URDF files and of dynamics engines, such as MuJoCo, compare with these wrenches. The
+checks therefore also find mistakes in the methods.
 """
 
 from __future__ import annotations
@@ -213,7 +214,8 @@ class Wrenches:
             equations = self.mechanism.joint_equations(armature.joint)
             i, j = equations.first, equations.second
             if armature.on_ball:
-                # Rate of omega_j - omega_i as seen from body j; omega_j x omega_i comes from the moving frame
+                # A rotor on a ball has the same inertia about all axes. It resists the rate of omega_j -
+                # omega_i as seen from body j; omega_j x omega_i comes from this moving frame
                 of_frame = np.cross(self.frames[j].angular_velocity, self.frames[i].angular_velocity)
                 torque = -armature.inertia * (angular[j] - angular[i] + of_frame)
                 self._add(i, np.zeros(3), -torque)
@@ -252,5 +254,6 @@ def wind_on_plate(load: WindLoad, relative: Array) -> Array:
     coefficient = 1.98 * np.sin(attack) * span_factor * z / across
     normal_force = 0.5 * load.air_density * load.area * (along**2 + across**2) * coefficient
     # Center of pressure from the plate's center, m along the two sides: up to 0.175 lengths against the wind
+    # (Khan and Nahon)
     pressure_center = -0.175 * (1.0 - 2.0 * attack / np.pi) * load.lengths * np.array([x, y]) / along
     return np.array([normal_force, pressure_center[1] * normal_force, -pressure_center[0] * normal_force])

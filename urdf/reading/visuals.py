@@ -110,7 +110,7 @@ def with_visuals(
 
 
 def _visuals(root: ET.Element, start: RobotAtStart, tree: Tree) -> list[_Visual]:
-    """Return the visual elements of links that are part of a body."""
+    """Return the visual elements of links that are part of a body; some massless links are part of none."""
     bodies = {body.name: k for k, body in enumerate(tree.bodies)}
     colors = {m.get("name"): _rgba(m) for m in root.findall("material")}
     visuals = []
@@ -142,7 +142,10 @@ def _rgba(material: ET.Element) -> Color | None:
 
 
 def origin(element: ET.Element | None) -> Any:
-    """Return the `pinocchio.SE3` of a checked element `<origin>`; the identity without an element."""
+    """Return the `pinocchio.SE3` of an element `<origin>`, the identity without an element.
+
+    `urdf.reading.source` has checked the numbers of the element.
+    """
     if element is None:
         return pin.SE3.Identity()
     rpy = [float(x) for x in element.get("rpy", "0 0 0").split()]
@@ -235,9 +238,9 @@ def _load_meshes(files: list[Path]) -> dict[Path, Mesh | None]:
     if not files:
         return meshes
     with tempfile.TemporaryDirectory() as folder:
-        # run by path, so that the process imports coal only
+        # run by path, so that the process imports only coal, the library of Pinocchio that reads meshes
         script = Path(__file__).with_name("load_meshes.py")
-        memory = str(size_in_bytes("memory"))
+        memory = str(size_in_bytes("memory"))  # limit for the process, which users may set
         command = [sys.executable, "-P", str(script), folder, memory, *map(str, files)]
         with suppress(subprocess.TimeoutExpired):
             subprocess.run(

@@ -57,6 +57,8 @@ RECORDED_STEPS = 2048
 def tangent_options(control: Mapping[str, Any]) -> Options:
     """Return the options of DOP853 with projection; derivatives exist for no other method.
 
+    The option `rest`, rates below which a mechanism counts as at rest and is not integrated, must be 0.
+
     Args:
         control: options of the run by name.
 
@@ -203,7 +205,7 @@ class _RecordedMotion:
 
     def _pivot_ratios(self, x: Array) -> Array:
         """Return pivot ratios (k,) at x (k, inputs)."""
-        ratios = self._evaluated("velocity", x)[:, -1]
+        ratios = self._evaluated("velocity", x)[:, -1]  # after the results of the projection of velocities
         return np.where(ratios > 0.0, ratios, 0.0)
 
     def _evaluated(self, program: str, x: Array) -> Array:
@@ -288,12 +290,15 @@ class TangentRun:
             derivatives = self._integrate(rates, integrator, begin, directions)
             if derivatives is not None:
                 return derivatives
+        # constraints of loops and couplings lose rank in singular configurations; otherwise small pivots come
+        # from the masses
         is_near_singular = code.loses_rank and motion.least_pivot_ratio() < NEAR_PIVOT_RATIO
         raise SensitivityError(NEAR_SINGULAR if is_near_singular else MASS_RATIO)
 
     def _check(self, motion: _RecordedMotion) -> None:
         """Raise `SensitivityError` for a run without derivatives, or whose derivatives are inaccurate."""
         code = self._code
+        # near a singular configuration only derivatives by parameters that move loops grow without bound
         if code.projects and code.moves_loops and motion.least_pivot_ratio() < NEAR_PIVOT_RATIO:
             raise SensitivityError(NEAR_SINGULAR)
         if any(force.may_jump for force in code.scene.forces) and (jump := motion.jump()):
@@ -314,13 +319,15 @@ class TangentRun:
             Derivatives at the output times by program; None, without changes, if pivot ratios are too small
             for this program of rates.
         """
-        # functions: rates, projection, and results to differentiate
+        # functions: rates, projection, and results to differentiate. The program `RATES` refines its solution
+        # iteratively, so that it is accurate at smaller pivot ratios than the others
         code, max_substeps = self._code, max_adaptive_steps(self._options)
         rates = code.function(program)
         min_pivot_ratio = UNSAFE_PIVOT_RATIO if program == RATES else NEAR_PIVOT_RATIO
         project = code.function(PROJECTED) if code.projects else None
         functions = {name: code.function(name + ALONG) for name in self._programs}
-        # arrays of the results, and the record of the native code, whose class describes the fields
+        # arrays of the results, and the record of the native code, whose class describes the fields. Programs
+        # of results have `wide` lanes, which may hold directions at several output times
         n, inputs, lanes, rows = code.size, code.inputs, rates.lanes, len(integrator.times)
         derivatives = {
             name: np.empty((rows, function.outputs, directions.shape[1]))
@@ -338,8 +345,8 @@ class TangentRun:
             rows=rows,
             max_substeps=max_substeps,
             projecting=int(code.projects),
-            places=code.system.work.start,
-            speeds=code.system.nq,
+            places=code.system.work.start,  # end of the coordinates in a state; the work of forces follows
+            speeds=code.system.nq,  # start of the velocities
             tolerance=TOLERANCE_FACTOR * self._options.rtol,
             floor=min_pivot_ratio if code.projects else -HUGE,
             rates=rates,
@@ -352,7 +359,7 @@ class TangentRun:
             x=x,
             wide_x=np.empty((2 * inputs, wide)),
             at=np.zeros_like(x),
-            k=np.empty((17, 2 * n + 1, lanes)),
+            k=np.empty((17, 2 * n + 1, lanes)),  # rates of the 16 stages of DOP853, and scratch
             table=np.empty((rows, n, lanes)),
             min_pivot_ratio=np.ones(1),
             errors=np.empty(2 * lanes),
@@ -380,13 +387,15 @@ class TangentRun:
                 raise SensitivityError(f"{limit}; derivatives vibrate much faster than the run moves")
             ends[:, first : first + group_size] = x[inputs : inputs + n, :group_size]
             # project the directions at the outputs, except at the start (row 0); then differentiate the
-            # results of all programs at all outputs
-            evaluate, table = tangent_methods(), tangents.table
+            # results of all programs at all outputs. A place is the number of results, the first column to
+            # write, the number of columns, and the array
+            call_native = tangent_methods()
             if project:
-                evaluate(evaluate_along, tangents, 1, group_size, project, n, 0, lanes, table)
+                place = n, 0, lanes, tangents.table
+                call_native(evaluate_along, tangents, 1, group_size, project, *place)
             for name, function in functions.items():
                 place = function.outputs, first, directions.shape[1], derivatives[name]
-                evaluate(evaluate_along, tangents, 0, group_size, function, *place)
+                call_native(evaluate_along, tangents, 0, group_size, function, *place)
         directions[:n] = ends
         return derivatives
 

@@ -181,7 +181,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         members=np.zeros(0),
         counts=np.zeros(COUNTS),
     )
-    sizes = (n, n + 2, 3 * n, 3 * n, 3 * n + 3, 3 * n + 2, 3 * n, n * n, n * n, n * n, n * n, 2 * n)
+    sizes = (n, n + 1, 3 * n, 3 * n, 3 * n + 3, 3 * n + 1, 3 * n, n * n, n * n, n * n, n * n, 2 * n)
     for rtol in (1e-3, 1e-6, 1e-9):
         scratch = (np.empty(size) for size in sizes)
         method = Radau(rtol, 1e-2 * rtol, 10**6, jacobian, *np.zeros((3, 2)), *scratch)
