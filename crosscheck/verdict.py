@@ -27,7 +27,7 @@ from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.errors import ACCURATE_BELOW
 from crosscheck.own_run.judge import Judgement
-from crosscheck.report.output import own_name, to_record, write
+from crosscheck.report.output import results_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal, wrapped
 from crosscheck.report.run import report
@@ -95,7 +95,8 @@ class Verdict:
 
     @property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
-        """Outliers: the engines that are likely wrong, with level and place; empty if all engines agree."""
+        """Outliers: the engines that are likely wrong, with level (group of checks) and place; empty if all
+        engines agree."""
         return self.crosscheck.diagnosis
 
     @property
@@ -161,7 +162,8 @@ class Verdict:
             loop_angle: largest violation of a loop constraint of angles, rad.
             energy: largest error of the total energy, a fraction of the energy that the motion exchanges.
             allow_reduced: True to accept a model of which some elements (contacts, joint limits, dry
-                friction) act but are not simulated by the reference. The run is judged without these.
+                friction) act but are not simulated by the reference, newton_euler. The run is judged without
+                these.
 
         Raises:
             AssertionError: if an error is too large, if the engines disagree, or if the run is not judged.
@@ -194,7 +196,7 @@ class Verdict:
         Raises:
             CrosscheckError: naming a path that cannot be written.
         """
-        name = own_name(self.crosscheck.source or self.crosscheck.scene.name)
+        name = results_name(self.crosscheck.source or self.crosscheck.scene.name)
         path = path_of(folder)
         recording = path / f"{name}.rrd"
         check_writable(recording)
@@ -226,9 +228,9 @@ def check(
             constraints, see `urdf.read`.
         engines: names of the engines. If an engine cannot represent the model, the outcome is not `AGREE`.
         advice: True to compute advice on redundant constraints.
-        runs: runs of other simulators by name, which are compared with the reference from their own starts: a
-            CSV or Parquet file, a DataFrame, a mapping of columns, or a `Log` of one of these with options.
-            Also a function that simulates: from a `State` and times (n,), s, to n states.
+        runs: runs of other simulators by name. Each is compared with a run of newton_euler from the same
+            initial state. A run is a CSV or Parquet file, a DataFrame, a mapping of columns, or a `Log` of
+            these with options. It may also be a function from a `State` and times (n,), s, to n states.
         progress: function that is called with a message before each stage.
         options: options of the scene or file, as `crosscheck list` shows them. For a `Model`, `q` is the
             configuration from which the run starts.
@@ -246,10 +248,12 @@ def check(
     chosen = choose(list(engines))
     texts = {name: _text(value) for name, value in options.items()}
     source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
-    taken = with_excitation(model, texts)
+    # by default, models from other tools start in motion, with driven actuators: a model at rest tests little
+    scene_options = with_excitation(model, texts)
     logs = judge_logs(model, texts, runs, progress)
-    scene, mapping = load_scene(model, taken, verified=False)
-    found = crosscheck(scene, chosen, progress, source, taken, mapping, advice)
+    # `crosscheck` compares the scene with the file; no need to verify it here
+    scene, import_report = load_scene(model, scene_options, verified=False)
+    found = crosscheck(scene, chosen, progress, source, scene_options, import_report, advice)
     return Verdict(replace(found, logs=logs))
 
 

@@ -5,7 +5,8 @@ and activations (na,). Two matrices describe small motions: the rates A of dx/dt
 time step, x_next = M x. Both are central differences of MuJoCo's own functions, with the soft constraints,
 the integrator and the time step of the run. `crosscheck.own_run.stability` finds from them the mode of a
 model that is too fast for a time step, and the force element that causes the mode. Contacts, limits and dry
-friction are switched off, as in the scene that is imported from the file.
+friction are switched off, as in the scene that is imported from the file. Fields of the model, such as
+`nactuator` and `dof_dampingpoly`, have the names of MuJoCo 4.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ CONVERGED_ITERATIONS = 100
 
 _Entries = tuple[tuple[str, Any], ...]
 """Pairs of the name of an array of the model, and an index of entries of the array."""
+
+_Settings = Any
+"""Settings of a run, `mjcf.file_run.MujocoSettings`; that module imports this one."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,7 @@ def _scale(model: Any, removable: _RemovableElement, factor: float) -> None:
             getattr(model, array)[index] *= factor
 
 
-class MujocoSmallMotions(SmallMotions[Any]):
+class MujocoSmallMotions(SmallMotions[_Settings]):
     """Small motions of an MJCF file about states of a run in MuJoCo.
 
     Attributes:
@@ -148,12 +152,17 @@ class MujocoSmallMotions(SmallMotions[Any]):
     """
 
     def __init__(
-        self, settings: Any, model: Any, active: Array, times: Array, states: Sequence[tuple[Array, ...]]
+        self,
+        settings: _Settings,
+        model: Any,
+        active: Array,
+        times: Array,
+        states: Sequence[tuple[Array, ...]],
     ) -> None:
         """Take a model without contacts, limits and dry friction, which is not changed.
 
         Args:
-            settings: settings of the file, see `mjcf.file_run.MujocoSettings`.
+            settings: time step, integrator, constraint solver and softness of the run.
             model: compiled model of the run.
             active: (neq,) 1 for equalities that act in the run.
             times: (k,) time of each state, s.
@@ -162,7 +171,8 @@ class MujocoSmallMotions(SmallMotions[Any]):
         self._settings, self._active = settings, active
         self.times, self._states = times, states
         self._removable = tuple(_removable_elements(model))
-        # a model with meshes is large: one copy is changed, and restored before the next change
+        # a model with meshes is large: one copy is changed, and restored before the next change. Settings
+        # change its options, and the softness `eq_solref` and `eq_solimp` of equalities
         self._model, self._original_options = copy.copy(model), copy.copy(model.opt)
         arrays = {array for each in self._removable for array, _ in each.entries if array != "opt"}
         self._original_arrays = {
@@ -171,11 +181,11 @@ class MujocoSmallMotions(SmallMotions[Any]):
         self.elements = tuple(each.element for each in self._removable)
         self.velocities = slice(model.nv, 2 * model.nv)
 
-    def at_timestep(self, settings: Any, timestep: float) -> Any:
+    def at_timestep(self, settings: _Settings, timestep: float) -> _Settings:
         """Return settings with another time step, s."""
         return replace(settings, timestep=timestep)
 
-    def rates(self, state: int, settings: Any, without: Collection[int] = ()) -> Array:
+    def rates(self, state: int, settings: _Settings, without: Collection[int] = ()) -> Array:
         """Return the matrix A (n, n) of dx/dt = A x.
 
         Args:
@@ -204,7 +214,7 @@ class MujocoSmallMotions(SmallMotions[Any]):
 
         return self._differences(data, evaluate)
 
-    def step(self, state: int, settings: Any, without: Collection[int] = ()) -> Array:
+    def step(self, state: int, settings: _Settings, without: Collection[int] = ()) -> Array:
         """Return the map M (n, n) of one time step, x_next = M x; for the arguments see `rates`."""
         model, data = self._prepared(state, settings, without)
         start, now = (data.qpos.copy(), data.qvel.copy(), data.act.copy()), data.time
@@ -226,7 +236,7 @@ class MujocoSmallMotions(SmallMotions[Any]):
         data.qpos[:], data.qvel[:], data.act[:] = start
         return self._differences(data, evaluate)
 
-    def _prepared(self, state: int, settings: Any, without: Collection[int]) -> tuple[Any, Any]:
+    def _prepared(self, state: int, settings: _Settings, without: Collection[int]) -> tuple[Any, Any]:
         """Return the model with these settings and without some elements, and its data at a state.
 
         The model keeps the settings, and lacks the elements, until the next call.

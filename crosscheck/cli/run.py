@@ -273,7 +273,7 @@ def _engine_comparison(asked: _Options) -> _Comparison:
     from crosscheck.engines.engine import ENGINES, choose
     from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.own_run.allowed import AllowedError
-    from crosscheck.report.output import own_name, usual_folder
+    from crosscheck.report.output import results_name, usual_folder
     from crosscheck.support.files import check_no_source
 
     engines = choose(asked.engines or list(ENGINES))
@@ -294,7 +294,7 @@ def _engine_comparison(asked: _Options) -> _Comparison:
         found = crosscheck(scene, engines, progress, asked.model, options, mapping, asked.advice)
         return replace(found, logs=judged).with_allowed_errors(allowed)
 
-    return _Comparison(own_name(asked.model), [engine.name for engine in engines], folder, compute)
+    return _Comparison(results_name(asked.model), [engine.name for engine in engines], folder, compute)
 
 
 def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]) -> dict[str, Log]:

@@ -1,4 +1,7 @@
-"""`crosscheck tune`: the cheapest settings with which the engine of a model file reaches an error."""
+"""`crosscheck tune`: the cheapest settings with which the engine of a model file reaches an error.
+
+The engine of an MJCF file is MuJoCo. The engine of a URDF is a loop of time steps that calls Pinocchio.
+"""
 
 from __future__ import annotations
 
@@ -51,15 +54,18 @@ def tune_command(file: str, settings: tuple[str, ...], error: float, output: Pat
     from crosscheck.support.files import write_files
     from crosscheck.support.time_limits import limited
 
+    # by default, the model starts in motion, with driven actuators: at rest, all settings are accurate
     options = with_excitation(file, scene_options(settings))
-    scene, mapping = load_scene(file, options)
-    if mapping is None or mapping.simulation is None:
+    scene, import_report = load_scene(file, options)
+    # `simulation`: the file in its own engine
+    if import_report is None or import_report.simulation is None:
         raise CrosscheckError(f"{file} has no settings of an engine; needed: an MJCF or a URDF file")
-    warn_about_import(file, mapping, scene)
-    [path] = result_paths(output, "output/tune", "tuning", ["tune.json"], [file])
+    warn_about_import(file, import_report, scene)
+    [path] = result_paths(output, parent="output/tune", kind="tuning", names=["tune.json"], sources=[file])
+    # added to the error message if the search exceeds its limit of processor time
     advice = "a larger --error or a shorter --set duration may end"
     with progress_shown() as progress, limited("tuning", advice, progress):
-        tuning = tune(mapping.simulation, error, progress)
+        tuning = tune(import_report.simulation, error, progress)
     found = report(scene.name, tuning)
     write_files({path: as_json({"source": file, "options": options, **tuning.summary()}, found)})
     show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")

@@ -125,7 +125,7 @@ def _energy_dissipated(run: Trajectory) -> Array:
 
 
 ARM = np.cos(ALPHA) * X - np.sin(ALPHA) * Z
-"""Direction (3,) of the right arm, in its own frame."""
+"""Direction (3,) of the right arm, in its own frame; at first all body frames are parallel to the world."""
 
 CENTER = np.zeros(3)
 """Center of mass (3,) of a body, in its own frame, m."""
@@ -138,6 +138,7 @@ REFERENCE_QUANTITIES: dict[str, Quantity] = {
     "shaft_omega": lambda run: angular_velocity(run, "shaft") @ Z,
     "energy_dissipated": _energy_dissipated,
 }
-"""Height s (m) of the slider and its velocity; angle alpha (rad) of the arms below the horizontal.
+"""Quantities with values from an independent computation in minimal coordinates, by name.
 
-Angle (rad) and angular velocity (rad/s) of the shaft; energy lost to the dampers (J)."""
+Height s (m) and velocity (m/s) of the slider; angle alpha (rad) of the arms below the horizontal; angle (rad)
+and angular velocity (rad/s) of the shaft; energy lost to the dampers (J)."""

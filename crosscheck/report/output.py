@@ -119,7 +119,7 @@ def _worst_moments(checks: Sequence[Check]) -> Iterator[tuple[float, str]]:
             yield float(where["time"]), text
 
 
-def own_name(source: str) -> str:
+def results_name(source: str) -> str:
     """Return the name of a model's results: the name of the scene, or of its file without the suffix."""
     return Path(source).stem.strip(".") or "scene"
 
@@ -135,7 +135,7 @@ def usual_folder(parent: Path, source: str, results: str) -> Path:
     Raises:
         CrosscheckError: if the folder has results of another model.
     """
-    folder = parent / own_name(source)
+    folder = parent / results_name(source)
     check_own(folder, [source], results)
     return folder
 

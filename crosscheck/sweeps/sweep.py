@@ -19,7 +19,7 @@ import numpy as np
 
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.loading.load import load_scene, with_excitation
-from crosscheck.report.output import own_name
+from crosscheck.report.output import results_name
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.run import moved_start_lines
@@ -218,7 +218,7 @@ def own_scene(model: Model, scene: Scene) -> Scene:
     """
     if isinstance(model, Scene) or not isinstance(model, str | os.PathLike):
         return scene
-    return replace(scene, name=own_name(os.fspath(model)))
+    return replace(scene, name=results_name(os.fspath(model)))
 
 
 def start_lines(mapping: ImportReport | None, scene: Scene) -> tuple[str, ...]:

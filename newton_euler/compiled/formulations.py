@@ -24,7 +24,7 @@ FORMULATIONS: dict[FormulationName, Callable[[Scene, float], Formulation]] = {
 """Classes of the equations of motion by name; each takes a scene and Baumgarte's parameter (1/s)."""
 
 MAX_PRODUCTS_PER_BODY = 270
-"""Number of products in J M^-1 J^T per body above which the Cartesian form takes fewer operations.
+"""Number of products in J M^-1 J^T per body, ground included, above which the Cartesian form is cheaper.
 
 J is the constraint Jacobian, M the mass matrix in joint coordinates, see `cheaper_formulation`. Measured with
 ladders of rods and ball joints. With 10 rungs there are 234 products per body, and both forms take
@@ -51,7 +51,7 @@ def cheaper_formulation(mechanism: Mechanism) -> FormulationName:
         closure = tree.equations(cut)
         for k in {*paths[closure.first], *paths[closure.second]}:
             rows[k] += closure.count
-    products = sum(count * count for count in rows) // 2
+    products = sum(count * count for count in rows) // 2  # half of the symmetric matrix
     return "cartesian" if products > MAX_PRODUCTS_PER_BODY * len(mechanism.bodies) else "relative"
 
 

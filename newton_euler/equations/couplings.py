@@ -47,8 +47,8 @@ class Measured(NamedTuple):
     Attributes:
         x: m or rad from the initial pose.
         rate: m/s or rad/s.
-        jacobian: in Cartesian coordinates a `Jacobian` between two bodies, blocks (1, 3); in joint
-            coordinates a sparse row over the velocities v.
+        jacobian: in Cartesian coordinates a `newton_euler.model.constraints.Jacobian`, with blocks (1, 3) for
+            translation and rotation of both bodies; in joint coordinates a sparse row over the velocities v.
         gamma: m/s^2 or rad/s^2, minus the acceleration of x at zero accelerations.
     """
 
@@ -75,10 +75,8 @@ class Coordinate:
     carried: int | None
 
     def measure(self, q: Array, frames: Sequence[Frame]) -> Measured:
-        """Measure the coordinate and its derivatives at q (nq,) and the frames of all bodies.
-
-        The `jacobian` of the result is a `Jacobian` between the two bodies, blocks (1, 3).
-        """
+        """Measure the coordinate and its derivatives, with the `Jacobian` of two bodies, at q (nq,) and the
+        frames of all bodies."""
         first, second = frames[self.first], frames[self.second]
         jacobian = self.constraint.jacobian(first, second)
         rate = jacobian.rate(first, second)[0]
@@ -256,6 +254,7 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
 
 def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
     """List the keys of the joint coordinates on which forces and couplings of a scene depend, each once."""
+    # `sensed`: coordinates that control laws drive or read
     forces = [*(force.key for force in scene.joint_forces), *scene.sensed]
     coupled = [key for coupling in couplings for key in coupling.factors]
     return list(dict.fromkeys([*forces, *coupled]))

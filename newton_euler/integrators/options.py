@@ -102,10 +102,10 @@ class Options:
         most_steps: largest number of steps of a run. None for the defaults: `DEFAULT_MAX_STEPS` for adaptive
             integrators (fewer if Python evaluates the equations) and `MAX_FIXED_STEPS` for fixed steps.
         rest: threshold of the rates of all coordinates and velocities, SI. If all are below, the mechanism
-            counts as at rest and is not integrated until the next controller sample or knot of a spline. The
-            default 0 turns this off. If a motion decays with time constant T, bodies stop about `rest` T
-            before their final positions. Unstable equilibria count as rest, too. Only DOP853 in native code
-            uses this option.
+            counts as at rest and is not integrated until the next controller sample, or the next jump in a
+            derivative of a function of time. The default 0 turns this off. If a motion decays with time
+            constant T, bodies stop about `rest` T before their final positions. Unstable equilibria count as
+            rest, too. Only DOP853 in native code uses this option.
         projection: True to project states onto the constraints after each step and at outputs.
     """
 
@@ -170,7 +170,8 @@ class Options:
         noise would follow the bend onto the wrong branch.
 
         Args:
-            noise: largest singular value of the constraints that count as redundant, dimensionless.
+            noise: largest singular value of the constraints that count as redundant, dimensionless. `atol`
+                counts it in rad, or in m (times `size`) if that is smaller.
             size: the mechanism's size, m.
         """
         return self.rtol + noise, self.atol + noise * min(1.0, size)

@@ -21,9 +21,9 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, Floats, Scalar, Stack, objects
 
 
-@description
+@description  # a frozen dataclass, compared by identity
 class State:
-    """Poses and velocities of all b bodies, ground first; world frame, SI.
+    """Poses and velocities of all b bodies, ground first; world frame, SI. Floats, except after `stacked`.
 
     Attributes:
         position: (b, 3) centers of mass, m.
@@ -53,7 +53,7 @@ class State:
             object.__setattr__(self, "angles", dict(self.angles))
 
     @classmethod
-    @checked
+    @checked  # the types of the arguments
     def initial(cls, mechanism: Mechanism) -> State:
         """Return the state of a mechanism at its initial pose, at rest."""
         return cls(

@@ -179,7 +179,7 @@ class Batch(Sequence[Trajectory]):
 @checked
 def simulate_batch(
     scene: Scene,
-    states: Annotated[Sequence[State] | None, UNCHECKED] = None,
+    states: Annotated[Sequence[State] | None, UNCHECKED] = None,  # `make_batch` checks the states
     parameters: Mapping[str, Sequence[ArrayLike] | Floats] | None = None,
     threads: int | None = None,
     formulation: FormulationName | None = None,
@@ -241,11 +241,11 @@ def make_batch(
     if states is not None and not are_states:
         needed = "State objects, one per run; coordinates are parameters: {'start.JOINT': [0.1, 0.2]}"
         raise OptionError("states", quoted(states), needed)
-    for law in scene.sampled:
-        if not isinstance(law, Digital) or law.law.uses_model:
+    for controller in scene.sampled:
+        if not isinstance(controller, Digital) or controller.law.uses_model:
             problem = "has a controller that calls Python, or knows the mechanism, at its instants"
             needed = "its law without sampling, or `simulate` run by run"
-            raise MechanismError(f"joint {law.joint!r}", problem, needed)
+            raise MechanismError(f"joint {controller.joint!r}", problem, needed)
     # compile, and find room for the results
     workers = thread_count(threads)
     initial = initial_numbers(scene, parameters)
@@ -317,8 +317,8 @@ def _run_one_by_one(
 ) -> None:
     """Integrate some of the runs, given by their numbers (k,), one after another.
 
-    The runs are integrated interval by interval, between the samples of digital controllers and the knots of
-    splines.
+    The runs are integrated interval by interval, between the samples of digital controllers and the jumps in
+    derivatives of functions of time.
 
     Args:
         compiled: the compiled scene.
@@ -385,10 +385,10 @@ def _set_starts(
     states: Sequence[State] | None,
     parameters: Mapping[str, Any],
 ) -> dict[int, NewtonEulerError]:
-    """Write the initial states and parameters of all runs into vectors x, `starts` (runs, inputs).
+    """Write the initial states and parameters of all runs into the inputs of the compiled code.
 
     Args:
-        starts: (runs, inputs) written.
+        starts: (runs, inputs), changed: coordinates q, velocities v, time, flags and parameters of each run.
         compiled: the compiled scene.
         states: initial states of the runs; the scene's initial state for all runs if None.
         parameters: values, one per run, by name.
@@ -399,19 +399,19 @@ def _set_starts(
     # check states and values; a run with an invalid state gets the scene's own, and an error
     scene = compiled.scene
     state_errors = check_states(scene, states or ())
-    closed = [initial_state(scene) if k in state_errors else state for k, state in enumerate(states or ())]
+    valid = [initial_state(scene) if k in state_errors else state for k, state in enumerate(states or ())]
     values = run_values(scene, parameters)
     for name, array in values.arrays.items():
         if name in compiled.parameters:
             place, flat = compiled.place(name), array.reshape(len(array), -1)
             starts[:, place : place + flat.shape[1]] = flat
-    # close the loops with the parameters of each run
+    # close the loops with the parameters of each run, and write q and v, the first `size` inputs
     errors: dict[int, NewtonEulerError] = {**values.errors, **state_errors}
     assembly = assembly_of(scene, tuple(parameters))
     if assembly.is_needed:
-        x, assembly_errors = assembly(values.arrays, closed or None)
-        starts[:, : compiled.size] = assembly.starts(compiled, x)
+        assembled, assembly_errors = assembly(values.arrays, valid or None)
+        starts[:, : compiled.size] = assembly.starts(compiled, assembled)
         return {**assembly_errors, **errors}
-    if closed:
-        starts[:, : compiled.size] = coordinates_of(compiled.system, closed)
+    if valid:
+        starts[:, : compiled.size] = coordinates_of(compiled.system, valid)
     return errors

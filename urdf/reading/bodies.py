@@ -127,8 +127,8 @@ class Tree:
         if parent is None:
             holder = self._link(int(model.parents[chain[0]]))
             raise SourceError(self._path, f"link {holder!r} has several joints and no mass; give it a mass")
-        # its joint, a free joint or a combination of the motions of the chain; several of Pinocchio's joints
-        # can come from one joint of the URDF
+        # its joint, a free joint or a combination of the motions of the chain. Several of Pinocchio's joints
+        # can come from one joint of the URDF; `closed_model`, the model with its loop closures, has the name
         names = list(dict.fromkeys(self._start.closed_model.urdf_joints[k] for k in chain))
         wanted_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
         joint_name = unique_name(wanted_name, name, self.joint_names)
@@ -136,9 +136,9 @@ class Tree:
         if not parts:
             self.joints.append(Free(joint_name, parent, name, pose.translation))
         else:
-            driven = bool(motors & set(names))
+            actuated = bool(motors & set(names))
             # `coordinates`: number of the coordinate within the joint, by name of the part
-            joint, coordinates = combine_motions(joint_name, parent, name, parts, driven)
+            joint, coordinates = combine_motions(joint_name, parent, name, parts, actuated=actuated)
             self.joints.append(joint)
             self.coordinate_keys |= {part: (joint_name, k) for part, k in coordinates.items()}
         for k in names:

@@ -5,9 +5,10 @@ fastest interface. newton_euler is called in a native loop. MuJoCo is called by 
 by `mj_step` with a loop in C, which also integrates. Pinocchio has an interface to Python only, so that its
 time includes a call from Python. All interfaces are timed alternately.
 
-The loading time is the time that a fresh process needs to import the engine, make the right-hand side without
-a compilation cache, and call it once. Loading Pinocchio includes two further models in other units, which
-determine the regularization of its constraints.
+The loading time is the time that a fresh process needs to import MuJoCo, Pinocchio or the compiler LLVM, make
+the right-hand side without a compilation cache, and call it once. The import of newton_euler itself is not
+included, because scenes need it. Loading Pinocchio includes the choice of a regularization for redundant
+constraints, by dimensionless copies of the model.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Timing(Timed):
         way: the interface: engine and function, a key of `RIGHT_HAND_SIDES`.
         operations: number of floating-point operations in one call; None if it is unknown.
         times: mean duration of a call in each batch, s; empty if the engine cannot run the scene.
-        load: duration of import, construction and compilation in a fresh process without a cache, s.
+        load: loading time, s.
         reason: reason why the engine cannot run the scene; else empty.
     """
 
@@ -121,6 +122,7 @@ def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
     """
     from urdf.benchmark_kernels import equations_of
 
+    # alpha: gain of Baumgarte stabilization
     return RightHandSide(Timer(equations_of(scene, alpha=0.0, lcaba=lcaba).acceleration).timeit)
 
 
@@ -156,8 +158,9 @@ def time_right_hand_sides(
     Raises:
         CrosscheckError: for a scene that cannot be benchmarked.
     """
-    # Measure the loading time of each interface in a separate process, and load the interface here
+    # Request no outputs but poses: others, such as the energy, would make the equations longer
     scene = poses_only(scene)
+    # Measure the loading time of each interface in a separate process, and load the interface here
     timings, sides = {}, {}
     for way in RIGHT_HAND_SIDES if ways is None else ways:
         progress(f"loading {way}")
