@@ -61,16 +61,19 @@ class SoftMuJoCo(EvaluatedScene):
     def __init__(self, scene: Scene) -> None:
         """Compile a scene; raises `ModelError` with MuJoCo's reason."""
         super().__init__(scene)
-        # equalities of prescribed motions: the couplings are MuJoCo's last equalities, motions come first
+        # `couplings` are constraints on joint coordinates: prescribed motions, then gears and the like.
+        # Their equalities are MuJoCo's last ones, in the same order
         first = self.model.neq - len(self.couplings.couplings)
         self._motions = np.arange(first, first + len(scene.motions))
         self.prescribed = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
         self.driven = TimeDependentPD(scene.control)
+        # all laws except digital ones, whose forces are constant between samples
         declared = [(k, law) for k, law in enumerate(scene.control) if isinstance(law, DeclaredLaw)]
         self.evaluated = {k: law for k, law in declared if law.uses_model or not isinstance(law, PD)}
         # The first list has at most one pair: a_ref and D (m,) of the rows of prescribed motions in the
         # latest stage of a step. The second list has the multipliers (m,) of the completed stages. Both are
-        # lists, because copies of this object share them: MuJoCo calls the callback of one copy.
+        # lists, because copies of this object share them. `mjcf.simulate` makes a copy for each interval
+        # with other forces of digital controllers or other set-points.
         self._latest_reference: list[tuple[Array, Array]] = []
         self._stage_multipliers: list[Array] = []
 
@@ -131,10 +134,10 @@ class SoftMuJoCo(EvaluatedScene):
         if len(self.driven.law_indices):  # controls of other PD laws are constant
             data.ctrl[self.driven.law_indices] = self.driven.forces_at(self.scene.control, data.time)
         if self.evaluated:
-            readings = self.readings(data)
+            readings = self.readings(data)  # joint coordinates and rates that the laws measure
             model_forces = self.model_forces(data, readings)
             for k in self.evaluated:
-                # not `evaluated[k]`: the scene of a copy of this object may have other set-points
+                # not `evaluated[k]`: the scene of a copy for an interval may have other set-points
                 data.ctrl[k] = control(self.scene.control[k], data.time, readings, model_forces)
         self.set_wind(data)
         if len(self.prescribed):
@@ -169,7 +172,8 @@ class SoftMuJoCo(EvaluatedScene):
 
         Args:
             number: number of steps.
-            warnings: MuJoCo's warnings. A warning ends the steps, because MuJoCo then resets the state.
+            warnings: collects MuJoCo's warnings during the steps. A warning ends the steps, because MuJoCo
+                then resets the state.
 
         Returns:
             Work, J, of actuators, dampers and prescribed motions.

@@ -67,7 +67,12 @@ LIMITS = {
     "coverage_time": Limit(60, "s", "of processor time to work out what the motion covers"),
     "time": Limit(600, "s", "of processor time for the run of one engine, and for one comparison"),
 }
-"""All limits by name."""
+"""All limits by name.
+
+A loop file lists the constraints that close the loops of a URDF. A file's own run is a run with the settings
+of the file. A recording shows the bodies of several engines; those without meshes are drawn as bars.
+The coverage of a motion is the part of the masses, joints and forces whose changes would change the motion.
+"""
 
 MB = 1_000_000
 """Bytes per megabyte."""

@@ -42,17 +42,22 @@ def judge_logs(
     if not logs:
         return {}
     given = dict(options) if is_scene(model) else NOT_EXCITED | dict(options)
-    scene, mapping = load_scene(model, given, verified=False)
+    scene, report = load_scene(model, given, verified=False)
 
     def watch(simulated: Scene, run: Trajectory) -> Sequence[Event]:
-        """Return the elements of the file that would act in the reference but are not simulated there."""
-        if mapping is None:
+        """Return the elements of the file that would act in the reference but are not simulated there.
+
+        Args:
+            simulated: the scene from the start of the log.
+            run: the reference.
+        """
+        if report is None:
             return ()
-        after_run = watched(simulated, mapping, run)
-        return [Event(entry.since or 0.0, what_acted(entry)) for entry in after_run.acting]
+        elements = watched(simulated, report, run).acting  # with the first time of action, `since`, s
+        return [Event(element.since or 0.0, what_acted(element)) for element in elements]
 
     judgements = {}
-    file_names = mapping.names if mapping else None  # names of joints and bodies in the file
+    file_names = report.names if report else None  # names of joints and bodies in the file
     for name, log in logs.items():
         progress(f"judging {name}")
         judgements[name] = judge_log(scene, file_names, name, log, watch)

@@ -30,7 +30,7 @@ MIN_PARTIAL_OUTPUTS = 2
 
 @dataclass(frozen=True)
 class Stop:
-    """Part of a crosscheck that did not complete.
+    """Part of a comparison of engines that did not complete.
 
     Attributes:
         what: name of an engine, or of a part of the comparison.
@@ -73,7 +73,8 @@ def run_engines(
     for engine in engines:
         try:
             what = f"{engine.name}: {scene.duration:g} s of {scene.name}"
-            with limited(what, SHORTER_RUN_ADVICE, progress):  # in processor time
+            # show the message, and interrupt the run if it needs more processor time than allowed
+            with limited(what, SHORTER_RUN_ADVICE, progress):
                 run = engine.simulate(scene)
             _check_finite(scene, run)
             runs[engine.name] = run
@@ -93,7 +94,7 @@ def collecting_errors(what: str, stops: list[Stop]) -> Iterator[None]:
     """Convert an error of the block into a `Stop`, and append it to `stops`.
 
     Args:
-        what: name of the part of the crosscheck that the block executes.
+        what: name of the part of the comparison that the block executes.
         stops: list that is appended to.
     """
     try:
@@ -103,7 +104,7 @@ def collecting_errors(what: str, stops: list[Stop]) -> Iterator[None]:
 
 
 def _check_finite(scene: Scene, run: Trajectory) -> None:
-    """Raise `IntegrationError`, with the partial run before, if a value of a run is not finite."""
+    """Raise `IntegrationError`, a `StoppedError` with the partial run, if a value of a run is not finite."""
     arrays = {name: values for name, values in run.arrays().items() if values.dtype.kind == "f"}
     try:
         check_finite(scene.times, arrays)

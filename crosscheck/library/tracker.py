@@ -125,7 +125,7 @@ TARGET_HEIGHT = 0.046
 """Target height of the centers of mass of both sliders, m (section 4)."""
 
 PANEL = (0.07, 0.055)
-"""Half the side lengths of the panel along its x and y axes, m, for drawing and for wind loads."""
+"""Half the side lengths of the panel along its x and y axes, m, also for the wind loads of `tracker_wind`."""
 
 POSITION_GAIN = 50.0
 """Proportional gain K_p of both actuators, N/m (section 5)."""
@@ -216,6 +216,7 @@ def tracker_on_boat(
     # The boat: a hull below the plate of the tracker, which turns about the middle of the hull
     scene = tracker_gravity()
     base = scene.mechanism.bodies[0]
+    # the plate ends at z = -0.006 m (see `_shapes`), half the height of the hull below is 0.01 m
     middle = base.center_of_mass * [1.0, 1.0, 0.0] - [0.0, 0.0, 0.016]
     hull = replace(base, shapes=(Box(np.array([0.2, 0.12, 0.01]), middle),), meshes=())
     moving = on_moving_base(scene, motions, hull, point=middle)
@@ -245,9 +246,9 @@ def _scene(
         fields = {field: value for field, value in entry.items() if field != "kind"}
         joints.append(JOINT_KINDS[entry["kind"]](**fields))
     if aligned_legs:
-        for body in (3, 4, 5):  # column and legs
-            turn = _rotation_from_z(_link_axis(BODY_NAMES[body], joints))
-            tables.inertia[body] = turn @ tables.inertia[body] @ turn.T
+        for k in (3, 4, 5):  # column and legs
+            turn = _rotation_from_z(_link_axis(BODY_NAMES[k], joints))
+            tables.inertia[k] = turn @ tables.inertia[k] @ turn.T
     # Bodies
     bodies = [
         Body(

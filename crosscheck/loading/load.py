@@ -1,6 +1,8 @@
 """`load_scene`: load a library scene, a scene file, a model file or a model in memory as a `Scene`.
 
-A scene is a mechanism with its forces, inputs, initial state and duration. A model file is an MJCF or a URDF.
+A scene is a mechanism with its forces, inputs, initial state and duration. A library scene is built in Python
+by a module of `crosscheck.library`, a scene file describes one in YAML or JSON. A model file is an MJCF or a
+URDF.
 """
 
 from __future__ import annotations

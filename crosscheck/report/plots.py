@@ -79,7 +79,8 @@ def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tu
     """Draw a bar chart of run times, labeled with the errors; nothing if there are no run times.
 
     Args:
-        costs: by engine, run time, s, and error, the larger number of m and rad; None if unknown.
+        costs: by engine, run time, s, and error, the larger number of m and rad, against a more accurate
+            reference run; None if unknown.
 
     Yields:
         A picture (PNG) and its caption.
@@ -133,6 +134,8 @@ def own_run(
     time: Sequence[float], position: Sequence[float], rotation: Sequence[float]
 ) -> Iterator[tuple[bytes, str]]:
     """Draw the errors of the run with the settings of a model file, largest over the bodies.
+
+    Errors are deviations from the accurate reference run of newton_euler.
 
     Args:
         time: output times (n,), s.
@@ -231,7 +234,7 @@ def _differences(runs: Runs, tolerances: Tolerances) -> Iterator[tuple[bytes, st
         n = min(len(run["time"]), len(first["time"]))  # a run may have ended early
         distance = np.linalg.norm(run["position"][:n] - first["position"][:n], axis=2).max(axis=1)
         angle = angle_between(first["quaternion"][:n], run["quaternion"][:n]).max(axis=1)
-        for quantity, values in zip(POSES, (distance, angle), strict=True):
+        for quantity, values in zip(POSES, (distance, angle), strict=True):  # positions, orientations
             curves.append(Curve(quantity, engine, run["time"][:n], np.maximum(values, MIN_LOG_VALUE)))
             of_engines[quantity, engine] = tolerances.get((quantity, first_engine, engine))
     caption = f"difference from {first_engine}, largest over the bodies; thin lines are tolerances"

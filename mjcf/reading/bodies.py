@@ -50,7 +50,7 @@ class Bodies:
         """Import all bodies at the start state, and report them.
 
         Args:
-            start: MuJoCo's model and data at the start state.
+            start: MuJoCo's model and data at the start state of runs, and the path of the file.
             report: report that receives one entry for each of MuJoCo's bodies.
 
         Raises:
@@ -113,13 +113,14 @@ class Bodies:
         inertia = 0.5 * (inertia + inertia.T)
         # principal moments a <= b <= c of a real body satisfy a + b >= c; MuJoCo also simulates others
         a, b, c = np.linalg.eigvalsh(inertia)
+        # as `Body` needs them, the inertia is in the body frame, all else in the world frame at the start
         return Body(
             name,
-            whole.mass,
-            whole.center_of_mass,
-            inertia,
-            quaternion,
-            self._shapes(root),
+            mass=whole.mass,
+            center_of_mass=whole.center_of_mass,
+            inertia=inertia,
+            quaternion=quaternion,
+            shapes=self._shapes(root),
             allow_unrealisable_inertia=bool(a + b < c * (1.0 - REALISABLE_TOLERANCE)),
             meshes=meshes(model, data, members),
         )
@@ -162,8 +163,8 @@ class Bodies:
         Returns:
             Velocity (3,), m/s, and angular velocity (3,), rad/s, world frame, at the start state.
         """
-        linear, angular = body_velocity(self._model, self._data, root)
-        return linear + np.cross(angular, point - self._data.xipos[root]), angular
+        center_velocity, angular = body_velocity(self._model, self._data, root)  # of the center of mass
+        return center_velocity + np.cross(angular, point - self._data.xipos[root]), angular
 
 
 def visible_geoms(model: Any, bodies: Array) -> Iterator[int]:

@@ -22,7 +22,7 @@ from newton_euler.compiled.run import (
     METHODS,
     Integrator,
     equations,
-    load,
+    load_code,
     marks,
     method_of,
     native_method,
@@ -60,7 +60,7 @@ def runs_in_lanes(code: CompiledEquations, integrator: str) -> bool:
 
 def load_lanes(code: CompiledEquations, integrator: str) -> None:
     """Compile or load all functions that single runs and runs in lanes need."""
-    load(code, integrator)
+    load_code(code, integrator)
     if runs_in_lanes(code, integrator):
         native_method(METHODS[integrator], in_lanes=True)
         for name in needed(code, integrator):

@@ -88,7 +88,7 @@ def native_method(method: Callable[..., Any], in_lanes: bool = False) -> NativeF
     return NativeFunctions([method], in_lanes)
 
 
-def load(code: CompiledEquations, integrator: str) -> None:
+def load_code(code: CompiledEquations, integrator: str) -> None:
     """Compile, or load from the cache, all functions that a run with an integrator needs."""
     native_method(METHODS[integrator])
     loops()  # the native code that evaluates the outputs of all states

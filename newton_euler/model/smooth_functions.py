@@ -2,6 +2,10 @@
 
 They prescribe joint motions and serve as targets of control laws. The time and the numbers of a function may
 be floats or generic scalars such as expressions of the code generator (`newton_euler.scalars`).
+
+Parameter studies and fits change the numbers of a function by part. If the target of a control law is a
+function, the parameter `target` is its part "": the numbers on which the value depends linearly. Its part
+"phase" is the parameter `target.phase`.
 """
 
 from __future__ import annotations
@@ -35,7 +39,7 @@ class Polynomial(Function):
 
     coefficients: tuple[float, ...]
 
-    parts: ClassVar = {"": ("coefficients",)}  # part "": numbers on which the value depends linearly
+    parts: ClassVar = {"": ("coefficients",)}  # names of the fields of each part
 
     def __post_init__(self) -> None:
         # The coefficients k (k - 1) c_k of the acceleration must be finite, too; k^2 c_k bounds them
@@ -116,7 +120,7 @@ class Sine(Function):
     phase: float = 0.0
     offset: float = 0.0
 
-    # The value depends linearly on the numbers of part "", nonlinearly on those of the other parts
+    # names of the fields of each part
     parts: ClassVar = {
         "": ("amplitude", "offset"),
         "angular_frequency": ("angular_frequency",),

@@ -24,7 +24,7 @@ from newton_euler.compiled.equations import CACHED_SCENES, CompiledEquations
 from newton_euler.compiled.formulations import check_formulation
 from newton_euler.compiled.interpreted import integrate
 from newton_euler.compiled.outputs import named
-from newton_euler.compiled.run import load
+from newton_euler.compiled.run import load_code
 from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import NearlyRedundant, inherit_mobility, mobility
@@ -134,7 +134,7 @@ def compile_scene(
     """
     check_formulation(formulation)
     compiled = CompiledScene(scene, formulation, stabilization, alpha, parameters)
-    load(compiled, "DOP853")
+    load_code(compiled, "DOP853")
     return compiled
 
 
@@ -180,7 +180,7 @@ class CompiledScene(CompiledEquations):
     def _run(self, options: Options) -> Trajectory:
         """Run the scene without warnings; see `newton_euler.simulate` for errors."""
         options.check_steps(self.scene.duration)
-        load(self, options.integrator)
+        load_code(self, options.integrator)
         x = self.start.copy()
         # at a singular configuration several branches of motion meet
         if joint := mobility(self.scene).between_branches:
@@ -234,7 +234,7 @@ def native_trajectory(
         wall_time: s.
         arrays: outputs by name, (n, ...) each; modified.
     """
-    arrays.pop("pivot_ratio", None)
+    arrays.pop("pivot_ratio", None)  # shows singular states while outputs are computed
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])
     arrays.pop("phi", None)  # runs without projection have these residuals even if they are not asked for
@@ -274,8 +274,9 @@ def _residuals(mechanism: Mechanism, states: Sequence[State], coupling_residuals
     Returns:
         (n, k), m or rad.
     """
+    # residuals of each joint between its first and second body, in all n states at once
     frames = stacked(states).frames()
-    phis = [e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations]
+    phis = [joint.phi(frames[joint.first], frames[joint.second]) for joint in mechanism.equations]
     return np.hstack(
         [unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupling_residuals)]
     )

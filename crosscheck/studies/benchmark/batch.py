@@ -115,7 +115,7 @@ class Engine(Protocol):
     delivers: str
 
     def ladders(self) -> Iterator[Ladder]:
-        """Yield a ladder for each method: its settings, from coarse to fine."""
+        """Yield a ladder for each method: its settings, numbered from coarse to fine."""
 
     def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
         """Simulate one run from each state, with the options of a setting, on a number of threads."""
@@ -294,8 +294,12 @@ def fastest_setting(
         longest = min((choice.seconds for choice in reaching), default=SAMPLE_TIME_LIMIT)
 
         def ends_search(n: int, ladder: Ladder = ladder, longest: float = longest) -> bool:
-            """Try setting n; return True if it is accurate enough or too slow, as all finer settings are."""
-            number = ladder.numbers[n - 1]
+            """Try the n-th setting that the ladder allows.
+
+            Returns:
+                True if the setting is accurate enough or too slow, as all finer settings are.
+            """
+            number = ladder.numbers[n - 1]  # a larger number has a smaller step or tolerance
             tried.append(_try_setting(engine, *ladder.setting(number), states, exact, error))
             return tried[-1].error <= error or tried[-1].seconds > longest
 
@@ -521,7 +525,7 @@ def parts(result: BatchBenchmark) -> list[Part]:
             ]
         )
     heads = number_columns("threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
-    table = Table("", [*text_columns("engine"), *heads], rows)
+    table = Table(title="", columns=[*text_columns("engine"), *heads], rows=rows)
     period = result.duration / (result.outputs - 1)
     lines = [
         f"runs of {result.duration:g} s from random states, {result.outputs} outputs {period:.3g} s apart; "
@@ -536,4 +540,4 @@ def parts(result: BatchBenchmark) -> list[Part]:
             made = f"{rate.setting} (error {rate.error:.1e}); delivers {rate.delivers}"
             lines.append(f"{rate.engine}: {made}{failed}")
     lines += [f"{name} is missing: {reason}" for name, reason in result.missing.items()]
-    return [table, Lines("", lines)]
+    return [table, Lines(title="", lines=lines)]

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from crosscheck.support.errors import CrosscheckError
 from newton_euler import compile_scene
 from newton_euler.compiled.formulations import FORMULATIONS
-from newton_euler.compiled.run import load
+from newton_euler.compiled.run import load_code
 from newton_euler.integrators.options import STABILIZATIONS, FormulationName, StabilizationName
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -203,9 +203,9 @@ def _load_newton_euler(scene: Scene, formulation: FormulationName, stabilization
     """Compile a scene with one formulation and stabilization of newton_euler."""
     compiled = compile_scene(scene, formulation=formulation, stabilization=stabilization)
     # compile before runs are timed; Euler needs all functions that DOP853 and RK4 need, and one more
-    load(compiled, "Euler")
+    load_code(compiled, "Euler")
     if (formulation, stabilization) == RADAU_VARIANT:
-        load(compiled, "Radau")
+        load_code(compiled, "Radau")
     ladders, interval = adaptive_ladders(formulation, stabilization), output_interval(scene)
     for integrator in ("RK4", "Euler"):
         method, numbers = f"{formulation}, {stabilization}, {integrator}", (1, 2, 5, 10, 20, 50)

@@ -81,7 +81,8 @@ class Fit:
         before: (p,) initial values of the parameters, those of the scene.
         scale: (p,) typical magnitudes of the parameters.
         units: (p,) units of the parameters.
-        noise: noise of the measurements.
+        noise: noise of the measurements. `noise.effective` (n,) has the standard deviations that divide the
+            residuals, SI: estimated, or given and enlarged if the scene does not explain the residuals.
         if_not_converged: message to use if `next_step` shows that the last fit has not converged.
     """
 
@@ -259,7 +260,10 @@ class Fit:
         return float(np.sqrt(np.mean(np.square(norms)))) if norms else 0.0
 
     def in_degrees(self, change: Array) -> tuple[str, ...]:
-        """Return the names of measured columns that fit as degrees instead of rad, after a change (p,)."""
+        """Return the names of measured columns that fit as degrees instead of rad, after a change (p,).
+
+        Columns whose numbers the scene explains as rad are not among them.
+        """
         residuals = self.residuals(change)
         suspected = self._degree_columns | self._evaluate.like_degrees(residuals)
         return tuple(sorted(suspected & self._evaluate.unexplained(residuals)))
@@ -288,14 +292,16 @@ def _scales(scene: Scene, names: Sequence[str]) -> tuple[Array, Array, tuple[str
     largest absolute value in the array. For a value of 0 it is the size of the mechanism, m, for a length,
     and 1 for other parameters.
     """
+    # the scene's own numbers are those before the fit
     before, units = own_numbers(scene, names), tuple(units_of(scene, names).values())
     initial = np.isin(names, list(initial_numbers(scene, names)))  # initial coordinates and rates of joints
     before[initial & (np.abs(before) < ROUND_OFF_CHANGE)] = 0.0
     scale = np.abs(before)
     for k, (name, unit) in enumerate(zip(names, units, strict=True)):
         if unit and not initial[k]:
+            # the scene's value of the whole attribute, such as a point, to which the number belongs
             (place,) = places(scene, [name]).values()
-            scale[k] = np.abs(own_value(scene, place.owner)).max()  # the whole array of the parameter
+            scale[k] = np.abs(own_value(scene, place.owner)).max()
         if scale[k] == 0.0:
             scale[k] = scene.mechanism.size if unit == "m" else 1.0
     return before, scale, units

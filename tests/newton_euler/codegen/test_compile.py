@@ -28,7 +28,7 @@ from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.translate import text
 from newton_euler.codegen.trigonometry import REGISTER_DOUBLES
 from newton_euler.compiled.equations import CompiledEquations
-from newton_euler.compiled.run import load, native_method
+from newton_euler.compiled.run import load_code, native_method
 from newton_euler.errors import OptionError
 
 
@@ -340,9 +340,9 @@ def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
 def test_another_integrator_is_compiled_before_its_run():
     native_method.cache_clear()
     code = CompiledEquations(pendulum())
-    load(code, "DOP853")
+    load_code(code, "DOP853")
     assert native_method.cache_info().currsize == 1
-    load(code, "RK4")  # which needs nothing else of this scene
+    load_code(code, "RK4")  # which needs nothing else of this scene
     assert native_method.cache_info().currsize == 2
 
 
