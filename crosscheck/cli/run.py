@@ -35,8 +35,8 @@ from crosscheck.support.errors import CrosscheckError
 if TYPE_CHECKING:
     from types import ModuleType
 
+    from crosscheck.compare.comparison import ComparisonResult
     from crosscheck.compare.crosscheck import Progress
-    from crosscheck.compare.result import ComparisonResult
     from crosscheck.compare.two_models.unsimulated import Model
     from crosscheck.logs.judge import Log
 

@@ -19,7 +19,7 @@ from crosscheck.compare.check import Check, require_finite
 from crosscheck.compare.coverage import Coverage, coverage
 from crosscheck.compare.levels import in_order, reading_checks, stages
 from crosscheck.compare.reference_values import ReferenceCheck, known_of, measure
-from crosscheck.compare.result import JUDGING, ComparisonResult, diagnosed, misread
+from crosscheck.compare.result import JUDGING, EngineComparison, diagnosed, misread
 from crosscheck.compare.runs import measure_run_errors
 from crosscheck.compare.singularity import SingularConfigurations, find_singular_configurations
 from crosscheck.compare.wording import verdict_of
@@ -53,7 +53,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Crosscheck(ComparisonResult):
+class Crosscheck(EngineComparison):
     """Result of a crosscheck: one scene in several engines."""
 
     @property
@@ -113,7 +113,6 @@ def crosscheck(
             left_out=left_out,
             trajectories={},
             checks=tuple(checks),
-            measured=(),
             wall_time=time.perf_counter() - start,
             mapping=mapping,
             notes=(MISREAD,),

@@ -1,8 +1,7 @@
-"""Result of a comparison: runs, checks, diagnosis, coverage and advice, and the outcome.
+"""Result of a comparison of engines: runs, checks, diagnosis, coverage and advice, and the outcome.
 
-A comparison simulates one scene (a mechanism with its forces, inputs and initial state) in several engines,
-or two models in one engine. `crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has
-the verdict in words, and `crosscheck.report` makes tables and pages of results.
+`crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has the verdict in words, and
+`crosscheck.report` makes tables and pages of results.
 
 The "own run" is the run of a model file in the file's engine (such as MuJoCo for an MJCF) with the time step
 and the solver settings of the file. The own run is judged separately, by its error.
@@ -10,7 +9,6 @@ and the solver settings of the file. The own run is judged separately, by its er
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -18,11 +16,11 @@ from typing import Any, Self
 
 from crosscheck.compare.advice import Advice
 from crosscheck.compare.check import READING, Check
+from crosscheck.compare.comparison import ComparisonResult, ModelFile
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.reference_values import ReferenceCheck
-from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.compare.singularity import SingularConfigurations
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop
@@ -31,36 +29,25 @@ from crosscheck.loading.load import non_default_options
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import AllowedError
 from crosscheck.own_run.judge import Judgement
-from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
 
 JUDGING = "judging the file's own run"
 """Stage that judges the run with the settings of the file; notes on its failure begin with this text."""
 
 
-@dataclass(frozen=True, eq=False)
-class ComparisonResult(ABC):
-    """Result of a comparison of engines, or of two models (then models take the place of engines).
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EngineComparison(ComparisonResult):
+    """Result of a comparison of engines; `crosscheck.compare.crosscheck.Crosscheck` adds the verdict.
 
     Attributes:
-        source: name or file that the scene was loaded from; empty if it was made in Python.
-        options: options of the scene or file that the user set.
-        scene: scene that was simulated.
-        engines: engines that can represent the scene, in the requested order.
         left_out: engines that cannot represent the scene, with the reason.
-        trajectories: run of each engine; partial if the engine stopped, missing if it has no run at all.
-        checks: all checks, except those against reference values.
         measured: checks against reference values, for scenes of the library that have some.
-        wall_time: total wall time, s.
         mapping: import report of the model file: how each element was imported. None for other scenes.
         advice: advice on redundant constraints, if it was requested.
-        unfinished: engines that stopped, and parts of the comparison that did not complete.
         coverage: elements of the scene that the runs test; None if trajectories were not compared, or if the
             analysis did not complete (then `notes` has the reason).
-        notes: one line for each additional analysis that did not complete.
         run_errors: error of each engine's run, m or rad, see `measure_run_errors`.
         singular: singular configurations of the first engine's run; None if there are none.
         own_run: judgement of the own run of the model file; None for scenes of this package and for files
@@ -69,20 +56,11 @@ class ComparisonResult(ABC):
         logs: judgements of logs (recorded motions of other simulators), by name.
     """
 
-    source: str
-    options: Mapping[str, str]
-    scene: Scene
-    engines: tuple[Engine, ...]
     left_out: dict[str, str]
-    trajectories: dict[str, Trajectory]
-    checks: tuple[Check, ...]
-    measured: tuple[ReferenceCheck, ...]
-    wall_time: float
+    measured: tuple[ReferenceCheck, ...] = ()
     mapping: ImportReport | None = None
     advice: tuple[Advice, ...] = ()
-    unfinished: tuple[Stop, ...] = ()
     coverage: Coverage | None = None
-    notes: tuple[str, ...] = ()
     run_errors: Mapping[str, float] = field(default_factory=dict)
     singular: SingularConfigurations | None = None
     own_run: Judgement | None = None
@@ -95,14 +73,14 @@ class ComparisonResult(ABC):
         return titled(self.scene.name, non_default_options(self.options))
 
     @property
-    def nothing_moves(self) -> bool:
-        """True if nothing moves in the runs, so that checks of runs test nothing."""
-        return nothing_moves_in_rigid_runs(self.scene, self.engines, self.trajectories)
+    def files(self) -> tuple[ModelFile, ...]:
+        """The model file; empty for other scenes."""
+        return (ModelFile("the file", "", self.scene, self.mapping),) if self.mapping else ()
 
     @property
     def differs(self) -> bool:
-        """True if any check exceeds its tolerance."""
-        return not all(check.agrees for check in (*self.checks, *self.measured))
+        """True if any check exceeds its tolerance, those against reference values included."""
+        return super().differs or not all(check.agrees for check in self.measured)
 
     @property
     def outcome(self) -> Outcome:
@@ -122,11 +100,6 @@ class ComparisonResult(ABC):
         if self.untested:
             return Outcome.AGREE_AT_RANDOM_STATES_ONLY
         return Outcome.AGREE
-
-    @property
-    def agrees(self) -> bool:
-        """True for the outcome AGREE only: all checks passed, and all elements that act were simulated."""
-        return self.outcome is Outcome.AGREE
 
     @property
     def exceeded(self) -> list[AllowedError]:
@@ -191,33 +164,12 @@ class ComparisonResult(ABC):
         references_agree = all(check.agrees for check in self.measured)
         return len(self.engines) == 1 and pairs_agree and references_agree
 
-    @property
-    @abstractmethod
-    def verdict(self) -> str:
-        """Verdict in one line."""
-
-    @property
-    def judged(self) -> tuple[Check, ...]:
-        """Checks that decide the outcome; the verdict states their number."""
-        return tuple(check for check in self.checks if check.judged)
-
     def summary(self) -> dict[str, Any]:
-        """All checks, versions, settings and wall times, for JSON."""
-        packages = sorted({"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)})
-        return {
-            "scene": self.scene.name,
-            "source": self.source,
-            "options": dict(self.options),
-            "agrees": self.agrees,
-            "outcome": self.outcome.value,
+        """All checks, versions, settings, wall times and judgements, for JSON."""
+        return super().summary() | {
             "not_simulated": [asdict(entry) for entry in self.acting],
             "as_in_the_file_until": self.until,
-            "verdict": self.verdict,
-            "wall_time": self.wall_time,
-            "versions": versions(packages),
             "diagnosis": [diagnosis.summary() for diagnosis in self.diagnosis],
-            "unfinished": [asdict(stop) for stop in self.unfinished],
-            "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
             "left_out": self.left_out,
             "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
             "findings": [asdict(each) for each in self.mapping.findings] if self.mapping else None,
@@ -226,11 +178,9 @@ class ComparisonResult(ABC):
             "changed_velocities": asdict(changed)
             if self.mapping and (changed := self.mapping.changed_velocities)
             else None,
-            "checks": [asdict(check) | {"agrees": check.agrees} for check in self.checks],
             "known_values": [check.summary() for check in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
-            "notes": list(self.notes),
             "singular": asdict(self.singular) if self.singular else None,
             "own_run": self.own_run.summary() if self.own_run else None,
             "logs": {name: judgement.summary() for name, judgement in self.logs.items()},
@@ -242,10 +192,7 @@ class ComparisonResult(ABC):
 
     def _run_summary(self, name: str) -> dict[str, Any]:
         """Return settings, wall time and error of an engine's run, for JSON."""
-        if name not in self.trajectories:
-            return {"settings": {}, "wall_time": None, "error": None}
-        run = self.trajectories[name]
-        return {"settings": run.settings, "wall_time": run.wall_time, "error": self.run_errors.get(name)}
+        return super()._run_summary(name) | {"error": self.run_errors.get(name)}
 
 
 def diagnosed(
@@ -255,7 +202,7 @@ def diagnosed(
     measured: Sequence[ReferenceCheck],
     stops: Sequence[Stop],
 ) -> tuple[Diagnosis, ...]:
-    """Make the diagnosis, see `ComparisonResult.diagnosis`; the other arguments are attributes of the result.
+    """Make the diagnosis, see `EngineComparison.diagnosis`; the other arguments are attributes of the result.
 
     Soft constraints do not explain differences of an engine that stopped.
     """

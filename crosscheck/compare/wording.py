@@ -11,12 +11,12 @@ from dataclasses import replace
 from crosscheck.compare.activity import reduction
 from crosscheck.compare.check import not_judged
 from crosscheck.compare.outcome import Outcome
-from crosscheck.compare.result import ComparisonResult
+from crosscheck.compare.result import EngineComparison
 from crosscheck.engines.engine_runs import stops_text
 from crosscheck.own_run.allowed import exceeded_text
 
 
-def verdict_of(result: ComparisonResult) -> str:
+def verdict_of(result: EngineComparison) -> str:
     """Format the verdict in one line: agreement, or the outlier with the first failing check; then the
     engines and parts of the comparison that are missing."""
     if result.outcome is Outcome.INACCURATE and result.own_run:
@@ -40,7 +40,7 @@ def verdict_of(result: ComparisonResult) -> str:
     return f"{word}: {text}"
 
 
-def _judgment(result: ComparisonResult) -> tuple[str, str]:
+def _judgment(result: EngineComparison) -> tuple[str, str]:
     """Format outcome and text of the verdict, without left-out engines and stopped parts."""
     names = ", ".join(engine.name for engine in result.engines)
     # A single engine
@@ -68,7 +68,7 @@ def _judgment(result: ComparisonResult) -> tuple[str, str]:
     return f"AGREE{_engine_count(result)}" if of_some_engines else result.outcome, agree
 
 
-def _own_checks(result: ComparisonResult) -> str:
+def _own_checks(result: EngineComparison) -> str:
     """Format whether the checks of a single engine (such as its energy balance) pass."""
     failed = next((check for check in result.checks if not check.agrees), None)
     if failed is None:
@@ -79,7 +79,7 @@ def _own_checks(result: ComparisonResult) -> str:
     )
 
 
-def _qualifications(result: ComparisonResult) -> str:
+def _qualifications(result: EngineComparison) -> str:
     """Format qualifications of an agreement: reference values, checks that are not judged, coverage, and
     elements of the file that are not simulated."""
     text = f", and the reference in all {len(result.measured)}" if result.measured else ""
@@ -98,7 +98,7 @@ def _qualifications(result: ComparisonResult) -> str:
     return text
 
 
-def _failed_checks(result: ComparisonResult) -> str:
+def _failed_checks(result: EngineComparison) -> str:
     """Format the number of failing checks, or of failing reference values if all checks pass."""
     failed = sum(not check.agrees for check in result.checks)
     if failed:
@@ -107,13 +107,13 @@ def _failed_checks(result: ComparisonResult) -> str:
     return f"{failed_references} of {len(result.measured)} reference values fail"
 
 
-def _engine_count(result: ComparisonResult) -> str:
+def _engine_count(result: EngineComparison) -> str:
     """Format the number of compared engines; empty if no engine is left out."""
     count = len(result.engines)
     return f" ({count} of {count + len(result.left_out)} engines)" if result.left_out else ""
 
 
-def _reduction(result: ComparisonResult) -> str:
+def _reduction(result: EngineComparison) -> str:
     """Format the elements that act and are not simulated, with the time of the first; empty if none act."""
     if result.acting:
         return reduction(result.acting)

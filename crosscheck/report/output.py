@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from crosscheck.compare.check import LEVELS_OF_RUNS, Check
-from crosscheck.compare.result import ComparisonResult
+from crosscheck.compare.comparison import ComparisonResult
+from crosscheck.compare.result import EngineComparison
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
@@ -104,7 +105,8 @@ def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
         tolerances,
         moments,
         directions,
-        result.own_run,  # judgement of the model file's run with its own settings, or None
+        # judgement of the model file's run with its own settings
+        result.own_run if isinstance(result, EngineComparison) else None,
     )
 
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from crosscheck.compare.activity import acted
 from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
+from crosscheck.compare.comparison import ComparisonResult
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.reference_values import ReferenceCheck
-from crosscheck.compare.result import ComparisonResult
+from crosscheck.compare.result import EngineComparison
 from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
-from crosscheck.compare.two_models.compare import TwoModelComparison
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
 from crosscheck.report.summary import judged_runs, summary
@@ -26,6 +26,7 @@ from crosscheck.report.table import (
     Cell,
     Column,
     Lines,
+    Part,
     Report,
     Rows,
     Table,
@@ -64,15 +65,17 @@ IMPLICIT = ("Radau", "implicitfast")
 
 
 def report(result: ComparisonResult) -> Report:
-    """Make the report of a crosscheck: a full one, and a summary that the terminal shows."""
+    """Make the report of a comparison: a full one, and a summary that the terminal shows."""
     limits, other_notes = list(verdict_limits(result)), list(notes(result))
-    parts = [*judged_runs(result), *tables(result)]
-    parts.append(Lines("", [*limits, *other_notes, *(f"advice, {advice}" for advice in result.advice)]))
+    engines = result if isinstance(result, EngineComparison) else None
+    advice = [f"advice, {advice}" for advice in engines.advice] if engines else []
+    parts: list[Part] = [*judged_runs(result), *tables(result)]
+    parts.append(Lines("", [*limits, *other_notes, *advice]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))
-    if result.coverage and result.coverage.untested:
-        parts.append(_untested_table(result.coverage))
-    for title, mapping in _import_reports(result):
-        parts.append(Lines(f"carried over from {title}", list(report_lines(mapping)), folded=True))
+    if engines and engines.coverage and engines.coverage.untested:
+        parts.append(_untested_table(engines.coverage))
+    for file in result.files:
+        parts.append(Lines(f"carried over from {file.title}", list(report_lines(file.mapping)), folded=True))
     names = ("scene", "source", "options", "models", "left_out", "versions")
     values = result.summary()
     shown = {name: values[name] for name in names if values.get(name)}
@@ -85,14 +88,6 @@ def report(result: ComparisonResult) -> Report:
         wall_time=result.wall_time,
         summary=summary(result, limits, other_notes),
     )
-
-
-def _import_reports(result: ComparisonResult) -> Iterator[tuple[str, ImportReport]]:
-    """Yield a title ("the file") and the import report of each model file."""
-    models = result.models if isinstance(result, TwoModelComparison) else []
-    if result.mapping and not models:
-        yield "the file", result.mapping
-    yield from ((f"the file of {model.name}", model.mapping) for model in models if model.mapping)
 
 
 def outcome_cell(result: ComparisonResult) -> Cell:
@@ -132,7 +127,7 @@ def tables(result: ComparisonResult) -> Iterator[Table]:
         checks = [check for check in result.checks if _kind_of(check, engines) == kind]
         if checks:
             yield _checks_table(title, checks)
-    if result.measured:
+    if isinstance(result, EngineComparison) and result.measured:
         yield _reference_table(result.measured)
     failed = [check for check in result.checks if not check.agrees]
     if len(failed) > 1:
@@ -218,31 +213,30 @@ def verdict_limits(result: ComparisonResult) -> Iterator[str]:
     They report analyses that did not complete, likely mistakes in the file, a start that differs from the
     file's, and elements that would have acted in the run but are not simulated.
     """
+    engines = result if isinstance(result, EngineComparison) else None
     yield from result.notes
-    if result.singular:
-        yield str(result.singular)
-    for _, import_report in _import_reports(result):
-        yield from (f"finding, {finding}" for finding in import_report.findings)
-    if isinstance(result, TwoModelComparison):
-        for model in result.models:
-            lines = moved_start_lines(model.mapping, model.scene) if model.mapping else ()
-            yield from (f"{model.name}: {line}" for line in lines)
-        return
-    mapping = result.mapping
-    if mapping is None:
-        return
-    yield from moved_start_lines(mapping, result.scene)
+    if engines and engines.singular:
+        yield str(engines.singular)
+    for file in result.files:
+        yield from (f"finding, {finding}" for finding in file.mapping.findings)
+    for file in result.files:
+        yield from (f"{file.label}{line}" for line in moved_start_lines(file.mapping, file.scene))
+    if engines and engines.mapping:
+        yield from _reduction_lines(engines.mapping)
+
+
+def _reduction_lines(mapping: ImportReport) -> Iterator[str]:
+    """Yield sentences on elements of the file that are not simulated and act, or may act."""
     acting = mapping.acting
     # `how`: reason why the element is left out; `seen`: observation in the run
     for entry in acting[:MAX_ACTING_LINES]:
         yield f"active, and left out: {entry.element}: {'; '.join(filter(None, [entry.seen, entry.how]))}"
     if more := [acted(entry) for entry in acting[MAX_ACTING_LINES:]]:
         yield f"active, and left out, too: {_name_list(more)}"
-    # `until`: time at which the first of these elements acts. Excitation: start velocities and sines for
-    # actuators, which the reader adds to a file at rest
-    if result.until and mapping.excitation:
+    # Excitation: start velocities and sines for actuators, which the reader adds to a file at rest
+    if acting and acting[0].since and mapping.excitation:
         yield (
-            f"the excitation may be the cause of what acts from {result.until:.4g} s on; "
+            f"the excitation may be the cause of what acts from {acting[0].since:.4g} s on; "
             "--set excitation=off runs the file without it"
         )
     if unknown := [entry for entry in mapping.entries if not entry.examined]:
@@ -275,29 +269,31 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
 
 def notes(result: ComparisonResult) -> Iterator[str]:
     """Yield further sentences on a crosscheck that do not limit its verdict, the most important first."""
-    mapping, scene = result.mapping, result.scene
+    scene = result.scene
     if result.nothing_moves:
         yield _rest_line(result)
     yield from redundancy_lines(scene)
     # impossible inertias; those of a model file are findings, which `verdict_limits` reports with numbers
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
-    if impossible and mapping is None:
+    if impossible and not result.files:
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
 
     # what was not compared or tested
     yield from not_compared(result.checks)
-    untested = result.coverage.untested if result.coverage else ()
+    covered = result.coverage if isinstance(result, EngineComparison) else None
+    untested = covered.untested if covered else ()
     for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):
         if names := [covered.element for covered in untested if covered.shared == shared]:
             listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
             yield f"untested {why}: {_name_list(names)}{listed}"
 
     # the model file, and the start
-    for title, import_report in _import_reports(result):
-        yield f"{title}: {fates_line(import_report)}"  # numbers of elements imported exactly, left out ...
+    for title, _, _, mapping in result.files:
+        yield f"{title}: {fates_line(mapping)}"  # numbers of elements imported exactly, left out ...
         # lines about the initial state, the one about the excitation first
-        yield from sorted(import_report.start, key=lambda line: line != import_report.excitation)
+        excitation = [line for line in mapping.start if line == mapping.excitation]
+        yield from [*excitation, *(line for line in mapping.start if line not in excitation)]
     yield from undetermined_lines(scene)
 
     # stiffness: why an engine chose an implicit integrator
@@ -309,9 +305,9 @@ def notes(result: ComparisonResult) -> Iterator[str]:
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"
         yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
 
-    if mapping and result.trajectories:
+    if result.files and result.trajectories:
         yield _start_line(result)
-        yield from _inactive_lines(mapping)
+        yield from (f"{file.label}{line}" for file in result.files for line in _inactive_lines(file.mapping))
 
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:

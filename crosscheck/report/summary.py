@@ -20,7 +20,8 @@ from crosscheck.compare.check import (
     START,
     Check,
 )
-from crosscheck.compare.result import ComparisonResult
+from crosscheck.compare.comparison import ComparisonResult
+from crosscheck.compare.result import EngineComparison
 from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, number_columns, seconds
@@ -37,20 +38,22 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
         limits: sentences that limit the verdict, all of which are shown.
         notes: further sentences, of which the first are shown.
     """
-    parts = [*judged_runs(result), levels_table(result)]
+    parts: list[Part] = [*judged_runs(result), levels_table(result)]
     if result.trajectories:
         parts.append(engines_table(result))
     max_notes = MAX_NOTES_IF_FAILING if result.unfinished or result.differs else MAX_NOTES
     lines = [*limits, *notes[: max(0, max_notes - len(limits))]]
     if lines:
         parts.append(Lines("", lines))
-    if result.advice:
+    if isinstance(result, EngineComparison) and result.advice:
         parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
     return parts
 
 
 def judged_runs(result: ComparisonResult) -> list[Part]:
     """Format the judgements of other simulators' logs, and of the run with the settings of the model file."""
+    if not isinstance(result, EngineComparison):
+        return []
     parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
     if result.own_run:
         excitation = result.mapping.excitation if result.mapping else ""
@@ -61,7 +64,7 @@ def judged_runs(result: ComparisonResult) -> list[Part]:
 def judged_checks(result: ComparisonResult) -> list[Check]:
     """Return all checks that are judged, including those against reference values."""
     checks = [check for check in result.checks if check.judged]
-    for each in result.measured:
+    for each in result.measured if isinstance(result, EngineComparison) else ():
         where = f"{each.known.time:g} s"  # without the engine
         quantity = each.known.quantity
         checks.append(Check(REFERENCE, quantity, (each.engine,), each.value, each.tolerance, where))
@@ -130,17 +133,18 @@ def nearest(checks: Sequence[Check]) -> Cell:
 def engines_table(result: ComparisonResult) -> Table:
     """Make a table with a row per engine: run time, error and settings, or the time at which it stopped."""
     stopped = {stop.what: stop for stop in result.unfinished}
+    errors = result.run_errors if isinstance(result, EngineComparison) else {}
     rows: Rows = []
     for engine in result.engines:
         run, stop = result.trajectories.get(engine.name), stopped.get(engine.name)
-        error = f"{result.run_errors[engine.name]:.1e}" if engine.name in result.run_errors else ""
+        error = f"{errors[engine.name]:.1e}" if engine.name in errors else ""
         settings = brief_settings(run.settings) if run else ""
         when = "" if stop is None or stop.time is None else f" at {stop.time:.3g} s"
         settings_or_stop = Cell(f"STOPPED{when}", "fails") if stop else settings
         run_time = seconds(run.wall_time) if run else ""
-        rows.append([engine.name, run_time, *([error] if result.run_errors else []), settings_or_stop])
+        rows.append([engine.name, run_time, *([error] if errors else []), settings_or_stop])
     headings = [Column(f"{result.scene.duration:g} s of motion"), *number_columns("run time")]
-    headings += number_columns("error") if result.run_errors else []
+    headings += number_columns("error") if errors else []
     return Table("", [*headings, Column("settings", below=True)], rows)
 
 

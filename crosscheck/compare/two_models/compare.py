@@ -10,18 +10,17 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from crosscheck.compare.check import Check, not_judged, require_finite
+from crosscheck.compare.comparison import ComparisonResult, ModelFile
 from crosscheck.compare.crosscheck import Progress
-from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.levels import compare_pair
 from crosscheck.compare.outcome import Outcome
-from crosscheck.compare.result import ComparisonResult
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples
 from crosscheck.compare.two_models.align import Aligned, alignments
@@ -51,7 +50,7 @@ NOT_COMPLETED = "not run to the end"
 """Text of the verdict on a run that stopped."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TwoModelComparison(ComparisonResult):
     """Result of a comparison of two models.
 
@@ -64,13 +63,22 @@ class TwoModelComparison(ComparisonResult):
         notes: also how bodies and joints were paired, and all differences in `unsimulated`.
     """
 
-    models: tuple[Model, Model] = field(kw_only=True)
+    models: tuple[Model, Model]
     unsimulated: tuple[Unsimulated, ...] = ()
 
     @property
     def title(self) -> str:
         """Names of both models, with the options that the user set."""
         return " against ".join(model.title for model in self.models)
+
+    @property
+    def files(self) -> tuple[ModelFile, ...]:
+        """The files of the models that were read from files."""
+        return tuple(
+            ModelFile(f"the file of {model.name}", f"{model.name}: ", model.scene, model.mapping)
+            for model in self.models
+            if model.mapping
+        )
 
     @property
     def differs(self) -> bool:
@@ -85,19 +93,9 @@ class TwoModelComparison(ComparisonResult):
         return Outcome.UNFINISHED if self.unfinished else Outcome.SAME
 
     @property
-    def agrees(self) -> bool:
-        """True if the models are the same: the comparison was completed and no difference was found."""
-        return self.outcome is Outcome.SAME
-
-    @cached_property
-    def diagnosis(self) -> tuple[Diagnosis, ...]:
-        """Empty: if two models differ, neither of them is known to be wrong."""
-        return ()
-
-    @property
     def verdict(self) -> str:
         """Verdict in one line: the models are the same, or the first level and place at which they differ."""
-        judged = [row for row in self.checks if row.judged]
+        judged = self.judged
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
         ending = f"; {NOT_COMPLETED}" if self.unfinished else ""
@@ -195,12 +193,9 @@ def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelC
         options=first.options,
         scene=scene,
         engines=tuple(engines),
-        left_out={},
         trajectories=runs,
         checks=tuple(rows),
-        measured=(),
         wall_time=time.perf_counter() - start,
-        mapping=first.mapping,
         unfinished=tuple(stops),
         models=(first, second),
         unsimulated=others,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from support.results import crosscheck_of
 
 from crosscheck.compare.check import Check
 from crosscheck.compare.reference_values import ReferenceCheck
@@ -10,17 +10,10 @@ from crosscheck.library.references import ReferenceValue
 from crosscheck.report.run import tables
 
 
-def result(rows=(), measured=()):
-    """What tables are made of."""
-    engines = [SimpleNamespace(name=name) for name in ("newton_euler", "mujoco")]
-    scene = SimpleNamespace(description="a bar on a hinge")
-    return SimpleNamespace(checks=rows, measured=measured, engines=engines, scene=scene, title="pendulum")
-
-
 def test_known_figures_stand_beside_what_was_found():
     known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
     measured = [ReferenceCheck.of(name, known, 0.25 + off, 1e-8) for name, off in (("a", 1e-9), ("b", 0.5))]
-    (table,) = tables(result(measured=measured))
+    (table,) = tables(crosscheck_of(measured=measured))
     assert [column.heading.replace("\n", " ") for column in table.columns] == [
         "",
         "value, a",
@@ -40,7 +33,9 @@ def test_a_figure_stands_under_the_engines_that_it_is_of():
         return Check("model", "mass, rel", between, value, 1e-12, "rod")
 
     pair = figure(("newton_euler", "mujoco"), 1e-3)
-    found = tables(result(rows=[pair, figure(("mujoco",), 2e-13), figure(("relative", "cartesian"), 3e-13)]))
+    found = tables(
+        crosscheck_of([pair, figure(("mujoco",), 2e-13), figure(("relative", "cartesian"), 3e-13)])
+    )
     placed = {}
     for table in found:
         for _, (quantity, *cells) in table.sections():

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from command_line import run
+from support.results import crosscheck_of
 
 from crosscheck.compare.check import FILE, REFERENCE, Check
 from crosscheck.compare.reference_values import ReferenceCheck
@@ -23,23 +24,6 @@ from crosscheck.report.summary import (
 )
 
 LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
-
-
-def result(rows=(), **more):
-    """The parts of a crosscheck that its summary is made of."""
-    engines = [SimpleNamespace(name=name) for name in ("newton_euler", "mujoco", "pinocchio")]
-    scene = SimpleNamespace(description="a bar on a hinge", duration=2.0)
-    nothing = {
-        "measured": (),
-        "trajectories": {},
-        "unfinished": (),
-        "run_errors": {},
-        "advice": (),
-        "differs": False,
-        "own_run": None,
-        "logs": {},
-    }
-    return SimpleNamespace(checks=rows, engines=engines, scene=scene, **nothing | more)
 
 
 def figure(level, between, value, tolerance=1e-6, quantity="mass, rel", where="rod"):
@@ -60,7 +44,7 @@ def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance(
         figure("drift", ("newton_euler",), 1e-7),
         figure("drift", ("mujoco",), 4e-3, quantity="constraint violation, m or rad", where="pin at 1 s"),
     ]
-    assert cells(levels_table(result(rows))) == {
+    assert cells(levels_table(crosscheck_of(rows))) == {
         "model": ["5 ok", "2.0e-08", "3.0e-09", "50 % rocker, mass"],
         "drift": ["1/2 FAIL", "4.0e-03", "", "4000 x pin, 1 s"],
     }
@@ -71,7 +55,7 @@ def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
     known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
     measured = [ReferenceCheck.of("mujoco", known, 0.25 + 2e-9, 1e-8)]
     found = cells(
-        levels_table(result([informs, figure("reading", ("mujoco", FILE), 0.0)], measured=measured))
+        levels_table(crosscheck_of([informs, figure("reading", ("mujoco", FILE), 0.0)], measured=measured))
     )
     assert found["reading"] == ["1 ok", "0.0e+00", "", "<1 % rod, mass"]
     assert found[REFERENCE][:2] == ["1 ok", "2.0e-09"]
@@ -91,7 +75,7 @@ def test_engines_have_their_time_their_error_and_when_they_stopped():
         "mujoco": SimpleNamespace(settings=settings, wall_time=1.5),
     }
     stopped = (Stop("pinocchio", "integration stopped", 0.25),)
-    table = engines_table(result(trajectories=runs, unfinished=stopped, run_errors={"mujoco": 7e-8}))
+    table = engines_table(crosscheck_of(trajectories=runs, unfinished=stopped, run_errors={"mujoco": 7e-8}))
     assert cells(table) == {
         "newton_euler": ["2.5 ms", "", "DOP853 rtol 1e-10, projection, relative"],
         "mujoco": ["1.5 s", "7.0e-08", "RK4 1 ms, solref 0.002 s"],
@@ -104,22 +88,21 @@ def test_few_notes_are_shown_each_whole(monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     notes = [f"{letter * 40} {letter * 30}" for letter in "abcdef"]
     rows = [figure("model", ("newton_euler", "mujoco"), 0.0)]
-    shown = terminal(summary(result(rows), [], notes)).splitlines()
+    shown = terminal(summary(crosscheck_of(rows), [], notes)).splitlines()
     lines = [line for letter in "abcdef"[:MAX_NOTES] for line in (letter * 40, f"  {letter * 30}")]
     assert shown[-2 * MAX_NOTES :] == lines
-    failing = terminal(
-        summary(result([figure("model", ("newton_euler", "mujoco"), 1.0)], differs=True), [], notes)
-    )
+    failing = terminal(summary(crosscheck_of([figure("model", ("newton_euler", "mujoco"), 1.0)]), [], notes))
     assert failing.count("a" * 40) == MAX_NOTES_IF_FAILING == 1
     assert "b" * 40 not in failing
 
 
 def test_what_limits_the_verdict_is_never_cut():
     limits, notes = [letter * 40 for letter in "abcde"], ["f" * 40, "g" * 40]
-    shown = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), limits, notes))
+    agreeing = crosscheck_of([figure("model", ("newton_euler", "mujoco"), 0.0)])
+    shown = terminal(summary(agreeing, limits, notes))
     assert all(line in shown for line in limits)
     assert not any(line in shown for line in notes)
-    few = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), limits[:2], notes))
+    few = terminal(summary(agreeing, limits[:2], notes))
     assert [line in few for line in notes] == [True, False]
 
 
