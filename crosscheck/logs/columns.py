@@ -154,7 +154,7 @@ def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> Lo
         row = int(backward[0])
         problem = f"column {quoted(time_names)}: {time[row + 1]:.9g} s after {time[row]:.9g} s"
         needed = "ascending times; sort the rows, or remove repeated rows and all runs but one"
-        raise table.error(f"{problem} (row {row + 2} of {len(time)}); needed: {needed}")
+        raise table.error(f"{problem}, in {table.row(np.flatnonzero(complete)[row + 1])}; needed: {needed}")
     reader = _Reader(table, complete, options, found)
     data = LogData(
         table.where,
@@ -277,7 +277,8 @@ class _Reader:
         norms = np.linalg.norm(numbers, axis=1)
         row = int(np.argmax(np.abs(norms - 1.0)))
         if abs(norms[row] - 1.0) > MAX_NORM_ERROR:
-            problem = f"columns {', '.join(map(quoted, names))} have norm {norms[row]:.3g} in row {row + 1}"
+            where = self._table.row(np.flatnonzero(self._rows)[row])  # the log may have incomplete rows
+            problem = f"columns {', '.join(map(quoted, names))} have norm {norms[row]:.3g} in {where}"
             raise self._table.error(f"{problem}; needed: quaternions of norm 1")
         numbers = numbers / norms[:, None]
         return Measured(continuous(numbers, numbers[0]), tuple(names))

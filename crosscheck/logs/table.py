@@ -41,11 +41,17 @@ class LogTable:
         where: file, or name of the run, for messages.
         columns: numbers (n,) by name of the column; NaN for empty cells.
         texts: for each column with cells that are no numbers, the first such cell with its row.
+        lines: line of each row in a CSV file; empty for other logs, whose rows are counted from 0.
     """
 
     where: str
     columns: dict[str, Array]
     texts: dict[str, str]
+    lines: tuple[int, ...] = ()
+
+    def row(self, index: int) -> str:
+        """Return the name of a row in messages: "line 7" of a CSV file, else "row 5"."""
+        return f"line {self.lines[index]}" if self.lines else f"row {index}"
 
     def error(self, problem: str) -> SourceError:
         """Return the error for this log."""
@@ -89,7 +95,7 @@ def _read_csv(where: str) -> LogTable:
         columns[name], bad = _numbers(cells_of_column)
         if bad is not None:
             texts[name] = f"line {lines[bad]}: {cells_of_column[bad]!r:.60}"
-    return LogTable(where, columns, texts)
+    return LogTable(where, columns, texts, tuple(lines))
 
 
 def _read_parquet(where: str) -> LogTable:

@@ -90,7 +90,7 @@ def combine_motions(
     rotational = [part for part in row if part.kind != "slide"]
     hinges = [part for part in rotational if part.kind == "hinge"]
     for first in hinges:
-        parallel = [part.name for part in hinges if _are_parallel(first.axis, part.axis)]
+        parallel = [part.name for part in hinges if are_parallel(first.axis, part.axis)]
         if len(parallel) > 2:
             problem = f"has {len(parallel)} parallel hinges with no mass between them: {', '.join(parallel)}"
             needed = "at most two, or mass and inertia of the links between them"
@@ -118,7 +118,7 @@ def combine_motions(
         case ["hinge", "hinge"] if meeting is not None and abs(axes[0] @ axes[1]) < ALIGNMENT_TOLERANCE:
             a, b = axes
             joint = Universal(name, *ends, point, axis_on_first=a, axis_on_second=b, actuated=actuated)
-        case ["hinge", "hinge"] if _are_parallel(axes[0], axes[1]) and meeting is None:
+        case ["hinge", "hinge"] if are_parallel(axes[0], axes[1]) and meeting is None:
             joint = ParallelHinges(
                 name,
                 *ends,
@@ -144,7 +144,7 @@ def combine_motions(
     return joint, coordinates
 
 
-def _are_parallel(first: Array, second: Array) -> bool:
+def are_parallel(first: Array, second: Array) -> bool:
     """Return True if two unit axes (3,) are parallel within `ALIGNMENT_TOLERANCE`; their signs may differ."""
     return bool(np.linalg.norm(np.cross(first, second)) < ALIGNMENT_TOLERANCE)
 

@@ -75,7 +75,7 @@ def initial_names(scene: Scene) -> list[str]:
 def _is_element(scene: Scene, name: str) -> bool:
     """Return True if a name begins with the name of an element, such as a body that is called `start`."""
     mechanism = scene.mechanism
-    named = (*mechanism.body_names, *mechanism.joint_names, *(force.where for force in scene.forces))
+    named = (*mechanism.body_names, *mechanism.joint_names, *(force.prefix for force in scene.forces))
     return any(name.startswith(f"{element}.") for element in named)
 
 

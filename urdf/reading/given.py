@@ -202,7 +202,8 @@ class Given:
             speed = float(model.upperVelocityLimit[joint.idx_v])
             if max(abs(low), abs(high)) < MAX_FINITE_LIMIT:
                 limits = JointLimits(low, high, speed if speed < MAX_FINITE_LIMIT else np.inf)
-        is_slide = joint.shortname().startswith("JointModelP")  # prismatic
+        # prismatic; only limits have the unit, and JointModelPlanar has none
+        is_slide = joint.shortname().startswith("JointModelP")
         unit = "m" if is_slide else "rad"
         return JointProperties(name, damping, friction, armature, limits, unit, rotor=rotor)
 

@@ -20,6 +20,7 @@ from newton_euler.arguments import checked
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joint import Joint, perpendicular_pair
+from newton_euler.model.joint_parts import are_parallel
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
 from newton_euler.model.trajectory import Trajectory
@@ -267,7 +268,7 @@ def _axes(scene: Scene, joint: Joint, run: Trajectory) -> Floats | None:
     axes = [motion.axis for motion in joint.motions if motion.kind != "ball"]
     if joint.axis_names == ("axis",):
         axes = [getattr(joint, "axis")]  # noqa: B009 (kinds with one axis)
-    if not axes or any(np.linalg.norm(np.cross(axes[0], axis)) > 0.0 for axis in axes):
+    if not axes or not all(are_parallel(axes[0], axis) for axis in axes):
         return None
     # columns u, w and axis: world frame at the initial pose, then frame of the first body, then world frame
     first = scene.mechanism.body_index(joint.first)

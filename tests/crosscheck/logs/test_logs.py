@@ -223,7 +223,7 @@ BROKEN = {
     "time": (lambda j, b: {n: c for n, c in j.items() if n != "time"}, "no column of times"),
     "order of rows": (
         lambda j, b: {n: np.concatenate([c, c]) for n, c in j.items()},
-        "'time': 0 s after 0.5 s",
+        "'time': 0 s after 0.5 s, in row 101;",
     ),
     "unknown": (lambda j, b: {"time": j["time"], "x": j["motor"]}, "no column is a joint coordinate"),
     "empty": (lambda j, b: j | {"motor": np.nan * j["motor"]}, "'motor' has 0 numbers in 101 rows"),
@@ -241,6 +241,14 @@ def test_a_log_that_cannot_be_read_gets_one_line(four_bar, damage):
         judged(four_bar, change(four_bar[3], four_bar[4]))
     assert words in str(error.value)
     assert str(error.value).startswith("isaac: ")
+
+
+def test_a_row_is_named_by_its_place_in_the_log_beside_incomplete_rows(four_bar, tmp_path):
+    rows = [f"{k},{'' if k in (1, 4) else 0.5 * k}" for k in range(8)]
+    rows[6] = "2,3.0"  # its time comes a second time; the header is line 1
+    (tmp_path / "log.csv").write_text("\n".join(["time,motor", *rows]))
+    with pytest.raises(SourceError, match="'time': 2 s after 5 s, in line 8;"):
+        judged(four_bar, str(tmp_path / "log.csv"))
 
 
 def test_bodies_that_columns_do_not_determine_are_named(four_bar):

@@ -9,7 +9,7 @@ import pytest
 from mechanisms import planar_four_bar, slider_tree
 
 from crosscheck.library import load
-from newton_euler import simulate, simulate_batch, start, with_parameters
+from newton_euler import Wrench, simulate, simulate_batch, start, with_parameters
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.motions import PrescribedMotion
@@ -173,6 +173,13 @@ def test_initial_coordinates_are_checked(crank, name, error, message):
     with pytest.raises(error) as caught:
         simulate_batch(crank, parameters={name: [0.0]})
     assert message in str(caught.value)
+
+
+def test_a_force_may_be_called_start(crank):
+    """Names of its numbers begin like those of initial coordinates."""
+    body = crank.mechanism.bodies[1].name
+    scene = replace(crank, forces=(Wrench("start", body, [0.0, 0.0, 0.0], force=[1.0, 0.0, 0.0]),))
+    assert initial_numbers(scene, ["start.force", "start.pivot"]) == {"start.pivot": (("pivot", 0), 0)}
 
 
 def test_all_coordinates_and_rates_of_a_motion_are_a_start():

@@ -13,7 +13,7 @@ import newton_euler
 import urdf
 from crosscheck.library import SCENES, load
 from mjcf.rigid import RigidMuJoCo
-from newton_euler import PD, load_envelope, rest_case, statics
+from newton_euler import PD, Compound, Mechanism, load_envelope, rest_case, statics
 from newton_euler.analysis.loads.envelope import Load, joint_loads
 from newton_euler.equations.system import at_time
 from newton_euler.equations.undetermined import determined, undetermined
@@ -128,6 +128,16 @@ def test_axes_of_joints_turn_with_their_first_bodies():
         across = [found[Load(joint.name, f"force {axis}", "N")][row] for axis in "uw"]
         assert np.hypot(*across) == pytest.approx(parts["shear force"], abs=1e-12)
     assert all(load.quantity != "axial force" for load in found if load.element == "universal")
+
+
+@pytest.mark.parametrize(("angle", "resolved"), [(1e-14, True), (1e-6, False)])
+def test_axes_that_are_parallel_to_round_off_resolve_loads(angle, resolved):
+    scene = mass_on_rail(duration=0.1)
+    up, about = np.array([0.0, 0.0, 1.0]), np.array([np.sin(angle), 0.0, np.cos(angle)])
+    joint = Compound("rail", "ground", "mass", [0.0, 0.0, 0.0], slides=[up], hinges=[about])
+    scene = replace(scene, mechanism=Mechanism(scene.mechanism.bodies, [joint]))
+    loads = {load.quantity for load in joint_loads(scene, newton_euler.simulate(scene))}
+    assert ("axial force" in loads) is resolved
 
 
 def swinging(amplitude: float, frequency: float = 2.0):
