@@ -87,7 +87,7 @@ class MissingPackageError(NewtonEulerError):
 
 
 class MechanismError(NewtonEulerError):
-    """An invalid value in a mechanism or scene.
+    """An invalid value in a mechanism or scene (a mechanism with its forces, initial state and duration).
 
     Attributes:
         element: name of the element, such as "joint 'hinge'".
@@ -378,6 +378,7 @@ class OptionError(NewtonEulerError):
         self.option = option
         self.value = value
         self.needed = needed
+        # the message shortens long values in the middle, so that the end of a path remains
         super().__init__(f"{option} is {quoted(value, 1000)}; needed: {needed}")
 
 
@@ -430,7 +431,7 @@ class AssemblyError(NewtonEulerError):
 
 class NearlyRedundantWarning(UserWarning):
     """Constraints that would be redundant without noise in the numbers of the mechanism, such as rounded
-    points.
+    coordinates of joint points.
 
     Examples:
         >>> import warnings
@@ -444,6 +445,9 @@ class RoundOffWarning(UserWarning):
     Attributes:
         excess: largest error estimate of a step that is due to round-off, in units of the tolerance.
         rtol: proposed relative tolerance, which round-off allows: a power of 10.
+
+    The other parameters are the names of the scene and of its formulation, and the tolerances of the run. A
+    formulation is a choice of coordinates: joint coordinates ("relative") or poses of bodies ("cartesian").
 
     Examples:
         >>> import warnings

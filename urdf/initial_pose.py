@@ -1,7 +1,9 @@
 """Read the bodies and joints back from the Pinocchio model of an exported scene, at its initial pose.
 
-`urdf.dynamics` builds the model from the scene's URDF and loop file. crosscheck compares the results with the
-scene, to find errors of the URDF export and of Pinocchio's parser.
+`urdf.dynamics` builds the model from the scene's URDF and loop file (closed loops, which a URDF cannot
+describe). crosscheck compares the results with the scene, to find errors of the URDF export and of
+Pinocchio's parser. The export splits joints into hinges, slides and balls. In the initial pose, Pinocchio's
+configuration is neutral. All results are in the world frame.
 """
 
 from __future__ import annotations
@@ -61,13 +63,14 @@ def joint_geometry(closed_model: ClosedLoopModel, welded: WeldedMechanism) -> di
         """Return kind, axis (3,) and point (3,), m, world frame, of a joint of the tree."""
         index = model.getJointId(name)
         joint, point = model.joints[index], data.oMi[index].translation.copy()
-        if joint.nv == 3:
-            return "ball", NOWHERE, point  # a ball has no axis
+        if joint.nv == 3:  # a ball, which has no axis
+            return "ball", NOWHERE, point
         linear, angular = columns[:3, joint.idx_v], columns[3:, joint.idx_v]
         return ("hinge", angular, point) if np.any(angular) else ("slide", linear, point)
 
     geometry = geometry_in_tree(welded, read)
-    # joints that close loops; welds join halves of cut bodies, and are no joints of the scene
+    # joints that close loops: rods (joints that keep the distance of two points, `only_closes`), balls and
+    # welds. Welds join halves of cut bodies, and are no joints of the scene
     constraints, rods = iter(closed_model.constraints), iter(closed_model.rods)
     for cut in welded.tree.cuts:
         joint = welded.tree.joint(cut)

@@ -51,7 +51,7 @@ ERROR_PER_CHANGE = 4.0
 
 Refined means half the step or a hundred times tighter tolerances. For half the step, the error is 4/3 of the
 change with a method of order 2, and twice the change with a method of order 1. For tighter tolerances, the
-error is about equal to the change. The bound is three times 4/3.
+error is about equal to the change. The bound is three times 4/3, with three as a margin.
 """
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
@@ -86,15 +86,15 @@ class Check:
     """A compared value, its tolerance, and the place of the largest difference.
 
     Attributes:
-        level: one of `LEVELS`, or `START`.
+        level: one of `LEVELS`, `START` or `REFERENCE`.
         quantity: compared quantity, with its unit.
         between: one or two names of engines or systems (formulations of an engine), or an engine and `FILE`.
         value, tolerance: value, and the largest value that passes.
         where: body, joint, term or time of the largest difference.
         judged: False for a check that can neither pass nor fail: the value is for information only (such as a
             condition number), or an engine is `unconverged`.
-        unconverged: name of the engine whose error does not decrease in a refined run; such a check is not
-            judged. Empty if there is none.
+        unconverged: name of the engine whose refined run (`ERROR_PER_CHANGE`) reduces the value too little;
+            such a check is not judged. Empty if there is none.
         detail: the values that differ, as text; empty if unknown.
     """
 
@@ -182,7 +182,7 @@ def not_judged(checks: Sequence[Check]) -> str:
 
 
 def unconverged_reason(engines: Iterable[str]) -> str:
-    """Report why checks are not judged: refining the runs of these engines does not reduce the difference."""
+    """Report why checks are not judged: refined runs of these engines reduce the difference too little."""
     return f"a finer run of {' and '.join(dict.fromkeys(engines))} reduces the difference too little"
 
 

@@ -27,14 +27,20 @@ CASES = {
 
 
 def free_top(case: Literal["general", "dzhanibekov", "hairer"] = "general") -> Scene:
-    """Return a top of 1 kg that spins freely, at first parallel to the world, 10 s.
+    """Return a top of 1 kg that spins freely for 10 s; its body frame starts aligned with the world frame.
 
     Args:
         case: moments of inertia and initial angular velocity, see `CASES`.
     """
     moments, omega = CASES[case]
-    top = Body("top", 1.0, np.zeros(3), np.diag(moments), allow_unrealisable_inertia=case == "hairer")
-    mechanism = Mechanism([Body.ground(), top], [Free("floating", "ground", "top", np.zeros(3))])
+    top = Body(
+        "top",
+        mass=1.0,
+        center_of_mass=np.zeros(3),
+        inertia=np.diag(moments),
+        allow_unrealisable_inertia=case == "hairer",
+    )
+    mechanism = Mechanism([Body.ground(), top], [Free("floating", "ground", "top", point=np.zeros(3))])
     state = State.initial(mechanism)
     state.angular_velocity[1] = omega
     return Scene(
@@ -51,4 +57,5 @@ REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("omega_x", "omega_y", "omega_z"), lambda run: spin(run, "top")),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "top")),
 }
-"""Angular velocity in the body frame (rad/s) and orientation (w, x, y, z)."""
+"""Quantities of a run that are compared with the elliptic functions: angular velocity in the body frame
+(rad/s) and orientation (w, x, y, z)."""

@@ -38,8 +38,9 @@ from newton_euler.scalars import Array
 GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio", "own_run"]
 """Name of a group of quantities that are measured together, see `crosscheck.regress.measure.GROUPS`.
 
-"relative" and "cartesian" are the two formulations (choices of coordinates) of newton_euler, crosscheck's
-solver; "integrators" are its integrators other than the default one."""
+"model" has properties of the scene, such as masses. "relative" (joint coordinates) and "cartesian" (poses of
+bodies) are the formulations of newton_euler, crosscheck's solver; "integrators" are its integrators other
+than the default one. "mujoco" and "pinocchio" are the other engines."""
 
 OPERATIONS_PREFIX = "operations of "
 """Start of the names of quantities that count arithmetic operations of compiled code."""
@@ -178,8 +179,8 @@ class MeasurementPlan(_Strict):
     The settings are chosen once, for the baseline. Every comparison measures with the same settings.
 
     Attributes:
-        rtol: relative tolerances of runs with error control: by formulation of newton_euler (the choice of
-            its coordinates, "relative" or "cartesian"), and for the integrator "Radau".
+        rtol: relative tolerances of runs with error control: by formulation of newton_euler, for its default
+            integrator, and for "Radau", the only other integrator with error control.
         step: s, step of runs with fixed steps.
         time: s, time of `state`.
         state: a state of the scene's own run at which all bodies that can move do move.

@@ -64,7 +64,7 @@ SUN = "sun"
 
 
 def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
-    """Return the times of 24 hours from midnight, both midnights included, every `period` s.
+    """Return times every `period` s from midnight to midnight, see `seconds_of_day`.
 
     Args:
         date: YYYY-MM-DD.
@@ -91,7 +91,7 @@ def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
 
 
 def seconds_of_day(period: float) -> Array:
-    """Return the times (n,) of a day, s since midnight, every `period` s."""
+    """Return times (n,), s since midnight, every `period` s; the last is the one nearest to 24 hours."""
     return np.arange(0.0, 86400.0 + 0.5 * period, period)
 
 

@@ -1,8 +1,10 @@
-"""Plots of figures 5 to 9 of the paper on the solar tracker, with one curve for each of the three engines.
+"""Plots of figures 5 to 9 of the paper on the solar tracker, with one curve for each engine.
 
-The paper is the source of the library scene `tracker`, see `crosscheck.library.tracker`: two vertical sliders
-tilt a solar panel. newton_euler uses the method of the paper here: Cartesian coordinates, Euler parameters
-(quaternions), and Baumgarte stabilization with alpha = 10 1/s. `crosscheck figures` calls `draw`.
+The engines are MuJoCo, Pinocchio and this project's solver newton_euler. The paper is the source of the
+library scene `tracker`, see `crosscheck.library.tracker`: two vertical sliders tilt a solar panel. In the
+comparison of engines, newton_euler uses the method of the paper: Cartesian coordinates, Euler parameters
+(quaternions), and Baumgarte stabilization with alpha = 10 1/s. Body k of the paper has index k - 1 in arrays.
+`crosscheck figures` calls `draw`.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
             if name == "newton_euler"
             else engine.simulate(scene)
         )
-    with own_style():
+    with own_style():  # matplotlib's default style
         pictures = {path: png(FIGURES[number](scene, runs), dpi=120) for number, path in paths.items()}
     write_files(pictures)
     return list(paths.values())
@@ -96,15 +98,18 @@ def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
     figure, axes = _figure_with_panels(
         "Figure 5: response of the actuators' displacement", ["z2, m", "z3, m"]
     )
-    _plot(axes, runs, lambda run: run.position[:, 1:3, 2])  # bodies 1 and 2 are the sliders
+    _plot(axes, runs, lambda run: run.position[:, 1:3, 2])  # the sliders are bodies 2 and 3
     for ax in axes:
         ax.axhline(TARGET_HEIGHT, color="0.5", linewidth=0.8)
     return figure
 
 
 def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 6: constraint violation of each engine, and of newton_euler with coarse steps, with a curve
-    for each method of stabilization."""
+    """Plot figure 6: constraint violation of each engine, and of newton_euler with coarse steps.
+
+    With coarse steps, newton_euler uses joint coordinates, its default for this scene, and there is a curve
+    for each method of stabilization.
+    """
     labels = ["engines\nlargest |Phi|, m or rad", "newton_euler, RK4 at 10 ms\nlargest |Phi|, m or rad"]
     figure, axes = _figure_with_panels("Figure 6: kinematic constraints", labels)
 
@@ -130,7 +135,7 @@ def orientation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
     def angles(run: Trajectory) -> Array:
         """Return the angles (n, 3) of the panel, degrees: its rotation matrix is R_z R_y R_x."""
-        r = rotations(run.quaternion[:, -1])  # the panel is the last body
+        r = rotations(run.quaternion[:, -1])  # the panel is the last body, 7
         x = np.arctan2(r[:, 2, 1], r[:, 2, 2])
         y = np.arctan2(-r[:, 2, 0], np.hypot(r[:, 2, 1], r[:, 2, 2]))
         z = np.arctan2(r[:, 1, 0], r[:, 0, 0])
@@ -150,7 +155,7 @@ def euler_parameters(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def norm(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Plot figure 9: error p7^T p7 - 1 of the norm of the Euler parameters p7 of the panel (body 7)."""
+    """Plot figure 9: error p7^T p7 - 1 of the norm of the Euler parameters p7 of the panel, body 7."""
     figure, axes = _figure_with_panels("Figure 9: norm of the panel's Euler parameters", ["p7^T p7 - 1"])
     _plot(axes, runs, lambda run: np.sum(run.quaternion[:, -1:] ** 2, axis=2) - 1.0)
     return figure

@@ -173,13 +173,14 @@ class Sweep:
         if not is_count(count):
             raise OptionError("runs", runs, "a whole number, 1 or more")
         found = kept_numbers(self.results)
+        # extreme runs of those kept numbers that vary most, and random runs
         picked = chosen(self.results, found, most_informative(found), count)
         checked = check_runs(self.results, found, picked, choose(list(engines)), progress, self.mapping)
         return replace(self, checks=tuple(checked))
 
     @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write the findings, plots and the recording, as `crosscheck sweep --output FOLDER` does.
+        """Write the findings, plots and a Rerun recording, as `crosscheck sweep --output FOLDER` does.
 
         Args:
             folder: folder of the files.
@@ -193,9 +194,10 @@ class Sweep:
         return write(self.findings, self.report, path_of(folder))
 
     def show(self) -> None:
-        """Show the nominal run, the extreme runs and quantiles over time in the Rerun viewer.
+        """Show quantiles over time, and some runs, in the Rerun viewer; in a notebook, below the cell.
 
-        In a notebook the viewer appears below the cell.
+        The runs are that with the scene's own values (nominal run) and those with the largest and smallest
+        kept outputs (extreme runs).
 
         Raises:
             CrosscheckError: if all these runs failed.
@@ -256,7 +258,7 @@ def sweep(
         output: folder on disk, where an interrupted sweep resumes; None to keep the results in memory.
         options: `threads`, `executor` (of concurrent.futures) or `cluster` (a Dask client or its address), on
             which the runs execute; `progress`, called with the name of each stage; `integrator`, `rtol`,
-            `atol` (0.01 `rtol` by default) and `step` as of `newton_euler.simulate`.
+            `atol` (0.01 `rtol` by default), `step`, `most_steps` and `rest` as of `newton_euler.simulate`.
 
     Raises:
         CrosscheckError, NewtonEulerError: for an unknown name, an invalid plan, a folder with another sweep,
@@ -283,11 +285,12 @@ def sweep(
         samples=samples_of(vary, sampling, runs, seed),
         keep=tuple(each.text if each.name == each.text else f"{each.name}={each.text}" for each in kept),
         control=_control(options),
-        chunk=1,  # `results_of` chooses the number after it has measured the speed
+        chunk=1,  # runs stored together; `results_of` measures the speed and replaces this number
     )
     check_names(plan)
     libraries()  # raises an error if a package is missing
-    warn_of(plan.scene, mobility(plan.pruned_scene).nearly)  # of nearly redundant constraints
+    # Warn of nearly redundant constraints; the pruned scene computes only the outputs that are kept
+    warn_of(plan.scene, mobility(plan.pruned_scene).nearly)
     # Execute the runs
     with workers(threads, executor, cluster) as pool:
         results = results_of(plan, None if output is None else path_of(output), pool, progress)

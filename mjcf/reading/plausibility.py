@@ -23,7 +23,7 @@ inertia of an alternative solid is reported; smaller differences matter little."
 
 MAX_EQUAL_DIFFERENCE = 0.01
 """Relative difference of principal moments per mass up to which two solids count as equal: more than the
-digits of files, less than `MAX_MESH_DIFFERENCE`."""
+rounding of numbers in files, less than `MAX_MESH_DIFFERENCE`."""
 
 KEY_SIZES = {"qpos": "nq", "qvel": "nv", "act": "na", "ctrl": "nu"}
 """Attribute of the model with the needed number of values, by field of a keyframe."""
@@ -191,6 +191,8 @@ def _difference(moments: Array, reference: Array) -> float:
 
 def key_findings(model: Any, sizes: Mapping[int, Mapping[str, int]]) -> Iterator[Finding]:
     """Yield keyframes with fewer numbers than the model needs; MuJoCo sets the missing numbers to zero.
+
+    The elements `<replicate>` and `<attach>` add joints, for which older keyframes have no numbers.
 
     Args:
         model: compiled model.

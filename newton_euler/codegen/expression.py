@@ -6,8 +6,8 @@ vanish, and an operation that already exists is used again. `Graph.prune` keeps 
 requested outputs need; the result is a `Program`, which `newton_euler.codegen.compile` turns into native
 code. `differentiate` adds derivatives to a graph.
 
-Simplification follows the rules of real arithmetic, which may change the last bit: 0 x becomes 0, and c (d x)
-becomes (c d) x for constants c and d.
+Simplification follows the rules of real arithmetic. It may change the last bit of a result, since c (d x)
+becomes (c d) x for constants c and d. 0 x becomes 0, also where x would be infinite or NaN.
 """
 
 from __future__ import annotations

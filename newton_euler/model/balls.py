@@ -2,7 +2,9 @@
 
 Springs, dampers and rotors on ball joints use these functions.
 
-A joint with a ball has no hinges, so the orientations of the two bodies determine the rotation of the ball.
+A joint with a ball has no hinges that also turn the bodies, so the orientations of both bodies determine the
+rotation of the ball.
+
 Let theta be the rotation vector (axis times angle) of the second body relative to the first. It is zero at
 the rest orientation of a spring. Let omega = omega_2 - omega_1 be the relative angular velocity. The rate of
 |theta|^2 / 2 is theta . omega, because a rotation leaves its own rotation vector unchanged. Therefore
@@ -30,7 +32,9 @@ SQUARE_FLOOR = 1e-300
 """Number that is added to a squared length before its square root, so that the length is never 0. Quotients
 by the length and their derivatives then have the correct limits at 0."""
 
-SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))
+SPIN = Jacobian(
+    r_first=np.zeros((3, 3)), theta_first=-np.eye(3), r_second=np.zeros((3, 3)), theta_second=np.eye(3)
+)
 """Jacobian of the relative angular velocity omega with respect to the velocities of the two bodies, world
 frame."""
 
@@ -68,8 +72,8 @@ def spin(first: Frame, second: Frame) -> Array:
 def spin_gamma(first: Frame, second: Frame) -> Array:
     """Compute gamma = omega_1 x omega_2, (3,), rad/s^2, world frame.
 
-    gamma is the part of d omega/dt = alpha_2 - alpha_1 - gamma without angular accelerations alpha. The rate
-    of omega is the one that an observer fixed in one of the two bodies sees; both see the same rate.
+    With the angular accelerations alpha, d omega/dt = alpha_2 - alpha_1 - gamma. This rate of omega is the
+    one that an observer fixed in one of the two bodies sees; both see the same rate.
     """
     return cross(first.angular_velocity, second.angular_velocity)
 

@@ -1,10 +1,11 @@
 """Identification: fit parameters of a scene to measured motion, with uncertainties.
 
 The fit (`fit.py`) minimizes the sum of squared residuals, each divided by the standard deviation of its noise
-(`noise.py`). The derivatives of the residuals are parameter sensitivities
-(`newton_euler.analysis.sensitivity`). With J the Jacobian of the scaled residuals at the solution, the
-covariance of the parameters is (J^T J)^-1. Combinations of parameters in the null space of J are not
-identifiable. They are reported, and they keep their initial values unless these are invalid.
+(`noise.py`). A column of measurements is one quantity at all measured times, as in a CSV file. The
+derivatives of the residuals are parameter sensitivities (`newton_euler.analysis.sensitivity`). With J the
+Jacobian of the scaled residuals at the solution, the covariance of the parameters is (J^T J)^-1. Combinations
+of parameters in the null space of J are not identifiable. They are reported, and they keep their initial
+values unless these are invalid.
 """
 
 from __future__ import annotations
@@ -247,15 +248,16 @@ def identify(
         raise MechanismError("measurements", f"are {count} numbers", needed)
     # fit
     measured = Residuals(scene, names, runs, formulation, tangent_options(control))
-    measured.code.warn()
+    measured.code.warn()  # of nearly redundant constraints
     fit = Fit(scene, names, measured)
     # change of the parameters from their initial values, and its combinations that are not identifiable
-    # (`weak`), in units of scales
+    # (`weak`), in units of the typical magnitudes of the parameters (`fit.scale`)
     change, noise = fit.solve(), fit.noise
     _, weak, covariance = split(fit.jacobian(change))
     values = fit.values(change)
     stopped = fit.if_not_converged if fit.next_step(change) > CONVERGED_STD else ""
-    # covariance: infinite for combinations that are not identifiable, NaN at an edge or for a wrong scene
+    # covariance: infinite for combinations that are not identifiable, NaN for a wrong scene or at an edge of
+    # valid values; a fit that has converged is not at an edge
     is_at_edge = fit.is_at_edge(change) if stopped else [False] * len(names)
     is_not_identifiable = np.any(np.abs(weak) > FACTOR_TOLERANCE, axis=0) | bool(noise.undetermined)
     for k in np.flatnonzero(is_not_identifiable | is_at_edge):
@@ -320,8 +322,9 @@ def _runs(scene: Scene, names: Sequence[str], given: Given | Sequence[Given]) ->
             where, run = path_text(source), measurements_from_csv(source)
         else:
             raise OptionError("measurements", f"{quoted(source)}", "Measurements, or the path of a CSV file")
+        # `start` has the measured joint coordinates and rates at the start of the run
         try:
-            initial_numbers(scene, run.start)
+            initial_numbers(scene, run.start)  # raises an error for an unknown name
         except NewtonEulerError as error:
             raise SourceError(where, str(error)) from error
         if twice := [name for name in run.start if name in names]:
@@ -356,7 +359,7 @@ def _describe_weak(names: Sequence[str], values: Array, fit: Fit, weak: Array) -
     Args:
         names, values: names and fitted values (p,) of the parameters.
         fit: gives scales, units and noise.
-        weak: (d, p) combinations, in units of scales.
+        weak: (d, p) combinations, in units of the scales (typical magnitudes) of the parameters.
     """
     lines = []
     # if given noise does not explain the residuals, the residuals count as noise
