@@ -51,6 +51,9 @@ outlier."""
 MIN_SOFT_SINGULAR_VALUE = 1e-7
 """Smallest singular value s of a nearly redundant constraint that affects a run with soft constraints.
 
+s is dimensionless, of the scaled constraint Jacobian: about the distance of the constraint's row from the
+span of the other rows.
+
 MuJoCo's constraints (1 - impedance = 1e-4, time constant 2e-3 s) resist the motion that such a constraint
 nearly allows. The stiffness k, divided by the inertia, is s^2 / (1e-4 (2e-3 s)^2) = 2.5e-5 1/s^2. Within
 t = 20 s it changes the motion by k t^2 = 1 %."""
@@ -270,7 +273,10 @@ def _by_formulation(names: Sequence[str], checks: Iterable[Check]) -> tuple[list
 
 
 def _is_of_one_formulation(check: Check) -> bool:
-    """Return False for a check of `NEWTON_EULER` that is the worst over all formulations."""
+    """Return False for a check of `NEWTON_EULER` at a level of equations: the worst over all formulations.
+
+    At the level `READING` and in runs, the checks of `NEWTON_EULER` use the first formulation only.
+    """
     return NEWTON_EULER not in check.between or check.level in (READING, *LEVELS_OF_RUNS)
 
 

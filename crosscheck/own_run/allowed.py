@@ -1,6 +1,7 @@
 """Largest errors that a user allows for the run of a model file, and their text form such as "position=1mm".
 
-`crosscheck run --max-error` and `Verdict.assert_accurate` compare a `Judgement` with these errors.
+A `Judgement` has the errors of this run against the reference, an accurate solution of the same model.
+`crosscheck run --max-error` and `Verdict.assert_accurate` compare these errors with the allowed ones.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class ErrorKind(StrEnum):
     """Error of a run that can be limited; the value is its name on the command line."""
 
     RELATIVE = "relative"
-    """Larger one of the relative errors of positions and of orientations."""
+    """Larger one of the errors of positions and of orientations, each divided by the extent of the motion."""
     POSITION = "position"
     """Largest error of a center of mass, m."""
     ROTATION = "rotation"
@@ -33,7 +34,8 @@ class ErrorKind(StrEnum):
     LOOP_ANGLE = "loop_angle"
     """Largest violation of a loop constraint of angles, rad."""
     ENERGY = "energy"
-    """Largest error of the total energy, divided by the energy that the reference exchanges."""
+    """Largest error of the total energy, divided by the reference's largest kinetic energy plus the range of
+    its potential energy."""
 
     def of(self, judgement: Judgement) -> float:
         """Return this error of a judged run; infinite for a run that diverged."""

@@ -1,8 +1,10 @@
 """Report on a solar tracker's day, or on days at several places and dates: tables, plots and files.
 
 A `Day` is a simulated day of a tracker, a mechanism whose controllers follow set-points so that its panel
-faces the sun. `day.light` is the irradiation of the tracker's panel and of other panels in W h/m^2, by the
-name of the panel (`THIS`, `FIXED`, `ONE_AXIS`, `FACING`).
+faces the sun. `day.light` is the irradiation of panels in W h/m^2, by name. `THIS` is the tracker's panel,
+`FIXED` is fixed at the latitude's tilt, `ONE_AXIS` turns about a horizontal north-south axis, and `FACING`
+always faces the sun. `day.faces` is True while no limit of tilt or reach, no shadow and no wind keeps the
+tracker's panel from facing the sun.
 """
 
 from __future__ import annotations
@@ -108,7 +110,8 @@ def day_report(day: Day) -> Report:
     parts: list[Part] = [hours_table, irradiation_table, loads_table(day), assumption_lines]
     summary: list[Part] = [short_table, irradiation_table]
     title = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
-    return Report(title, verdict(day), Cell("followed", "holds"), parts, day.run.wall_time, summary)
+    judged = Cell("followed", verdict="holds")
+    return Report(title, verdict(day), judged, parts, day.run.wall_time, summary)
 
 
 def loads_table(day: Day) -> Table:
@@ -189,7 +192,7 @@ def survey_report(days: Sequence[Day]) -> Report:
     return Report(
         f"{days[0].scene.name} over {len(days)} days",
         f"always facing the sun gains {min(gains):.0f} to {max(gains):.0f} % over a fixed panel",
-        Cell("followed", "holds"),
+        Cell("followed", verdict="holds"),
         parts,
         summary=parts,
     )
@@ -235,7 +238,7 @@ def write_survey(report: Report, folder: Path) -> list[Path]:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(" ".join(column.name.split()) for column in table.columns)
-    writer.writerows([cell.text for cell in row] for _, row in table.sections())
+    writer.writerows([cell.text for cell in row] for _heading, row in table.sections())
     write_files({path: text.getvalue().encode()})
     return [path]
 
@@ -286,6 +289,7 @@ def write(day: Day, report: Report, folder: Path) -> list[Path]:
 
     paths = files_of(folder, several=False)
     text = f"# {report.title}\n\n{report.verdict}\n"
+    # `sun_seen` has unit vectors (n, 3) to the sun, in the horizontal plane at night
     runs, directions = {"newton_euler": day.run}, {"sun": day.sun_seen}
     recording = recorded(log_run, day.scene, runs, text, report.title, directions=directions)
     contents = (table_of_set_points(day), png(picture(day)), recording)

@@ -3,6 +3,7 @@
 A sweep simulates a scene many times with varied parameters and keeps some numbers of each run. A tornado
 chart shows the effects of the parameters on a kept number. Each parameter has one bar, which ends at two
 means of the number: over the runs with the lowest values of the parameter, and over those with the highest.
+A group of correlated parameters has one bar, named "a, b".
 """
 
 from __future__ import annotations
@@ -150,7 +151,8 @@ def _tornado(axes: Array, effects: Effects) -> None:
 def share_of(effect: Effect) -> str:
     """Format a parameter's first-order Sobol index in % with its 95 % interval, and its total-effect index.
 
-    Without a Sobol index, format its rank correlation.
+    The index of a group of correlated parameters is a lower bound (`bounds`), written with ≥. Without a Sobol
+    index, format the rank correlation.
     """
     if effect.share is None:
         return rank_of(effect)
@@ -172,7 +174,7 @@ def _histograms(axes: Array, effects: Effects, nominal: Mapping[str, float]) -> 
         known, nominal_value = scalar.values[np.isfinite(scalar.values)], nominal[scalar.label]
         origin, minus_origin = _origin(np.append(known, nominal_value))
         ax.hist(known - origin, bins=60, color=LOW_COLOR)
-        for quantile in scalar.quantiles[[1, 2, 3]]:  # 5 %, 50 % and 95 %
+        for quantile in scalar.quantiles[1:-1]:  # 5 %, 50 % and 95 %, without the extremes
             ax.axvline(quantile - origin, color="black", linewidth=0.8, linestyle=":")
         ax.axvline(nominal_value - origin, color=HIGH_COLOR, label="nominal")
         _label_numbers(ax, "x")
@@ -190,7 +192,7 @@ def _scatter(
     The arguments are those of `pictures`, after the array (numbers, `SCATTER_COLUMNS`) of axes.
     """
     for row, (scalar, found) in zip(axes, effects, strict=True):
-        # of a group of correlated parameters, named "a, b", the first one
+        # of a group of correlated parameters "a, b", the first one
         names = [effect.name.partition(", ")[0] for effect in found[:SCATTER_COLUMNS]]
         y_origin, minus_y_origin = _origin(scalar.values[points])
         y = scalar.values[points] - y_origin

@@ -2,7 +2,8 @@
 
 An armature is the rotor inertia of a joint, tendon or actuator. The length of a fixed tendon is a weighted
 sum of joint coordinates. If gears make these coordinates proportional to each other, the tendon's spring,
-damper or armature becomes one of a single joint coordinate.
+damper or armature becomes one of a single joint coordinate. Joint coordinates of a scene are 0 at the start.
+The report has the kind of each imported element's counterpart: `FORCE`, `ROTOR`, or "" for all others.
 """
 
 from __future__ import annotations
@@ -225,6 +226,7 @@ class Forces:
             why = f"{what}: it acts on a sum of {len(weights)} joint coordinates that no gears couple"
             self._report.left_out(element, why)
             return
+        # `slopes` has dL/dx by coordinate x; any of the coordinates can carry the spring
         (joint, coordinate), slope = next(iter(slopes.items()))
         if slope == 0.0:
             why = f"{what}: equalities keep its length constant, so that it does no work"
@@ -325,7 +327,7 @@ def armatures(
     for tendon in np.flatnonzero(model.tendon_armature):
         element = element_name(model, "tendon", int(tendon))
         inertia = float(model.tendon_armature[tendon])
-        weights = fixed_tendon_weights(start, int(tendon)) or {}
+        weights = fixed_tendon_weights(start, int(tendon)) or {}  # {} for other tendons: nothing to reduce to
         reduced = reduced_inertia(start, joints, gear_groups, weights, inertia)
         if reduced is None:
             why = f"its armature {inertia:g}: no single joint coordinate determines its length"

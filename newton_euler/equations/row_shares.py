@@ -31,9 +31,12 @@ A share below this number counts as zero."""
 class ScaledRows(NamedTuple):
     """Rows of the constraint Jacobian at a configuration, scaled to length about 1.
 
+    The natural magnitude of a row of a loop is the largest motion that one joint gives to one of the two
+    bodies whose motions the row compares.
+
     Attributes:
         rows: sparse dimensionless rows, each divided by its natural magnitude.
-        scales: (k,) natural magnitude of each dimensionless row before the division.
+        scales: (k,) natural magnitude by which each row is divided.
     """
 
     rows: Rows
@@ -80,11 +83,11 @@ def varying_rows(
 
 def are_independent(rows: Rows, used: Sequence[int]) -> bool:
     """Return True if the rows with the numbers `used` of a dimensionless matrix are independent."""
-    return len(independent([rows[i] for i in used], 0.0).rows) == len(used)
+    return len(independent([rows[i] for i in used], tolerance=0.0).rows) == len(used)
 
 
 def _unscaled_shares(at: ScaledRows, used: Sequence[int], others: Sequence[int]) -> Rows:
-    """Compute the shares of the rows `used` in each of the rows `others`, before the division by scales."""
+    """Compute the shares of the rows `used` in each of the rows `others`, for rows without the scaling."""
     return [
         {i: x * (at.scales[other] / at.scales[i]) for i, x in each.items()}
         for other, each in zip(others, shares(at.rows, used, others), strict=True)

@@ -18,11 +18,12 @@ from newton_euler.errors import MechanismError, finite_array, is_finite_number, 
 AllowedValues = Literal["interval", "nonzero", "direction", "axis", "constructor", "inertia"]
 """Rule for the values that a number may take in a run:
 
-- `interval`: in each component any value of an interval that contains the described value;
+- `interval`: in each component any value of the interval, around the scene's own value, that the element's
+  constructor accepts;
 - `nonzero`: the same, without 0;
 - `direction`: a vector of any nonzero length;
-- `axis`: a direction near enough to the described axis that the two unit vectors chosen perpendicular to the
-  axis (`newton_euler.model.joint.perpendicular_pair`) vary continuously;
+- `axis`: a direction near enough to the scene's own axis that the two unit vectors chosen perpendicular to
+  the axis (`newton_euler.model.joint.perpendicular_pair`) vary continuously;
 - `constructor`: values whose validity depends on other numbers of the element, checked by its constructor;
 - `inertia`: inertia tensors (3, 3) that a rigid body can have.
 """
@@ -46,11 +47,12 @@ class NumberField:
             a run is then the displacement of the point.
         allowed: rule for the values in a run, see `AllowedValues`.
         strength: name of the physical effect that is proportional to the attribute: "spring", "damper",
-            "rotor", "wind", "wrench" or "actuator"; empty if no effect is proportional to it.
+            "rotor", "wind", "wrench" or "actuator"; empty if no effect is proportional to it. Scaling the
+            attributes of one effect shows whether a motion depends on the effect.
         moves_loops: True if a change moves the poses in which loops are closed, or the zeros of joint
-            coordinates.
-        opens_joints: True if a change violates joint constraints at the initial pose, so that the pose must
-            be solved again.
+            coordinates, such as the axis of a hinge.
+        opens_joints: True if a change also violates the joint's own constraints at the initial pose, such as
+            the length of a rod, so that the pose must be solved again.
     """
 
     unit: str = ""

@@ -169,7 +169,8 @@ class Assembly:
                 state for all runs if None.
 
         Returns:
-            Vectors x (n, inputs) of `code` (state, time, flags, parameters); errors by number of the run.
+            Vectors x (n, inputs) of `code`: state, time, flags (1 for a constraint row that is left out as
+            redundant, else 0), parameters; errors by number of the run.
         """
         # follow the homotopy from the scene's parameters; retry runs that stay open in smaller steps
         count = len(next(iter(values.values())))
@@ -265,7 +266,7 @@ class Assembly:
         """Set the polynomial pieces of splines at time 0 in x (n, inputs), in place.
 
         The samples of these splines are parameters that vary. The equations use only the current polynomial
-        piece, whose coefficients are separate parameters.
+        piece, whose coefficients are separate parameters, such as "motions[0].function.piece".
         """
         code = self.code
         splines = [
@@ -305,13 +306,15 @@ class Assembly:
         Returns:
             Vectors x (n, inputs) at the end; statuses (n,), `Status.DONE` for closed loops.
         """
-        code, python = self.code, Fallback(self.code, np.zeros(COUNTS))
-        # the homotopy never evaluates derivatives, so that the Python callback stands for them uncompiled
+        # Python callbacks for singular states and interrupts, with the counters of a run
+        code, python = self.code, Fallback(self.code, counts=np.zeros(COUNTS))
+        # the homotopy never evaluates derivatives, so that the Python callback stands for them uncompiled; it
+        # wraps no angles and normalizes no quaternions, so that none are marked
         system = equations(code, python, python.derivative, marked=np.zeros(code.size))
         ends, statuses = targets.copy(), np.zeros(len(begins))
         paths = HomotopyRecord(
             count=len(begins),
-            may_open=int(self._is_overdetermined(code)),
+            may_open=int(self._is_overdetermined(code)),  # redundant coordinates may agree only at the end
             steps=np.ascontiguousarray(steps),
             begins=np.ascontiguousarray(begins),
             ends=ends,
@@ -363,6 +366,7 @@ class Assembly:
 
         magnitudes = np.abs(at_rows(self._function("rates", compute, len(ignored)), x))
         rates, speeds = np.split(magnitudes, [len(code.system.phi_units) - len(ignored)], axis=1)
+        # `noise` is the largest singular value of constraints that are ignored as almost redundant
         allowed = loose_tolerance(code.noise) * speeds.max(axis=1, initial=0.0)
         return np.flatnonzero(rates.max(axis=1, initial=0.0) > allowed).tolist()
 
@@ -397,6 +401,7 @@ class Assembly:
                 own, rates = q[: of_run.tree.nq], v
             else:
                 own, rates = of_run.own_coordinates(system.state(q, v))
+            # angles that the formulation has to carry behind its own coordinates to count their revolutions
             measured = system.measured(q, v)
             angles = [measured[key].x for key, each in of_run.between.items() if each.carried is not None]
             work = [0.0] * (of_run.nq - len(own) - len(angles))

@@ -1,9 +1,10 @@
 """Pinocchio model at its start state: coordinates 0 or a given configuration, moved to close all loops.
 
 A mimic of a URDF makes one joint follow another: x_follower = multiplier * x_driver + offset. Followers start
-at their offsets. `RobotAtStart` holds Pinocchio's model and data at the start. All modules of the reader take
-element values from this model and positions from this data. The base class `FileStart` closes the loops by
-Newton steps, with residuals, Jacobian and units from `RobotAtStart`.
+at their offsets. A coupling of the loop file is a sum of polynomials of joint coordinates that is zero.
+`RobotAtStart` holds Pinocchio's model and data at the start. All modules of the reader take element values
+from this model and positions from this data. The base class `FileStart` closes the loops by Newton steps,
+with residuals, Jacobian and units from `RobotAtStart`.
 """
 
 from __future__ import annotations
@@ -85,7 +86,8 @@ class RobotAtStart(FileStart):
             report: report that receives lines about the start.
             tolerance: size, without unit, of the independent part of a constraint below which the constraint
                 counts as redundant (`redundancy_tolerance` of the scene).
-            first: configuration (nq,) near which to start, with its name; None for coordinates 0.
+            first: configuration (nq,) near which to start, with its name; None for coordinates 0. Only for
+                models without couplings and mimics, whose residuals count from the followers' offsets.
 
         Raises:
             SourceError: for loops that do not close.
@@ -95,18 +97,18 @@ class RobotAtStart(FileStart):
         self.data: Any = self.model.createData()
         # `length` is not used: Newton steps divide residuals by the units of the method `units`
         self._closures = Closures(closed_model, _IdentityMap(), length=1.0)  # type: ignore[arg-type]
-        # element of each residual, in the order loops, couplings, mimics; rods are measured as they are, and
-        # have no residual
+        # element of each residual, in the order loops, couplings, mimics. A rod keeps the distance of two
+        # points; its length is their distance at the start, so that it has no residual
         self.owners: list[str] = []
         for pair, kind in zip(loops.closed_loop, loops.type, strict=True):
             if kind != "rod":
-                row_count = 3 if kind == "3d" else 6  # a frame, or the two points of a hinge
+                row_count = 3 if kind == "3d" else 6  # "6d" closes a frame, a hinge two points on its axis
                 self.owners += [f"loop of {' and '.join(pair)}"] * row_count
         self.owners += ["a coupling"] * len(closed_model.couplings)
         self.owners += [f"mimic of {mimic.follower}" for mimic in mimics]
         # residuals of couplings and mimics: let q0 (`_q0`) be the first configuration, with displacement x0
         # from neutral. At q = q0 + x the residuals are `_linear` x + `_residuals_at_q0` + polynomials of
-        # second and higher powers of x0 + x
+        # second and higher powers of x0 + x. `couplings` (c, d, nv) has the factors of the powers 1 to d
         self._linear = np.array([*closed_model.couplings[:, 0], *(self._mimic_row(path, m) for m in mimics)])
         self._linear = self._linear.reshape(-1, self.model.nv)
         x0 = self._mimicked(mimics)
@@ -128,7 +130,8 @@ class RobotAtStart(FileStart):
             )
         if first is not None:
             self._q0, name = first
-        # `closed` (base class) returns the configuration, lines for the report, and the change of the start
+        # `closed` (base class) returns the configuration, lines for the report, and how far bodies and joints
+        # moved until the loops closed
         self.q, lines, report.moved = self.closed(self._q0, name, tolerance)
         report.start.extend(lines)
 

@@ -33,10 +33,10 @@ FOURTH_ORDER = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
 """Weights of the central difference of order 4, at the same six offsets."""
 
 MAX_ORDER_DIFFERENCE = 5e-6
-"""Largest relative difference between the two orders at which the derivative of order 6 is good to 1e-8.
+"""Largest relative difference between the two orders; the error of order 6 is then about 5e-6^(6/4) = 1e-8.
 
-Near a singular configuration errors grow with the fourth and the sixth power of the step divided by the
-distance.
+Near a singular configuration, the errors of order 4 and 6 grow with the fourth and the sixth power of the
+step divided by the distance.
 """
 
 DIRECTION_ATTRIBUTES = frozenset({"axis", "axis_on_first", "axis_on_second", "quaternion"})
@@ -47,7 +47,7 @@ MIN_COMPARED = 1e-3
 
 
 def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Find the p numbers of parameters that may be arrays; a symmetric matrix has each number once.
+    """Find the p numbers of parameters that may be arrays; an inertia, (3, 3), has each number once.
 
     Returns:
         For each number, by its name such as `gravity.z`: the name of the parameter, and the index in its
@@ -56,7 +56,7 @@ def components(scene: Scene, names: Sequence[str]) -> dict[str, tuple[str, tuple
     numbers: dict[str, tuple[str, tuple[int, ...]]] = {}
     for name, value in own_values(scene, names).items():
         for index in np.ndindex(*value.shape):
-            if value.shape == (3, 3) and index[0] > index[1]:  # below the diagonal of a symmetric matrix
+            if value.shape == (3, 3) and index[0] > index[1]:  # below the diagonal of an inertia
                 continue
             is_spatial = set(value.shape) == {3}  # vector or matrix, with components x, y, z
             component = "".join("xyz"[k] for k in index) if is_spatial else ".".join(map(str, index))
@@ -78,7 +78,7 @@ def _sizes(scene: Scene, names: Sequence[str]) -> Array:
     units, initial = units_of(scene, names), initial_numbers(scene, names)
     angular = {name for name in names if units[name].startswith("rad")}
     for name, place in places(scene, [name for name in names if name not in initial]).items():
-        _, _, attribute = place.owner
+        _, _, attribute = place.owner  # field of the scene, number of the element there, attribute
         if {*attribute.split(".")} & DIRECTION_ATTRIBUTES:
             angular.add(name)
     return np.array([1.0 if name in angular else min(1.0, scene.mechanism.size) for name in names])
@@ -87,9 +87,9 @@ def _sizes(scene: Scene, names: Sequence[str]) -> Array:
 class Starts:
     """Function that computes the initial state of a scene for values of p parameters, and its derivatives.
 
-    Loops are closed to round-off. The derivatives are difference quotients of order 6 with an error of about
-    1e-11. They are refused if difference quotients of order 4 deviate too much. The caller projects the
-    derivatives onto the linearized constraints.
+    Loops are closed to round-off. The derivatives are difference quotients of order 6, with an error of about
+    1e-11 far from singular configurations. They are refused if difference quotients of order 4 deviate by
+    more than `MAX_ORDER_DIFFERENCE`. The caller projects the derivatives onto the linearized constraints.
     """
 
     def __init__(
@@ -107,7 +107,8 @@ class Starts:
         self._names = (*names, *(held or {}))
         self._assembly = assembly_of(code.scene, self._names)
         self._sizes = _sizes(code.scene, names)
-        # indices of the parameters that change the initial state
+        # indices of the parameters that change the initial state: those of geometry and prescribed motions
+        # (`kinematic`), and initial joint coordinates and rates (`initial`)
         moves_start = {*self._assembly.kinematic, *self._assembly.initial}
         self._moving = [k for k, name in enumerate(names) if name in moves_start]
 
@@ -141,7 +142,8 @@ class Starts:
             states = self._assembly.starts(code, assembled)
             x[: code.size] = states[0]
             weights, system = np.array(list(SIXTH_ORDER.values())), code.system
-            # differences of full revolutions of angles are removed
+            # indices in q of all hinge angles: those whose revolutions are counted, because forces or
+            # couplings depend on them, and the others. Differences of full revolutions are removed from all
             angles = [*system.angles.values(), *system.uncounted_angles]
             changed_states = states[1:].reshape(-1, len(weights), code.size)
             for k, changed in zip(self._moving, changed_states, strict=True):
