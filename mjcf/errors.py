@@ -24,7 +24,7 @@ class MjcfError(NewtonEulerError):
 
 
 class ModelError(MjcfError):
-    """Scene that MuJoCo cannot compile.
+    """Scene (a mechanism with its forces, control and start) that MuJoCo cannot compile.
 
     Attributes:
         scene: name of the scene.

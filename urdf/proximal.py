@@ -42,7 +42,10 @@ MAX_MEAN_RATIO = 1e8
 The ratio is larger if a body with almost no inertia closes a loop, for example 1e-11 and 1e-4 kg m^2."""
 
 PROXIMAL_ACCURACY = 1e-13
-"""Relative change of the multipliers between iterations at which Pinocchio ends the iterations."""
+"""Dimensionless change of the multipliers between iterations at which Pinocchio ends the iterations.
+
+The change is the largest one of a multiplier, Pinocchio's `relative_residual`, which is not divided by the
+multiplier."""
 
 MAX_PROXIMAL_ITERATIONS = 30
 """Largest number of proximal iterations."""
@@ -53,12 +56,12 @@ FIRST_ITERATIONS = 8
 MAX_SETTLED_CHANGE = 1e-11
 """Change of the multipliers in the last of `FIRST_ITERATIONS` below which no further iterations are needed.
 
-The change is relative to 1 plus the norm of the multipliers. Each iteration reduces the change to at most
-3 %. Multipliers that cause no acceleration continue to change by round-off, and their change may not fall to
-`PROXIMAL_ACCURACY`."""
+The change is relative to 1 plus the norm of the multipliers. It falls so far in `FIRST_ITERATIONS` only if
+each iteration reduces it to a few percent. Multipliers that cause no acceleration continue to change by
+round-off, and their change may not fall to `PROXIMAL_ACCURACY`."""
 
 MAX_FINAL_CHANGE = 1e-6
-"""Relative change of the multipliers in the last iteration above which the iterations have not converged.
+"""Dimensionless change of the multipliers in the last iteration above which they have not converged.
 
 Iterations fail near a singular configuration, and if the loops have drifted open, so that redundant closures
 contradict each other."""
@@ -86,7 +89,9 @@ class Units(NamedTuple):
 
 
 class ConstraintDynamics:
-    """Dimensionless accelerations of a model by `constraintDynamics`, in tree coordinates.
+    """Dimensionless accelerations of a model by `constraintDynamics`.
+
+    Tree coordinates are the joint coordinates of the scene's spanning tree.
 
     Attributes:
         loses_digits: True if mu is so small that round-off is magnified by more than `MAX_MEAN_RATIO`.
@@ -101,7 +106,8 @@ class ConstraintDynamics:
 
         Args:
             closed: Pinocchio's model with its loop closures.
-            map: map between tree coordinates and Pinocchio's.
+            map: order of coordinates and velocities in the tree and in Pinocchio's model. Signs are the same,
+                so that it also maps forces.
             units: units of the copy of the model.
             q: (nq,) tree coordinates at the start.
             count: number of independent rows at regular configurations; fewer may be independent at the
@@ -147,7 +153,7 @@ class ConstraintDynamics:
                 return acceleration
         acceleration = self._solve(state, settings)
         # if the iterations do not converge, choose mu for this configuration; a mu that is only slightly
-        # smaller would magnify contradictions of closures
+        # smaller would magnify contradictions of closures, so require a factor of 10
         if settings.mu and not settings.relative_residual <= MAX_FINAL_CHANGE:
             settings_here, _ = self._regularized(q)
             if settings_here.mu < MAX_EIGENVALUE_FRACTION * settings.mu:

@@ -83,10 +83,13 @@ class UrdfReference(PinocchioReference):
             for mimic in self._mimics:
                 x0[mimic.follower] = mimic.multiplier * x0[mimic.driver] + mimic.offset
         q = self.integrate(pin.neutral(model), x0)
-        self._begin(q, self._linear @ x0 - self._offsets, scene)
+        self._begin(q, residuals=self._linear @ x0 - self._offsets, scene=scene)
 
     def _dampings(self) -> Array:
-        """Return the damping (nv,) of hinges and slides in elements `<dynamics>`, SI units."""
+        """Return the damping (nv,) of hinges and slides in elements `<dynamics>`, SI units.
+
+        It is 0 where the scene leaves the damping out, which `_topics` lists.
+        """
         model, dampings = self._model, np.zeros(self._model.nv)
         numbers = {str(model.names[k]): k for k in range(1, model.njoints) if model.joints[k].nv == 1}
         for joint in self._root.findall("joint"):
@@ -96,7 +99,10 @@ class UrdfReference(PinocchioReference):
         return dampings
 
     def _add_extensions(self, extensions: Extensions) -> None:
-        """Add the springs, dampers and rotors that tools add to the URDF."""
+        """Add springs, dampers and rotors of elements beyond the URDF standard, such as those of Drake.
+
+        `_topics` are properties of an element that the scene leaves out; the reference leaves them out, too.
+        """
         model = self._model
         for k in range(1, model.njoints):
             joint, name = model.joints[k], str(model.names[k])
@@ -129,7 +135,7 @@ class UrdfReference(PinocchioReference):
             for mimic in joint.findall("mimic"):
                 name, driver = str(joint.get("name")), str(mimic.get("joint"))
                 element = f"mimic of joint {name!r}"
-                if joint.get("type") == "fixed" or self._topics(element):
+                if joint.get("type") == "fixed" or self._topics(element):  # left out
                     continue
                 row, offset = np.zeros(model.nv), float(mimic.get("offset", 0.0))
                 multiplier = float(mimic.get("multiplier", 1.0))
@@ -227,14 +233,14 @@ class ModelReference(PinocchioReference):
         mentioned = {entry.element for entry in report.entries}
         elements = [*(f"joint {name!r}" for name in joint_names[1:]), *(each.element for each in closures)]
         self.unaccounted = tuple(element for element in elements if element not in mentioned)
-        no_couplings = np.zeros(0)
-        self._begin(q, no_couplings, scene)
+        self._begin(q, residuals=np.zeros(0), scene=scene)  # no couplings
 
 
 def _closures(model: Any, loops: Loops) -> list[Closure]:
     """Return the loop closures of a loop file.
 
-    The second frame of each closure is a copy that is added to the model, because `keep_offsets` moves it.
+    The second frame of each closure is a copy that is added to the model. Except for rods, `keep_offsets`
+    moves the copy to the first frame at the start, so that rounded numbers of the file leave no residual.
     """
     # number of the first frame of each name
     frames = {frame.name: k for k, frame in reversed(list(enumerate(model.frames)))}

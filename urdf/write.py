@@ -82,8 +82,8 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
     Args:
         scene: scene with the mechanism.
-        keep_bodies: True to cut loops at fixed joints of the mechanism, whose two bodies readers of the file
-            would otherwise merge; see `weld_loops`.
+        keep_bodies: True to cut loops at fixed joints where possible, so that these joints are closures.
+            Readers of the file merge the two bodies of other fixed joints; see `weld_loops`.
 
     Raises:
         NameClashError: if a part of a joint has the name of another joint or body.
@@ -97,7 +97,8 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     mechanism, tree = welded.mechanism, welded.tree
     robot = Element("robot", name=scene.name)
     add_materials(robot)
-    # origin (3,) of each link at the initial pose, m, world frame
+    # origin (3,) of each link at the initial pose, m, world frame: the point of the last motion of the joint
+    # to its parent, or the point of a fixed joint, which has no motions
     origins = [np.zeros(3)] * len(mechanism.bodies)
     for tree_joint in tree.joints:
         points = tree_joint.points

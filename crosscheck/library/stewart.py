@@ -62,6 +62,7 @@ def stewart() -> Scene:
     mass = DENSITY * np.pi * PLATFORM_RADIUS**2 * PLATFORM_THICKNESS
     across = mass * (3.0 * PLATFORM_RADIUS**2 + PLATFORM_THICKNESS**2) / 12.0
     axial = 0.5 * mass * PLATFORM_RADIUS**2
+    # shape for pictures: the square around the disc
     plate = Box(np.array([PLATFORM_RADIUS, PLATFORM_RADIUS, 0.5 * PLATFORM_THICKNESS]), HOME)
     bodies = [
         Body.ground(),
@@ -90,7 +91,10 @@ def stewart() -> Scene:
         duration=2.0,
         output_period=0.01,
         gravity=-9.81 * Z,
-        forces=tuple(JointSpring(f"leg_{k + 1}", stiffness) for k, stiffness in enumerate(LEG_STIFFNESS)),
+        # on the first coordinate of the cylindrical joint, the slide, which is zero at the start
+        forces=tuple(
+            JointSpring(f"leg_{k}", stiffness=stiffness) for k, stiffness in enumerate(LEG_STIFFNESS, start=1)
+        ),
         description="Stewart platform, six sprung legs on universal joints, six degrees of freedom",
     )
 
@@ -132,4 +136,6 @@ REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **{f"leg{k + 1}_length": _leg_length(k) for k in range(6)},
 }
 """Center of mass (m), velocity (m/s), orientation (w, x, y, z) and angular velocity (rad/s, world frame) of
-the platform, and lengths of the legs between their joints (m)."""
+the platform, and lengths of the legs between their joints (m).
+
+`crosscheck.library.references` has values of these quantities from other sources than simulations."""

@@ -1,4 +1,8 @@
-"""Statements of a user on a log: order of quaternions, units, time offset, and quantities of columns."""
+"""Options of a measured log (table of motions): order of quaternions, units, time offset, quantities of
+columns.
+
+A log is compared with a simulation of a scene, which is a mechanism with its forces, controls and start.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ QuaternionOrder = Literal["names", "wxyz", "xyzw"]
 
 @dataclass(frozen=True)
 class LogOptions:
-    """Statements on a log that the names of the columns do not make.
+    """Properties of a log that the names of its columns do not show.
 
     Attributes:
         quaternion: order of the four numbers of quaternions, in the order of the columns. "names" takes the
@@ -22,11 +26,12 @@ class LogOptions:
         angle: unit of angles without a unit in the name of the column, "rad" or "deg"; also of their rates.
         length: unit of lengths without a unit in the name of the column, "m", "mm" or "cm"; also of rates.
         time: unit of times without a unit in the name of the column, "s", "ms", "us" or "ns".
-        offset: time of the log, s, at which the time of the scene is zero.
+        offset: time of the log, s, at which the time of the simulation is zero.
         position: point of a body that positions are of: "center" of mass or origin of the body "frame". ""
-            chooses the point for which the joints of the first row fit better.
-        zero: zero of joint coordinates: that of the "file", or the "start" of the scene.
-        inputs: "log" takes inputs from the log if it has some, "scene" takes those of the scene.
+            chooses the point for which the poses in the first row close the joints better.
+        zero: where joint coordinates in the log are zero: as in the model "file", or at the "start" of the
+            scene.
+        inputs: "log" takes inputs of actuators from the log if it has some, "scene" those of the scene.
         columns: quantity by the name of a column, such as `coordinate.crank` or `quaternion.rod.w`.
     """
 

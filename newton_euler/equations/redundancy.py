@@ -113,7 +113,9 @@ class Configuration(NamedTuple):
         q: (nq,) joint coordinates.
         rows: sparse dimensionless rows, each divided by its natural magnitude.
         scales: (k,) natural magnitude of each dimensionless row before the division.
-        chosen: selection of independent rows, with the independent parts of rows that are almost dependent.
+        chosen: selection of independent rows, `chosen.rows`. `weak` are the selected rows that may be
+            redundant by design. `strong` is the smallest independent part of the other selected rows, and
+            `noise` is the largest one of the rows that are not selected.
     """
 
     q: Array
@@ -124,7 +126,7 @@ class Configuration(NamedTuple):
     @property
     def rank(self) -> int:
         """Number of independent rows."""
-        return len(self.chosen.factor.order)
+        return len(self.chosen.rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +200,7 @@ def rows_left_out(system: System) -> list[int]:
         return []
     known = _ROWS_LEFT_OUT.setdefault(system.scene, {})
     if isinstance(system, Formulation):
-        if system.omitted is not None:
+        if system.omitted is not None:  # same rows as in the compiled equations
             return system.omitted
         used = system.rows_of(found.independent)
     elif system.name in known:
@@ -329,7 +331,7 @@ def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
         u, s, _ = singular_values(to_array(rows, system.nv))
         return Spectrum(s.tolist(), at.rank, lambda k: largest_share(owners, u[:, k]))
     # independent parts of the rows of a large Jacobian
-    dependent = set(range(len(rows))) - set(chosen.factor.order)
+    dependent = set(range(len(rows))) - set(chosen.rows)
     parts = {k: remainder(rows, chosen.factor, rows[k]) for k in dependent}
     redundant = sorted(parts, key=lambda k: -parts[k])[:MAX_LISTED]
     row_of_value = [*chosen.weak, *redundant]  # the first value belongs to no single row
@@ -378,6 +380,8 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
 def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows, Array]:
     """Compute scaled constraint residuals and Jacobian rows at q (nq,).
 
+    `phi_units` and `velocity_units` are the mechanism's size, m, for lengths, and 1 for angles.
+
     Returns:
         Residuals (k,) and sparse rows, dimensionless and divided by their natural magnitudes; the magnitudes
         (k,), see `newton_euler.equations.kinematics.TreeKinematics.row_scales`.
@@ -424,8 +428,8 @@ def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
     # minimum-norm Newton steps back to the closed configurations
     for _ in range(MAX_NEIGHBOR_STEPS):
         phi, rows, _ = _scaled(system, q)
-        factor = independent(rows, tolerance).factor
-        if largest(phi[factor.order]) < 0.01 * MAX_SAMPLE_RESIDUAL:
+        chosen = independent(rows, tolerance)
+        if largest(phi[chosen.rows]) < 0.01 * MAX_SAMPLE_RESIDUAL:
             break
-        q = system.retract(q, -unit * least_step(rows, factor, phi, system.nv))
+        q = system.retract(q, -unit * least_step(rows, chosen.factor, phi, system.nv))
     return q

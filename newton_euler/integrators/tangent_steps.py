@@ -5,7 +5,11 @@ The run is made first and records its steps. Then `integrate_tangents` repeats t
 same sizes, for the states and several tangents together (internal numerical differentiation: H. G. Bock,
 Randwertproblemmethoden zur Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen, Bonner
 Mathematische Schriften 183, 1987). Each tangent is in one *lane* (element) of the processor's vector
-registers. Every few steps the tangents S are projected onto the linearized constraints, Phi_q S + Phi_p = 0
+registers. Arrays `x` and `at` have the state, time, flags of constraint rows (1 for a row that is left out as
+redundant) and parameters, then from index `inputs` on a tangent of the same layout. A row of `k` has the
+rates of the n state numbers, those of the tangent, and the pivot ratio. Each number is stored for all lanes.
+
+Every few steps the tangents S are projected onto the linearized constraints, Phi_q S + Phi_p = 0
 and its time derivative. Phi_q and Phi_p are the derivatives of the constraint residuals with respect to
 coordinates and parameters.
 
@@ -72,12 +76,12 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
     `errors`.
 
     Rows 13 and 14 of k, which are free until dense output, receive the two embedded estimates of each
-    element.
+    element. The work of forces, which lies between coordinates and velocities in a state, is not controlled.
     """
     lanes = tangents.lanes
     size = tangents.n * lanes
     row = 2 * size + lanes
-    k = tangents.k[size:]
+    k = tangents.k[size:]  # from here on, a row begins with the rates of the tangents
     fives = k[13 * row :]
     threes = k[14 * row :]
     end = tangents.at[tangents.inputs * lanes :]
@@ -96,7 +100,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
         place = 0.0
         fifth_place = 0.0
         third_place = 0.0
-        for i in range(tangents.places):
+        for i in range(tangents.places):  # coordinates
             e = lanes * i + lane
             place = max(place, max(abs(start[e]), abs(end[e])))
             fifth_place += fives[e] * fives[e]
@@ -104,7 +108,7 @@ def estimate_errors(tangents: Tangents, h: float) -> None:
         speed = 0.0
         fifth_speed = 0.0
         third_speed = 0.0
-        for i in range(tangents.speeds, tangents.n):
+        for i in range(tangents.speeds, tangents.n):  # velocities
             e = lanes * i + lane
             speed = max(speed, max(abs(start[e]), abs(end[e])))
             fifth_speed += fives[e] * fives[e]
@@ -172,7 +176,7 @@ def passes_singular(tangents: Tangents) -> int:
     """
     size = tangents.n * tangents.lanes
     row = 2 * size + tangents.lanes
-    least = tangents.k[2 * size]
+    least = tangents.k[2 * size]  # pivot ratio of stage 0
     most = least
     for s in range(1, STAGES + 1):
         ratio = tangents.k[row * s + 2 * size]
@@ -223,7 +227,7 @@ def write_tangents(tangents: Tangents, t: float, h: float, due: int, stop: float
         stop: time at the end of the substep, s.
     """
     size = tangents.n * tangents.lanes
-    count = tangents.known - tangents.n - 1  # number of flags
+    count = tangents.known - tangents.n - 1  # number of flags of constraint rows
     if due < tangents.rows and tangents.times[due] <= stop:
         for s in range(STAGES + 1, 16):
             tangent_stage(tangents, s, t, h)
@@ -254,7 +258,7 @@ def integrate_tangents(tangents: Tangents, last: Vector) -> Status:
     along = tangents.inputs * lanes
     x = tangents.x
     at = tangents.at
-    end = tangents.k[(2 * size + lanes) * 16 :]
+    end = tangents.k[(2 * size + lanes) * 16 :]  # scratch row after the 16 stages
     due = 0  # index of the next output time
     # each step of the run: the recorded state at its start, and the tangents, projected every few steps and
     # after a step that passes a singular configuration
@@ -286,7 +290,7 @@ def integrate_tangents(tangents: Tangents, last: Vector) -> Status:
                 if counts[TangentCount.STOP_REQUEST] > 0.0:
                     return Status.INTERRUPTED
             taken = take_substep(tangents, t, h)
-            if tangents.min_pivot_ratio[0] < tangents.floor:
+            if tangents.min_pivot_ratio[0] < tangents.floor:  # too close for accurate tangents
                 return Status.SINGULAR
             # the end of the substep, tangents before states, and outputs within it; dense output overwrites
             # `at`

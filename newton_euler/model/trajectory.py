@@ -131,7 +131,7 @@ def joint_motion(
         Coordinates and rates (..., n, k).
     """
     # Evaluate all coordinates and rates at all times at once: the frames of the two bodies consist of `Stack`
-    # scalars (the numbers of all runs and times as one scalar). `phi` of a coordinate is its value
+    # scalars (the numbers of all runs and times as one scalar). A measure computes a coordinate as its `phi`
     bodies, measures = [equations.first, equations.second], equations.coordinates
     has_rates = linear_velocity is not None and angular_velocity is not None
     if linear_velocity is None or angular_velocity is None:
@@ -298,10 +298,10 @@ class Trajectory:
                 names = column_names(name, array.shape[1:], self._names)
                 columns |= zip(names, array.reshape(len(array), -1).T, strict=True)
         with suppress(MissingPackageError):
-            return optional_package("pandas", "tables").DataFrame(columns)
+            return optional_package("pandas", extra="tables").DataFrame(columns)
         with suppress(MissingPackageError):
-            return optional_package("polars", "tables").DataFrame(columns)
-        raise MissingPackageError("pandas", "tables")
+            return optional_package("polars", extra="tables").DataFrame(columns)
+        raise MissingPackageError("pandas", extra="tables")
 
     @property
     def _names(self) -> dict[str, Sequence[str]]:

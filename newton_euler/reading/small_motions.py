@@ -22,7 +22,7 @@ SettingsT = TypeVar("SettingsT")
 """Type of an engine's settings (time step, integrator, solver)."""
 
 ModelChange = Callable[[Any], None]
-"""Function that changes the engine's model, for `FileSimulation.changed`."""
+"""Function that changes the engine's model in place, to simulate the file with the change."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class SmallMotions(ABC, Generic[SettingsT]):
         Args:
             state: index of the state in `times`.
             velocity: (nv,) complex amplitudes of the velocities in a mode.
-            factor: armature, as a multiple of the joint's apparent inertia.
+            factor: armature, as a multiple of the joint's inertia while no other joint moves.
 
         Returns:
             The change, and its description, such as 'armature="0.01" of joint 'lift''.

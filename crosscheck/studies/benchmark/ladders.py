@@ -155,7 +155,7 @@ ATOL_PER_RTOL = (1.0, 1e-2)
 """Ratios of absolute tolerance (SI units) and relative tolerance (rtol) that are run."""
 
 FINEST_DECADE = 13.5
-"""Negative decimal logarithm of the finest rtol, 3e-14. DOP853 accepts no rtol below 2.2e-14."""
+"""Negative decimal logarithm of the finest rtol, 3e-14. At finer tolerances round-off dominates."""
 
 FINEST_RADAU_DECADE = 9.5
 """Negative decimal logarithm of Radau's finest rtol, 3e-10. Radau has order 5, and would need too many steps

@@ -1,11 +1,11 @@
 """Sensitivities: derivatives of trajectories with respect to parameters of a scene.
 
-Traced derivatives of the equations of motion are integrated along the steps of a run
-(`newton_euler.integrators.tangent_steps`), on the linearized constraints. The run itself is bitwise equal to
-a run without derivatives. A step that is too long for the derivatives, for example of a mechanism at rest, is
-divided. In each part of a step, and for each parameter, the error of the derivatives of coordinates is at
-most 100 `rtol` times the largest of these derivatives. The same holds for velocities. Round-off and singular
-configurations are excepted.
+The equations of motion are differentiated symbolically and compiled. Their derivatives are integrated along
+the steps of a run (`newton_euler.integrators.tangent_steps`), on the linearized constraints. The run itself
+is bitwise equal to a run without derivatives. A step that is too long for the derivatives, for example of a
+mechanism at rest, is divided. In each part of a step, and for each parameter, the error of the derivatives of
+coordinates is at most 100 `rtol` times the largest of these derivatives. The same holds for velocities.
+Round-off and singular configurations are excepted.
 
 Times of discontinuities must not depend on parameters. Set-points that jump and knots of splines have fixed
 times. A run is refused if a spring force jumps in the motion: a spring on a ball that passes half a
@@ -50,7 +50,7 @@ class Sensitivities:
     of the positions of one body.
 
     Attributes:
-        run: the run itself, bitwise equal to a run of `compile_scene` with these parameters.
+        run: the run itself, bitwise equal to that of `compile_scene(scene, parameters=...)`.
         parameters: names of the p numbers.
 
     Examples:
@@ -87,6 +87,7 @@ class Sensitivities:
     work: Floats | None = None
     """(n, p)"""
     _coordinates: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
+    """(n, 2 c, p) of the c coordinates of all joints, then of their rates."""
 
     def __repr__(self) -> str:
         time = self.run.time
@@ -163,11 +164,13 @@ def sensitivities(
     labels = tuple(places)  # a name for each number
     # the run with its derivatives
     code = tangent_code(scene, labels, formulation)
-    code.warn()
+    code.warn()  # of almost redundant constraints
     numbers = np.array([values[name][index] for name, index in places.values()])
+    # start state with parameters (inputs,), and its derivatives (inputs, p)
     x, directions = Starts(code, labels)(numbers)
     tangent_run = TangentRun(code, options, ("output", "coordinates"))(x, directions)
-    # the trajectory, and derivatives in its shapes
+    # the trajectory, and derivatives in its shapes: names with `ALONG` are those of compiled functions that
+    # compute derivatives
     settings = code.settings | options.as_settings() | tangent_run.counts
     outputs = named(code, tangent_run.results)
     quaternion = outputs["quaternion"].copy()
@@ -186,7 +189,7 @@ def sensitivities(
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise SensitivityError(f"derivatives of {name} are not finite")
-    # the program "coordinates" has the joint coordinates and rates first, then their derivatives
+    # the compiled function "coordinates" returns joint coordinates and rates, then their derivatives
     _, coordinate_derivatives = np.split(tangent_run.derivatives["coordinates"], 2, axis=1)
     return Sensitivities(run, labels, **arrays, _coordinates=coordinate_derivatives)
 
