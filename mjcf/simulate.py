@@ -34,7 +34,7 @@ from newton_euler.scalars import Array
 if TYPE_CHECKING:
     from mjcf.soft import SoftMuJoCo
 
-MIN_TIMESTEP = 1e-6
+MIN_COMMON_DIVISOR = 1e-6
 """Smallest common divisor, s, of the output period and the periods of controllers; the time step divides it.
 """
 
@@ -169,8 +169,8 @@ def _chosen_timestep(scene: Scene, timestep: float | None) -> float:
     common = periods[0] if periods else scene.duration
     for law in sampled_laws:
         common = _common_divisor(common, law.period)
-        if common < min(MIN_TIMESTEP, *periods) * (1.0 - 1e-9):
-            needed = f"a common divisor of at least {MIN_TIMESTEP:g} s with "
+        if common < min(MIN_COMMON_DIVISOR, *periods) * (1.0 - 1e-9):
+            needed = f"a common divisor of at least {MIN_COMMON_DIVISOR:g} s with "
             needed += f"the output period of {scene.output_period:.9g} s and other periods"
             raise OptionError(f"period of joint {law.joint!r}", law.period, needed)
     # the default
@@ -269,7 +269,7 @@ def _run(
     original, held_values = system, dict[str, Any]()
     with collected_warnings(data) as warnings:
         for interval, steps in plan:
-            held_values |= pieces(original.scene, interval.middle, smooth=False)
+            held_values |= pieces(original.scene, interval.middle, include_smooth=False)
             if interval.due:  # controllers that take a sample at the beginning of the interval
                 try:
                     readings = np.array([*system.readings(data).values()])
@@ -281,8 +281,9 @@ def _run(
                 system.set_controls()
             if interval.is_output[0]:
                 record()
-            # steps to each time of the interval; `wanted` is True for output times. In the context, MuJoCo
-            # calls back for controls, wind and motions that depend on time.
+            # steps to each time of the interval; `wanted` is True for output times, except at the end, where
+            # the next interval records the output. In the context, MuJoCo calls back for controls, wind and
+            # motions that depend on time.
             with system.following():
                 for (number, step_size), wanted in zip(steps, interval.is_output[1:], strict=True):
                     system.use_step(step_size, solref)
@@ -311,6 +312,6 @@ def _divergence(warning: str, time: float, outputs: Sequence[Output]) -> Diverge
     """
     last = outputs[-1]
     scene, state = last.system.scene, last.system.state(last.q, last.v)
-    forces = surroundings(scene, state, time)
+    force_inputs = surroundings(scene, state, time)  # the quantities that forces depend on
     first_sentence, _, _ = warning.partition(". ")
-    return DivergenceError(time, with_likely_causes(scene, state, first_sentence, forces))
+    return DivergenceError(time, with_likely_causes(scene, state, first_sentence, force_inputs))

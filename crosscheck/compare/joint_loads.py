@@ -91,6 +91,8 @@ class JointLoads:
         mechanism = self._system.mechanism
         number = mechanism.joint_index(displaced.joint.name)
         point = mechanism.joints[number].reaction_point
+        # From the center of mass of the second body to its joint point, body frame; `point` and `pose` are in
+        # the world at the initial pose
         arm = mechanism.bodies[displaced.second].pose.point_to_body(point)
         unsupported = []
         for frames, evaluation in zip(self._frames, self._evaluations, strict=True):
@@ -115,8 +117,8 @@ class JointLoads:
         """
         tree, frames = self._system.tree, self._frames[k]
         number = self._system.mechanism.joint_index(displaced.joint.name)
-        yielding_joint = next(each for each in tree.joints if each.joint == number)
-        own = yielding_joint.v  # slice of the joint's velocities
+        # Slice of the joint's velocities; records of the spanning tree refer to joints by number (`joint`)
+        own = next(each.v for each in tree.joints if each.joint == number)
         others = np.delete(np.arange(tree.nv), np.arange(own.start, own.stop))
         motions, mass = self._motions_and_mass(k)
         # Body velocities if the joint yields at unit speed and all others are locked

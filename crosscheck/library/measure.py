@@ -72,7 +72,7 @@ def angle(run: Trajectory, body: str, axis: Array) -> Array:
     return np.asarray(2.0 * np.unwrap(np.arctan2(p[:, 1:] @ axis, p[:, 0])))
 
 
-def components(names: tuple[str, ...], vector: Quantity) -> dict[str, Quantity]:
+def components(names: tuple[str, ...], vector: Callable[[Trajectory], Array]) -> dict[str, Quantity]:
     """Split the function of a vector into one quantity for each component.
 
     Args:

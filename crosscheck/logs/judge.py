@@ -69,7 +69,8 @@ class Log:
             statements: `LogOptions` by name. `quaternion` is "wxyz" or "xyzw", the order of columns. `angle`,
                 `length` and `time` are units that the names of columns do not have, such as "deg".
                 `offset` is the time of the log, s, at which the scene starts. `position` is "center" or
-                "frame"; `zero` may be "start", `inputs` "scene". `columns` maps columns to quantities.
+                "frame". `zero` is "start" for joint coordinates that are zero at the start of the scene.
+                `inputs` is "scene" to ignore inputs of the log. `columns` maps columns to quantities.
 
         Raises:
             UnknownNameError, OptionError: for an unknown statement or value.
@@ -88,7 +89,8 @@ class LogJudgement(Judgement):
 
     Attributes:
         name: name of the run.
-        start: start of the reference, next to the first row.
+        start: start of the reference: the consistent state that is nearest to the first row, and the
+            distances (m and rad) between both.
         scene: scene that was simulated, from the start of the log.
         solution: reference solution of all bodies, at its own output times.
         missing: bodies that the log does not determine, with the joint coordinates that it lacks there.
@@ -186,7 +188,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
     if ends:
         rows = max(2, int(np.searchsorted(run.time, min(ends))))
         run = run.first(rows)
-        error = run_error(run, compared.reference_at(run.time), compared.scale)
+        error = run_error(run, compared.reference_at(run.time), compared.motion_scale)
     return LogJudgement(
         engine=reading.table.where,
         settings="",
@@ -225,7 +227,15 @@ def _simulated(scene: Scene, name: str, step: Stepper) -> Log:
         names = ("position", "quaternion", "linear_velocity", "angular_velocity")
         arrays: dict[str, Any] = {each: np.array([getattr(state, each) for state in found]) for each in names}
         mechanism = scene.mechanism
-        found = Trajectory(name, {}, 0.0, scene.times, mechanism.body_names, mechanism.joint_names, **arrays)
+        found = Trajectory(
+            engine=name,
+            settings={},
+            wall_time=0.0,
+            time=scene.times,
+            body_names=mechanism.body_names,
+            joint_names=mechanism.joint_names,
+            **arrays,
+        )
     if isinstance(found, Trajectory):
         columns: dict[str, Array] = {"time": found.time}
         for kind, letters in (("position", "xyz"), ("quaternion", "wxyz"), *_VELOCITIES):

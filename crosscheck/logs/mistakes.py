@@ -199,7 +199,7 @@ def _delay(compared: ComparedLog) -> Iterator[Mistake]:
             delayed = run_error(
                 without_energies(at_outputs(run, np.flatnonzero(inside))),
                 without_energies(compared.reference_at(times[inside])),
-                compared.scale,
+                compared.motion_scale,
             )
             if delayed.relative < error.relative:
                 error, best = delayed, float(delay)

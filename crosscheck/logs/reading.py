@@ -45,7 +45,7 @@ class ComparedLog:
         start: start of the reference.
         scene: scene of the reference.
         reference: reference solution, at its own output times.
-        scale: extent of the reference's motion.
+        motion_scale: extent of the reference's motion, by which errors are divided.
         run: logged motion of the known bodies at the compared times.
         points: point of positions.
         poses: poses of all known bodies.
@@ -57,7 +57,7 @@ class ComparedLog:
     start: LogStart
     scene: Scene
     reference: Trajectory
-    scale: MotionScale
+    motion_scale: MotionScale
     run: Trajectory
     points: Origin
     poses: Poses
@@ -185,7 +185,7 @@ class LogReading:
             other = _reference(replace(compared.scene, initial_state=start.state))
         except NewtonEulerError:
             return None
-        return run_error(without_energies(other), without_energies(compared.reference), compared.scale)
+        return run_error(without_energies(other), without_energies(compared.reference), compared.motion_scale)
 
     def missing(self, compared: ComparedLog) -> tuple[str, ...]:
         """Name bodies that the log does not determine, with the coordinates that it lacks of their joints."""

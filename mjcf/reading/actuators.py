@@ -262,6 +262,7 @@ class Actuators:
         control = self._control(actuator)
         if ctrl_of_file != control:
             how += f"; its control {ctrl_of_file:g} is clipped to {control:g} by its range, as in MuJoCo"
+        # reported as idle: the control is 0 throughout (a force that does not depend on it may still act)
         moves_nothing = control == 0.0 and actuator not in self._sines
         if model.actuator_ctrllimited[actuator]:
             numbers[CONTROL_RANGE] = model.actuator_ctrlrange[actuator].tolist()
@@ -446,11 +447,14 @@ class Actuators:
             down, up = (float(x) for x in model.actuator_actrange[actuator])
             low, high = max(low, down), min(high, up)
         # limits of the force of the actuator, its tendon and its joints
+        # `force_factor`: limited force per unit force of the actuator
         for force_factor, distances in distances_from_limits(model, data, actuator, moments):
             down, up = sorted(float(x) / (gain * force_factor) for x in distances)
             low, high = max(low, control + down), min(high, control + up)
         gains = {key: gain * arm for key, arm in arms.items()}
-        self.drives[actuator] = Drive(control, gains, low, high, self._has_dynamics(actuator))
+        self.drives[actuator] = Drive(
+            control=control, gains=gains, low=low, high=high, has_dynamics=self._has_dynamics(actuator)
+        )
 
     def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
         """Add the armature (rotor inertia) of an actuator, also of a disabled one, as MuJoCo does."""

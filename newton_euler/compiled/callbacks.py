@@ -50,8 +50,8 @@ class Callbacks:
     """Callbacks of one native run, with the exceptions that they raised and the interrupts of the user.
 
     Attributes:
-        counts: counters of the run (COUNTS,), or of several runs (COUNTS, lanes); see
-            `newton_euler.integrators.stepper.Count`. The counter `STOP_REQUEST` tells native code to stop.
+        counts: (c,) the c counters of the run, or (c, lanes) of several runs; their indices are the members
+            of `newton_euler.integrators.stepper.Count`. The counter `STOP_REQUEST` asks native code to stop.
         pause: callback by which native code asks whether the user wants to stop.
         error: exception that the equations raised in the last call, else None. The integrator can recover,
             for example by a shorter step.
@@ -104,7 +104,10 @@ class Callbacks:
         return PythonCallback(call)
 
     def _end(self, on: int) -> None:
-        """Ask native code to end the runs of the active lanes (bit mask `on`) at their next step."""
+        """Ask native code to end the run at its next step.
+
+        A subclass for runs in lanes ends only the runs of the active lanes (bit mask `on`).
+        """
         self.counts[Count.STOP_REQUEST] = STOP_ALL_RUNS
 
     def _pause(self, counts: int, request: int, on: int) -> None:

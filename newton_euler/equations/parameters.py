@@ -177,13 +177,13 @@ def check_dynamic(scene: Scene, names: Iterable[str], where: str) -> None:
             raise MechanismError(where, f"has the parameter {name!r}", needed)
 
 
-def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
+def pieces(scene: Scene, time: float, include_smooth: bool = True) -> dict[str, Array]:
     """Return the polynomial piece around a time of each function of time with knots, by parameter name.
 
     Args:
         scene: the scene with the functions.
         time: s; a piece is valid between the two knots around this time.
-        smooth: True to include functions without jumps (splines), False for functions with jumps only.
+        include_smooth: False to leave out functions without jumps (splines).
 
     Returns:
         Numbers of each piece: its start, s, then coefficients in ascending powers of the time since the
@@ -191,7 +191,7 @@ def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
     """
     found = {}
     for owner, functions in scene.functions.items():
-        if any(f.piece_size and (smooth or f.jumps) for f in functions):
+        if any(f.piece_size and (include_smooth or f.jumps) for f in functions):
             found[numbered(*owner) + PIECE] = piece_numbers(functions, time)
     return found
 

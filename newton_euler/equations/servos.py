@@ -26,7 +26,7 @@ from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-MIN_INDEPENDENT_RATE = 1e-3
+MIN_INDEPENDENT_DISTANCE = 1e-3
 """Smallest dimensionless distance of a row from the span of the rows chosen before it, for the row to be
 chosen."""
 
@@ -61,19 +61,21 @@ def servos_of(
                 raise MechanismError(f"{what} {name(key)!r}", "follows a prescribed motion", "another one")
             if list(keys).count(key) > 1:
                 raise MechanismError(f"{what} {name(key)!r}", "is named twice", f"each {what} once")
+    # equations of a copy of the scene whose only controllers are of zero force, on these coordinates
     system = Relative(measuring(scene, [*coordinates, *actuators]))
     servos = Servos(tuple(coordinates), tuple(actuators), rows_in_use(system))
-    decided, count = mobility(scene), len(coordinates)
+    analysis, count = mobility(scene), len(coordinates)
     # for actuators on other coordinates, the chosen coordinates must determine the whole motion
-    if servos.actuators != servos.coordinates and decided.degrees_of_freedom != count:
-        problem = f"has {decided.degrees_of_freedom} degrees of freedom, and {count} coordinates are chosen"
+    if servos.actuators != servos.coordinates and analysis.degrees_of_freedom != count:
+        problem = f"has {analysis.degrees_of_freedom} degrees of freedom, and {count} coordinates are chosen"
         needed = "as many where actuators are on other coordinates than these"
         raise MechanismError(f"scene {scene.name!r}", problem, needed)
     # valid in at least one of the configurations that the mobility analysis has examined
-    faults = [find_fault(system, system.coordinates(state)[0], servos) for state in decided.states]
+    faults = [find_fault(system, system.coordinates(state)[0], servos) for state in analysis.states]
     if all(faults):
         key, problem = faults[0] or (("", 0), "")
         raise MechanismError(f"coordinate {name(key)!r}", problem, "another choice")
+    # with the rows that `form` uses, and reference magnitudes of the pivots in their elimination
     return scaled(servos, form(system.scene))
 
 
@@ -138,7 +140,7 @@ def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[in
         chosen: numbers of rows that are chosen already, at most `count`.
         candidates: numbers of the rows to choose from.
         count: total number of rows to choose; fewer are chosen if the distance of all candidates from the
-            span is below `MIN_INDEPENDENT_RATE`.
+            span is below `MIN_INDEPENDENT_DISTANCE`.
 
     Returns:
         Numbers of the chosen rows, the given ones first.
@@ -150,7 +152,7 @@ def independent_rows(rows: Array, chosen: Sequence[int], candidates: Iterable[in
     while waiting and len(found) < count:
         lengths = np.linalg.norm(components[waiting], axis=1).round(COMPARED_DECIMALS)
         best = int(np.argmax(lengths))
-        if lengths[best] < MIN_INDEPENDENT_RATE:
+        if lengths[best] < MIN_INDEPENDENT_DISTANCE:
             break
         found.append(waiting.pop(best))
         _remove(components, found[-1])

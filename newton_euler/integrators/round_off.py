@@ -8,7 +8,7 @@ simulation, Int. Journal of Robotics Research 16(6), 1997. `newton_euler.integra
 error estimate looks like noise.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
-Python.
+Python. A `Vector` belongs to one run, a `Shared` vector to all runs that are integrated side by side.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ def measure_round_off(
             `newton_euler.integrators.stepper`.
         units: (n,) natural magnitudes of the state, SI. An element that is smaller than its natural magnitude
             is assumed to have the round-off of this magnitude.
-        at: state with time and parameters, scratch.
+        at: as `now`, with the parameters of the run; state and time are overwritten.
         rates: (n,) rates at `now`.
-        scratch: 3 (n + 1) numbers.
+        scratch: 3 (n + 1) numbers: `evaluate` returns n rates and a pivot ratio for each of three states.
         round_off: (n,) round-off of the rates, SI; updated by the new sample.
     """
     n = system.n

@@ -24,8 +24,8 @@ from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array
 
 OFFSET_FACTOR = 10.0
-"""Allowed difference of the initial poses of scene and file, as a multiple of the file's loop-closure error
-times the condition number of the constraints."""
+"""Allowed difference of the initial poses of scene and file, as a multiple of the file's loop-closure error.
+For joint coordinates, the condition number of the constraints is a further factor."""
 
 STALLED_RATIO = 10.0
 """Ratio of loop-closure errors above which Newton steps have not closed the loops of the file: the error at
@@ -54,7 +54,7 @@ def body_checks(placed: ScenePlacement) -> Iterator[ReadingCheck]:
     gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
     # The two halves of a cut body may be apart by the loop-closure error of the file at the start
     offset = reference.offset if placed.has_cut_bodies else 0.0
-    yield worst_entry(CENTER_CHECK, gaps, reach * (READING_ROUND_OFF + 10.0 * offset), names)
+    yield worst_entry(CENTER_CHECK, gaps, reach * (READING_ROUND_OFF + OFFSET_FACTOR * offset), names)
     largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))  # largest principal moment of each body
     gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
     # Terms of the parallel-axis theorem, divided by the inertia
@@ -99,6 +99,7 @@ def _mass_matrix_check(placed: ScenePlacement, of_scene: MassProperties) -> Read
     reference, (start_centers, start_rotations) = placed.reference, placed.start_frames
     found, quantity = [], "mass matrix, loops open, rel"
     for sample in reference.samples if placed.has_cut_bodies else reference.open_loop_samples:
+        # basis (nv, d) of the free velocities of the file, and the numbers (d,) of those that determine all
         basis, chosen = sample.freedom.basis, sample.freedom.independent
         if not len(chosen):
             continue
@@ -151,7 +152,7 @@ def _joint_errors(placed: ScenePlacement, place: SamplePlacement) -> tuple[list[
     # The error of a coupling is divided by the sum of the magnitudes of its derivatives with respect to the
     # joint coordinates, its sensitivity
     coupled = couplings(placed.scene)
-    errors = residuals(placed.mechanism, coupled, frames, 0.0, place.state.angles)
+    errors = residuals(placed.mechanism, coupled, frames, time=0.0, known=place.state.angles)
     of_couplings = zip(coupled, errors.phi, errors.rate, errors.sensitivity, strict=True)
     for coupling, phi, rate, sensitivity in of_couplings:
         unit = (size if coupling.is_length else 1.0) * sensitivity
@@ -284,7 +285,7 @@ def _nearest_consistent(stated: Array, rows: Array, free: Freedom, units: Array)
         units: (nv,) scales of velocities: the size of the model, m, or 1 for angles.
     """
     basis = free.basis * units[free.independent] / units[:, None]
-    # The norm is that of the readers of files, which project velocities with quaternions as coordinates: the
-    # rates of quaternions are half of angular velocities
+    # The norm is that of `newton_euler.runs.assemble`, by which readers make the velocities of a file
+    # consistent. Its coordinates are quaternions, whose rates are half of angular velocities
     metric = np.tile(np.repeat([1.0, 0.5], 3), len(rows) // 6)[:, None] * rows
     return np.asarray(basis @ least_squares(metric @ basis, metric @ stated))

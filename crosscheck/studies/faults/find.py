@@ -28,7 +28,7 @@ from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.studies.faults import INJECTED_ENGINES
 from crosscheck.studies.faults.catalog import FAULT_SIZES, Fault, catalog
-from crosscheck.studies.faults.misreadings import EVERYTHING, misreadings
+from crosscheck.studies.faults.misreadings import ALL_BODIES, misreadings
 from crosscheck.studies.faults.velocity_terms import without_velocity_term
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.relative import Relative
@@ -124,13 +124,14 @@ class FaultResult:
 
     @property
     def located(self) -> bool:
-        """True if the diagnosis names the engine with the fault, and the body, joint or term at fault."""
+        """True if the diagnosis names the engine with the fault, and a body, joint or term at fault: one of
+        `Fault.expected`."""
         return self._names(self.detection, self.fault.expected)
 
     @property
     def located_by_motion(self) -> bool:
-        """True if the diagnosis from motion alone names the engine with the fault, and the element at fault
-        or a body next to it."""
+        """True if the diagnosis from motion alone names the engine with the fault, and an element at fault
+        or a body next to it (`Fault.neighbors`)."""
         return self._names(self.detection_by_motion, self.fault.expected | self.fault.neighbors)
 
     def _names(self, detection: Detection | None, elements: frozenset[str]) -> bool:
@@ -229,7 +230,7 @@ class FaultFree:
     """
 
     def __init__(self, scene: Scene) -> None:
-        # Equations of each engine
+        # Equations of each engine, in the first of its formulations (choices of coordinates)
         self.scene, self.samples = scene, samples_of(scene)
         self.engines: dict[str, Engine] = {}
         self.refusals: dict[str, NewtonEulerError] = {}
@@ -412,11 +413,12 @@ def _is_named(element: str, where: str, report: ImportReport) -> bool:
     """Return True if a failing check names an element of the scene, or the element of the file it comes from.
 
     Args:
-        element: name of the element of the scene, or `EVERYTHING`.
+        element: name of the element of the scene, or `ALL_BODIES` for a fault in all bodies, which any place
+            names.
         where: place of the failing check.
         report: import report of the file.
     """
-    if element in (where, EVERYTHING) or repr(element) in where:
+    if element in (where, ALL_BODIES) or repr(element) in where:
         return True
     # `where` begins with an element of the file; the report tells how it was imported, as which elements
     element_of_file = where.split(":")[0]
@@ -424,7 +426,7 @@ def _is_named(element: str, where: str, report: ImportReport) -> bool:
 
 
 def _with_fault(fault: Fault, engine: Engine, scene: Scene) -> System:
-    """Return the engine's equations of motion for the scene with the fault.
+    """Return the equations of motion, in the engine's first formulation, for the scene with the fault.
 
     A scene whose loop cannot be closed raises an error before an engine evaluates it. A wrong point of a
     loop-closing joint is therefore injected into MuJoCo's compiled model, where it is an anchor.
@@ -439,5 +441,5 @@ def _with_fault(fault: Fault, engine: Engine, scene: Scene) -> System:
 
 
 def _without_term(fault: Fault, system: System) -> System:
-    """Return the equations without the velocity term that the fault drops; for other faults, unchanged."""
+    """Return the equations without the velocity term (omega x axis v) of a hinge, if the fault drops it."""
     return system if fault.hinge is None else without_velocity_term(system, fault.hinge)

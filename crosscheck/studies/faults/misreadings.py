@@ -49,7 +49,7 @@ SMALL_ERROR, LARGE_ERROR = 1e-6, 0.1
 PERMUTED_AXES = [1, 2, 0]
 """Order of the components of a vector that is read in a wrong order."""
 
-EVERYTHING = "all bodies"
+ALL_BODIES = "all bodies"
 """Name of the element of a fault that is in all bodies, such as wrong initial velocities."""
 
 SHIFTED_ATTRIBUTES = ("rest", "target", "point", "point_on_first", "point_on_second")
@@ -95,7 +95,7 @@ def misreadings(scene: Scene) -> Iterator[Fault]:
             yield _fault("gear", coupling.name, what, injection.coupling(index, changed))
     if np.any(initial_state(scene).linear_velocity) or np.any(initial_state(scene).angular_velocity):
         for what, factor in FACTORS.items():
-            yield _fault("velocity", EVERYTHING, what, _scaled_velocities(factor))
+            yield _fault("velocity", ALL_BODIES, what, _scaled_velocities(factor))
 
 
 def _coupled_joints(coupling: JointCoupling) -> set[str]:

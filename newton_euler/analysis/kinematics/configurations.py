@@ -342,7 +342,7 @@ class Configurations:
         return self.jacobian[:, self.chain.closing]
 
     @property
-    def driving(self) -> Array:
+    def coordinate_jacobian(self) -> Array:
         """The Jacobian (n, m, nv) of the chosen coordinates."""
         return self.jacobian[:, self.chain.driving]
 
@@ -384,7 +384,7 @@ class Configurations:
         """
         chain = self.chain
         x, turn = chain.difference(goal, chain.goal_at(self))
-        errors, rows = -x / chain.units[: chain.goal_count], self.driving[:, : chain.goal_count]
+        errors, rows = -x / chain.units[: chain.goal_count], self.coordinate_jacobian[:, : chain.goal_count]
         if not chain.has_axis_goal:
             return errors, rows
         angle = np.linalg.norm(turn, axis=1, keepdims=True)

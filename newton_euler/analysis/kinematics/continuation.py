@@ -132,7 +132,7 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
     goal_before, goal_after = (each.goal_errors(chain.goal_at(each))[1] for each in (before, after))
     pairs = [(goal_before, goal_after)]
     if chain.has_axis_goal or chain.goal_count < len(chain.keys):
-        pairs.append((before.driving, after.driving))
+        pairs.append((before.coordinate_jacobian, after.coordinate_jacobian))
     for column, (jacobian_before, jacobian_after) in enumerate(pairs):
         if jacobian_before.shape[1] == chain.freedoms:
             start = np.linalg.det(jacobian_before @ np.swapaxes(before.tangent, 1, 2))

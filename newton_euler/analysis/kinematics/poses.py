@@ -99,7 +99,7 @@ class Poses:
 
     def report(self) -> list[str]:
         """Return a line for each pose that does not meet its goals on the branch of the start."""
-        lines, mechanism = [], self._configs.chain.driven.mechanism
+        lines, mechanism = [], self._configs.chain.scene.mechanism
         keys = {name: mechanism.coordinate(name) for name in self.missing}
         units = {name: "m" if mechanism.is_slide(*key) else "rad" for name, key in keys.items()}
         for k in np.flatnonzero(~self.reached):
@@ -184,11 +184,12 @@ class Poses:
                 units += [1.0, 1.0, 1.0]
             elif not isinstance(each, Axis) and each in self._names:
                 k = self._names.index(each)
-                rows.append(self._configs.driving[:, [k]])
+                rows.append(self._configs.coordinate_jacobian[:, [k]])
                 units.append(chain.units[k])
             else:
                 known = listed(map(repr, self._names))
                 raise OptionError("quantity", each, f"one of {known}, or the axis, as given")
+        # `tangent` (n, f, nv): orthonormal velocities that keep the loops closed
         return np.concatenate(rows, axis=1) @ np.swapaxes(self._configs.tangent, 1, 2), np.array(units)
 
 
@@ -242,7 +243,7 @@ def solve_poses(
     beyond = np.zeros(len(reached), dtype=bool)
     if missed.size:
         # signs (n, 2) are -1 if a singular configuration was passed: of the Jacobian of the goals, and of all
-        # chosen coordinates
+        # chosen and measured coordinates
         near, signs = approach(configs[missed], sample_branch(begin), goal[missed])
         met = largest(near.phi, near.goal_errors(goal[missed])[0]) < MAX_RESIDUAL
         # a goal at the limit of reach is met without a change of sign

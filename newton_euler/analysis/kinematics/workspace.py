@@ -209,12 +209,14 @@ def _determinant(configs: Configurations) -> tuple[Array, Array]:
     The slope (n, f) along the basis vectors of the tangent space is a central difference. The basis of
     another configuration may have the other orientation, which changes the sign of the determinant.
     """
-    determinant, columns = np.linalg.det(configs.driving @ np.swapaxes(configs.tangent, 1, 2)), []
+    determinant, columns = np.linalg.det(configs.coordinate_jacobian @ np.swapaxes(configs.tangent, 1, 2)), []
     for k in range(configs.chain.freedoms):
         ends = []  # determinants on both sides
         for sign in (1.0, -1.0):
             other = configs.step_by(sign * DIFFERENCE_STEP * configs.tangent[:, k])
             orientation = np.sign(np.linalg.det(other.tangent @ np.swapaxes(configs.tangent, 1, 2)))
-            ends.append(orientation * np.linalg.det(other.driving @ np.swapaxes(other.tangent, 1, 2)))
+            ends.append(
+                orientation * np.linalg.det(other.coordinate_jacobian @ np.swapaxes(other.tangent, 1, 2))
+            )
         columns.append((ends[0] - ends[1]) / (2.0 * DIFFERENCE_STEP))
     return determinant, np.stack(columns, axis=1)
