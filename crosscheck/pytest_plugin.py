@@ -1,8 +1,8 @@
 """The pytest fixture `crosscheck`, by which a test suite verifies the dynamics of a model.
 
-The fixture simulates a model in all engines. A test can require that the engines agree, and that the run with
-the settings of the file has a small error. A test can also require that the results are those in a baseline
-file, which `pytest --crosscheck-update REASON` writes:
+The fixture simulates a model in all engines. A test can require that the engines agree. A test can require a
+small error of the run that the file's own engine makes with the time step and integrator of the file. A test
+can also require the results of a baseline file, which `pytest --crosscheck-update REASON` writes:
 
     def test_arm(crosscheck):
         arm = crosscheck("arm.xml")
@@ -78,7 +78,7 @@ class CheckedModel:
             pytest.fail(f"{self.verdict}\nlook: crosscheck view {recording}", pytrace=False)
 
     def assert_accurate(self, max_error: float | None = 1e-3, **limits: Any) -> None:
-        """Fail the test if the run with the settings of the file has a larger error than allowed.
+        """Fail the test if the run of the file's own engine and settings has a larger error than allowed.
 
         The message has the errors, the causes, and settings with a smaller error.
 
@@ -110,21 +110,32 @@ class CheckedModel:
 
         __tracebackhide__ = True
         found = self.verdict.crosscheck
+        # the scene with its baseline, which guards the scene against changes
         if found.source:
             with _errors_as_failures():
                 guarded = guard_scene(found.source, dict(found.options))
         else:
             scene, path = found.scene, self.test_folder / f"{found.scene.name}.baseline.json"
-            guarded = GuardedScene(scene.name, dict(found.options), scene, path, found.mapping)
+            guarded = GuardedScene(
+                source=scene.name,
+                options=dict(found.options),
+                scene=scene,
+                path=path,
+                mapping=found.mapping,  # the import report
+            )
         if self.reason is not None:
-            update_baselines([guarded], self.reason, lambda stage: None)
+            update_baselines([guarded], self.reason, progress=_no_progress)
         elif not guarded.path.exists():
             pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE_OPTION} REASON stores it", pytrace=False)
         else:
             with _errors_as_failures():
-                comparison = compare(guarded.scene, guarded.baseline(), lambda stage: None, guarded.mapping)
+                comparison = compare(guarded.scene, guarded.baseline(), _no_progress, guarded.mapping)
             if comparison.moved:
                 pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
+
+
+def _no_progress(_: str) -> None:
+    """Ignore the name of a stage of the work, which commands show as progress."""
 
 
 @pytest.fixture

@@ -1,7 +1,8 @@
 """Maps between newton_euler's spanning tree of a mechanism and its MuJoCo model, and texts of MJCF numbers.
 
-The spanning tree has the joints that carry coordinates q and velocities v; other joints close loops. Hinges
-and slides have the same coordinates in the tree and in MuJoCo, but two things differ:
+The spanning tree has the joints that carry coordinates q and velocities v; other joints close loops. A joint
+consists of elementary motions: hinges, slides and balls, each of which is a joint in MuJoCo. Hinges and
+slides have the same coordinates in the tree and in MuJoCo, but two things differ:
 
 - MuJoCo numbers bodies and coordinates depth first.
 - The quaternion and the angular velocity of a ball are relative to the body frame of the child in MuJoCo. In

@@ -1,6 +1,8 @@
 """`crosscheck bench`, `controllers`, `loads`, `modes`, `workspace`, `stress`, `faults`, `figures`, `report`.
 
-Each command parses its options, calls a function of another package, and prints the result.
+Each command parses its options, calls a function of another package, and prints the result. Excitation means
+start velocities and sines for actuators, added to a model file that is otherwise at rest. An import report
+lists how each element of a model file was imported; it is None for a scene that comes from no model file.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ from crosscheck.support.errors import CrosscheckError
 @folder_option("output/figures")
 def figures_command(output: Path) -> int:
     """Reproduce Figures 5 to 9 of the paper with the three engines."""
+    # the paper: S. Srang, S. Ath, M. Yamakita, doi:10.25046/aj050587, on a solar tracker
     from crosscheck.studies.paper_figures import draw
 
     with progress_shown() as progress:
@@ -110,7 +113,7 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str
     from crosscheck.design.controllers import compared
     from crosscheck.engines.engine import ENGINES
 
-    options = without_excitation(scene_options(settings), "controllers are those of the scene")
+    options = without_excitation(scene_options(settings), why="controllers are those of the scene")
     with progress_shown() as progress:
         tables = compared(scene, options, engines or list(ENGINES), progress)
     click.echo(terminal(tables), nl=False)
@@ -157,9 +160,9 @@ def loads_command(
     models = {}
     for name, own in parse_cases(cases).items():
         options = scene_options(settings) | scene_options(own, f"--case {name}:")
-        loaded, mapping = models[name] = load_scene(scene, options)
+        loaded, import_report = models[name] = load_scene(scene, options)
         if len(models) == 1:
-            warn_about_import(scene, mapping, loaded)
+            warn_about_import(scene, import_report, loaded)
     folder = output or usual_folder(Path("output/loads"), scene, "load table")
     with progress_shown() as progress:
         found, written, acting = loads(scene, models, at_rest, folder, progress)
@@ -202,7 +205,7 @@ def modes_command(
     from newton_euler.analysis.linear.linearization import linearize
     from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
 
-    options = without_excitation(scene_options(settings), "modes are those of the scene as it stands")
+    options = without_excitation(scene_options(settings), why="modes are those of the scene as it stands")
     loaded = load_with_warnings(scene, options)
     path = save or usual_folder(Path("output/modes"), scene, "modal analysis") / "modes.rrd"
     # in the default folder, modes.json records which model the recording is of
@@ -245,7 +248,7 @@ def workspace_command(
     """
     from crosscheck.design import workspace
 
-    options = without_excitation(scene_options(settings), "a workspace is that of the scene as it stands")
+    options = without_excitation(scene_options(settings), why="a workspace is that of the scene as it stands")
     loaded = load_with_warnings(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
@@ -333,28 +336,28 @@ def faults_command(
     """
     from crosscheck.loading.load import load_scene
     from crosscheck.studies.faults.find import find_faults, find_in_reading
-    from crosscheck.studies.faults.report import data, holds, report
+    from crosscheck.studies.faults.report import data, detects_enough, report
     from crosscheck.support.files import write_files
 
     options = scene_options(settings)
     if reading:
-        options = without_excitation(options, "what is read is verified as the file stands")
-    loaded, mapping = load_scene(scene, options)
-    if reading and mapping is None:
+        options = without_excitation(options, why="what is read is verified as the file stands")
+    loaded, import_report = load_scene(scene, options)
+    if reading and import_report is None:
         raise CrosscheckError(f"{scene} is read from no model file; --reading needs an MJCF or a URDF")
     [path] = result_paths(output, "output/faults", "fault search", ["faults.json"], [scene])
     start = time.perf_counter()
     with progress_shown() as progress:
-        if reading and mapping is not None:
-            search = find_in_reading(mapping, progress)
+        if reading and import_report is not None:
+            search = find_in_reading(import_report, progress)
         else:
-            warn_about_import(scene, mapping, loaded)
+            warn_about_import(scene, import_report, loaded)
             search = find_faults(loaded, progress, names=names)
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)
     write_files({path: as_json({"source": scene, **data(loaded.name, options, search)}, found)})
     show(found, f"wrote {path}", f"more  -v; {next_step('report', path.parent)}")
-    return AGREE if holds(search) else DISAGREE
+    return AGREE if detects_enough(search) else DISAGREE
 
 
 @cli.command("report")

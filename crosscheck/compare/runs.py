@@ -162,8 +162,9 @@ def compare_runs(
     Each engine has a fixed relative tolerance for its expected error. If a check exceeds that tolerance, the
     engine is run again, once, with a smaller step or tighter tolerances. The tolerance of the check is then
     extended by `ERROR_PER_CHANGE` times the change of the run. This assumes that refining reduces the error.
-    If the difference does not decrease in the refined run, and exceeds the fixed tolerances and round-off,
-    the check is not judged.
+    The extension is at most the relative error `MAX_RELATIVE_ERROR`: a run with a larger error is too coarse
+    to test a model. If the difference does not decrease in the refined run, and exceeds the fixed tolerances
+    and round-off, the check is not judged.
 
     Tolerances of angles are relative to 1 rad. Those of lengths are relative to the mechanism's reach (its
     size or its largest coordinate in the runs), at least 1 m, as in the error control of integrators. Those
@@ -309,9 +310,10 @@ def compare_runs(
     def trajectories(a: Engine, b: Engine) -> Iterator[Check]:
         """Compare poses of two engines; a pair that fails is added to `differing_pairs`."""
         fixed = a.trajectory_error + b.trajectory_error + noise
+        positions, orientations = POSES  # names of the quantities in checks, with their units
         for quantity, difference, unit in (
-            (POSES[0], positions_apart, length_unit((a, b))),
-            (POSES[1], orientations_apart, 1.0),
+            (positions, positions_apart, length_unit((a, b))),
+            (orientations, orientations_apart, 1.0),
         ):
             compared_value = between_two(a, b, difference)
             check = make_check("trajectories", quantity, (a, b), compared_value, difference, fixed, unit)
@@ -405,7 +407,12 @@ def compare_runs_until(
 
 
 def _redundancy_noise(scene: Scene) -> float:
-    """Return the relative difference of runs that nearly redundant constraints may cause; 0 without them."""
+    """Return the relative difference of runs that nearly redundant constraints may cause; 0 without them.
+
+    Each engine omits one of the nearly redundant equations, not always the same one. The difference is up to
+    `NOISE_FACTOR` times their largest singular value. The constraints magnify the difference by their
+    condition number, taken at the start.
+    """
     residual = mobility(scene).residual  # largest singular value that is treated as redundant
     if residual == 0.0:
         return 0.0

@@ -1,6 +1,7 @@
 """Scene of the solar tracker that moves its panel under gravity and wind.
 
-The tracker tilts a panel by two sliders on vertical rails, see `crosscheck.library.tracker`.
+The tracker tilts a panel by two sliders on vertical rails. `crosscheck.library.tracker` describes the tracker
+and cites the paper that published it.
 """
 
 from __future__ import annotations
@@ -69,6 +70,7 @@ def tracker_wind(
     """
     scene = tracker_gravity()
     panel = scene.mechanism.body("panel_7")
+    # `PANEL`: half the lengths of the panel's sides, which are along the first two axes of its body frame
     axes, angle = panel.pose.rotation, np.radians(direction)
     load = WindLoad(
         "wind",

@@ -52,8 +52,8 @@ class Judgement:
         causes: error by property of the settings, largest first; empty for an accurate run.
         harmless: tested properties without which the run is no closer to the reference.
         remedies: settings with a smaller error, cheapest first; empty for an accurate run.
-        stability: the fastest mode beside the stability limit; only if the run diverged, or the time step or
-            the integrator is the largest cause of its error.
+        stability: stability limit of the time step, and the mode of the linearized model that sets the limit.
+            Only if the run diverged, or the time step or the integrator is the largest cause of its error.
         changes: changes of the model with which the time step is stable; empty if it is stable.
         run: the judged run.
         reference: the reference solution at the same times.
@@ -122,7 +122,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         NewtonEulerError: if the scene has no reference solution.
     """
     compared = Comparison.of(simulation)
-    # the run as it stands, and without what the reference does not have
+    # the run as it stands; if something acts that the reference does not have, the run without such elements
     run = compared.run(simulation.settings, reduced=False)
     as_it_stands = run.stopped
     first: dict[str, Event] = {}
@@ -130,7 +130,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         first.setdefault(event.element, event)
     events = tuple(first.values())
     if events:
-        run = compared.run_once(simulation.settings)
+        run = compared.run_once(simulation.settings)  # reduced, and kept for later calls
     error = compared.error(run)
     causes: tuple[MeasuredCause, ...] = ()
     harmless: tuple[str, ...] = ()
@@ -225,6 +225,7 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
     best: dict[str, tuple[float, MeasuredCause]] = {}
     for cause in compared.simulation.causes():
         removed = compared.run_once(cause.without)
+        # the run with the error of the property: the judged run, or one with settings for this comparison
         kept = run if cause.against is None else compared.run_once(cause.against)
         if removed.stopped:
             continue
@@ -245,8 +246,9 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
 def _stability(compared: Comparison, run: FileRun) -> tuple[Stability | None, tuple[ModelChange, ...]]:
     """Find the fastest mode of the file, and changes of the model that make its time step stable.
 
-    The file is linearized at states of the judged run. If that run diverged, states of the completed run with
-    the smallest error are taken, or the start without such a run.
+    Small motions are the equations and time steps of the model, linearized about states of the judged run. If
+    that run diverged, states of the completed run with the smallest error are taken, or the start without
+    such a run.
     """
     simulation = compared.simulation
     if run.stopped:
@@ -256,16 +258,18 @@ def _stability(compared: Comparison, run: FileRun) -> tuple[Stability | None, tu
     motions = simulation.small_motions(run, outputs)
     if motions is None:
         return None, ()
-    step, duration = simulation.timestep(simulation.settings), compared.steps
-    mode = ModeAtFault(motions, simulation.settings, step, step * duration)
+    step = simulation.timestep(simulation.settings)
+    mode = ModeAtFault(motions, simulation.settings, timestep=step, duration=step * compared.steps)
     if mode.found.is_stable:
         return mode.found, ()
 
     def is_stable(changed: FileSimulation[Any]) -> bool:
-        others = changed.small_motions(run, outputs)
-        return others is not None and mode.steps.of_changed(others).is_stable(step)
+        """Return True if the time step of the file is stable for a changed model, about the mode's state."""
+        changed_motions = changed.small_motions(run, outputs)
+        return changed_motions is not None and mode.steps.of_changed(changed_motions).is_stable(step)
 
     def changed_run(changed: FileSimulation[Any]) -> FileRun:
+        """Simulate a changed model with the settings of the file."""
         return compared.run(simulation.settings, simulation=changed)
 
     return mode.found, tuple(model_changes(mode, simulation, is_stable, changed_run, compared.error))

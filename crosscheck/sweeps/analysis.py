@@ -1,8 +1,8 @@
 """Statistics of a sweep: quantiles of kept outputs, rank correlations, and Sobol indices of parameters.
 
 A sweep simulates one scene many times with sampled parameters. A kept output is a number or array that the
-sweep stores of each run; its name is a variable of the stored dataset, and each of its elements is a
-`KeptNumber`. A first-order Sobol index is the fraction of the variance of a number that one parameter
+sweep stores of each run; its name is a variable of the stored dataset, and each of its elements is a scalar,
+a `KeptNumber`. A first-order Sobol index is the fraction of the variance of a number that one parameter
 explains alone; the reports name the index "share of variance".
 
 `kept_numbers` reads the kept numbers, and `Analysis.effects` computes the effects of the parameters on one
@@ -303,12 +303,14 @@ class Analysis:
             inputs: function that returns the parameters of given runs.
         """
         self._samples = samples
-        self.names = [", ".join(names) for names, _ in samples.groups]
+        self.names = [", ".join(names) for names, _distribution in samples.groups]
         most = MAX_SHARE_RUNS if samples.block == 1 else MAX_SALTELLI_SAMPLES
         self._used = sample_blocks(len(runs), most, samples.block)  # indices into the analyzed runs
         values = inputs(runs[self._used])
         # of each group of parameters, the values (n, parameters of the group)
-        self._inputs = [np.column_stack([values[name] for name in names]) for names, _ in samples.groups]
+        self._inputs = [
+            np.column_stack([values[name] for name in names]) for names, _distribution in samples.groups
+        ]
 
     @property
     def too_few(self) -> str:

@@ -45,7 +45,7 @@ def undetermined(scene: Scene, state: State) -> Array:
 
     Args:
         scene: the scene.
-        state: poses and angles of the bodies.
+        state: poses of the bodies, and hinge angles with their full revolutions.
 
     Returns:
         (6 j, r) orthonormal columns, one for each of r redundant constraints. Each of the j joints has a
@@ -62,13 +62,14 @@ def undetermined(scene: Scene, state: State) -> Array:
 
 
 def redundant_constraints(scene: Scene) -> int:
-    """Count the redundant constraints of all joints and couplings of a scene."""
+    """Count the redundant constraints of all joints, couplings and prescribed motions of a scene."""
     rank = 6 * (len(scene.mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
     return max(0, _constraint_count(scene) - rank)
 
 
 def _constraint_count(scene: Scene) -> int:
-    """Count the constraint equations of all joints and couplings of a scene."""
+    """Count the constraint equations of all joints, couplings and prescribed motions of a scene."""
+    # `couplings` lists prescribed motions, too
     return sum(equations.count for equations in scene.mechanism.equations) + len(couplings(scene))
 
 
@@ -82,7 +83,7 @@ def undetermined_in_both(
     Args:
         first, second: the scenes.
         joints: name in the second scene of each common joint, by its name in the first scene.
-        states: the same state twice, with the angles of the first and of the second scene.
+        states: the same poses twice, with the hinge angles of the first scene and of the second scene.
 
     Returns:
         (6 j, r) orthonormal columns for the j joints of the first scene, in the units of `undetermined`.
@@ -185,17 +186,20 @@ def _constraint_forces(
         i, j = equations.first, equations.second
         blocks = equations.jacobian(frames[i], frames[j])
         add([(equations.joint.name, i, j, blocks)], equations.units(size))
-    # couplings and prescribed motions; the Cartesian form measures all joint coordinates between two bodies
-    measured = Cartesian(scene).between
+    # couplings and prescribed motions. The Cartesian form of the equations of motion measures each coupled
+    # joint coordinate between two bodies
+    measured = Cartesian(scene).between  # by key (joint, number of the coordinate)
     coupled = couplings(scene)
-    # derivatives of each coupling with respect to its coordinates; they do not depend on time
+    # derivatives of each coupling with respect to its coordinates; they do not depend on time. Angles in
+    # `state.angles` are known with their full revolutions
     all_slopes = residuals(mechanism, coupled, frames, time=0.0, known=state.angles).slopes
     for coupling, slopes in zip(coupled, all_slopes, strict=True):
         parts = []
-        for key, slope in slopes.items():
-            i, j = measured[key].first, measured[key].second
-            blocks = measured[key].constraint.jacobian(frames[i], frames[j])
-            parts.append((key[0], i, j, Jacobian(*(slope * block for block in blocks))))
+        for (joint, number), slope in slopes.items():
+            coordinate = measured[joint, number]
+            i, j = coordinate.first, coordinate.second
+            blocks = coordinate.constraint.jacobian(frames[i], frames[j])
+            parts.append((joint, i, j, Jacobian(*(slope * block for block in blocks))))
         add(parts, np.array([size if coupling.is_length else 1.0]))
     return _ConstraintForces(np.concatenate(on_bodies), np.concatenate(reactions, axis=2))
 

@@ -56,7 +56,8 @@ PERPENDICULAR_TOLERANCE = 1e-9
 """Largest cosine of the angle between the two sides of a plate."""
 
 MAX_SINES = 1000
-"""Largest number of sines in a turbulent wind speed; code is generated for each sine."""
+"""Largest number of sines in a turbulent wind speed; the equations of motion are compiled with one term for
+each sine."""
 
 STANDARD_AIR = 1.225
 """Density of air, kg/m^3, of the ISO 2533 Standard Atmosphere at sea level and 15 degrees Celsius."""
@@ -128,7 +129,8 @@ class WindLoad(OnPoint):
 
     noun = "wind load"
     kind = "wind_load"
-    # Attributes that may vary from run to run: unit, shape and allowed values, see `NumberField`
+    # Attributes that may vary from run to run. `allowed` is the rule for new values: a vector of any nonzero
+    # length, or what the constructor accepts. `strength` names the effect that is proportional to the number
     number_fields: ClassVar = OnPoint.number_fields | {
         "direction": NumberField(shape=(3,), allowed="direction"),
         "speed": NumberField("m/s", may_be_function=True),
@@ -184,7 +186,7 @@ class WindLoad(OnPoint):
         """Reduction of the force coefficient by the ends of the plate: 0.41 (1 - exp(-17 / R)), R the aspect
         ratio."""
         length, width = self.lengths.tolist()
-        # Symbols have no min and max: use smooth formulas with |length - width|
+        # When code is generated, lengths are symbols, which have no min and max: use |length - width|
         if isinstance(length, float) and isinstance(width, float):
             shorter, longer = min(length, width), max(length, width)
         else:
@@ -231,10 +233,10 @@ def wind_gust(mean: float, gust: float, period: float = 10.5) -> Sum:
 
     For t from 0 to the period T, the speed is mean - 0.37 gust sin(3 pi t / T) (1 - cos(2 pi t / T)). This is
     the extreme operating gust of the standard IEC 61400-1 (2005) for wind turbines. The function is a sum of
-    sines that repeats after T, so that runs should end at T. The standard was not available; the formula and
-    T were checked against programs for wind turbines. The gust of the standard is that at the hub of a
-    turbine, less than 3.3 standard deviations of the turbulence. For structures near the ground the formula
-    is an assumption.
+    sines. After T the gust follows with the opposite sign, so that runs should end at T. The standard was not
+    available; the formula and T were checked against programs for wind turbines. The gust of the standard is
+    that at the hub of a turbine, less than 3.3 standard deviations of the turbulence. For structures near the
+    ground the formula is an assumption.
 
     Args:
         mean: wind speed before and after the gust, m/s.

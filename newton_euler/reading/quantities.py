@@ -25,7 +25,7 @@ from newton_euler.reading.activity import Bounds
 from newton_euler.scalars import Array
 
 FREE_SINGULAR_VALUE = 1e-10
-"""Largest singular value that is round-off, relative to 1 or to the largest singular value."""
+"""Largest singular value that is round-off, relative to the largest singular value, but at least to 1."""
 
 HELD_SINGULAR_VALUE = 1e-3
 """Largest singular value of a redundant row with rounded points and axes in the file.
@@ -45,7 +45,11 @@ class Constraints(NamedTuple):
 
 
 class Kinematics(NamedTuple):
-    """Motion of b rigid groups of links, each a body or a part of one, at a state; world frame, SI."""
+    """Motion of b rigid groups of the file's links at a state; world frame, SI.
+
+    A rigid group is a set of links that fixed joints hold together: a body of the scene, or one half of a
+    body that the file cuts to open a loop.
+    """
 
     position: Array
     """(b, 3) centers of mass."""
@@ -91,7 +95,7 @@ class ForceLimit(NamedTuple):
     element: str
     """Element of the file with the limit."""
     watched: Bounds
-    """Force and limit as the reader imported them."""
+    """The imported limit, with the force as a linear function of joint coordinates and their rates."""
     force: float
     """Force that the reference model would have without the limit, N or N m."""
     low: float
@@ -113,8 +117,8 @@ class Freedom(NamedTuple):
     condition: float
     """Condition number of the constraint Jacobian without motions that are free or in doubt."""
     doubtful_value: float
-    """Largest singular value of a motion that is not held, relative to 1 or to the largest singular value; 0
-    or round-off if no motion is in doubt."""
+    """Largest singular value of a motion that is not held, relative to the largest singular value, but at
+    least to 1; 0 or round-off if no motion is in doubt."""
 
 
 def freedom(jacobian: Array, units: Array) -> Freedom:

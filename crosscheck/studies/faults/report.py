@@ -98,7 +98,7 @@ def report(title: str, search: FaultSearch, wall_time: float) -> Report:
         Lines("", [*left_out, *finding_lines(search)]),
         Table(f"all {len(rows)} faults", heads, rows, folded=True),
     ]
-    judged = Cell("FOUND", "holds") if holds(search) else Cell("MISSED", "fails")
+    judged = Cell("FOUND", "holds") if detects_enough(search) else Cell("MISSED", "fails")
     title_line = f"{len(search.found)} faults injected into {', '.join(search.engines)}, in {wall_time:.0f} s"
     summary: list[Part] = [
         table(search, every=False),
@@ -206,7 +206,7 @@ def _outcome(found: FaultResult, detection: Detection | None) -> str:
     return f"located wrongly: {fault}: {place}"
 
 
-def holds(search: FaultSearch) -> bool:
+def detects_enough(search: FaultSearch) -> bool:
     """Return True if all required faults are detected, and enough of them located correctly."""
     count = count_detected(_required(search))
     return count.detected == count.total and count.located >= REQUIRED_LOCATION_RATE * count.total
@@ -238,7 +238,7 @@ def data(title: str, options: Mapping[str, str], search: FaultSearch) -> dict[st
         "options": dict(options),
         "engines": search.engines,
         "left_out": search.left_out,
-        "holds": holds(search),
+        "holds": detects_enough(search),
         "faults": [_entry(found) for found in search.found],
     }
 

@@ -57,12 +57,12 @@ def report(results: Sequence[CaseResult], full: bool, wall_time: float) -> Repor
         "a shortcoming otherwise. All cases, with values and reasons, are in stress.json."
     )
     parts: list[Part] = [_summary(results), Lines("about", [preface], folded=True)]
-    for letter, (topic, _) in TOPICS.items():  # _: function that yields the topic's cases
+    for letter, topic in TOPICS.items():
         of_topic = [result for result in results if result.case.topic == letter]
         if of_topic:
             bounds = dict.fromkeys(map(_bound, of_topic))
             parts.append(Lines(f"bounds of ({letter})", list(bounds), folded=True))
-            parts.append(_cases(f"({letter}) {topic}", of_topic, _engines(of_topic)))
+            parts.append(_cases(f"({letter}) {topic.title}", of_topic, _engines(of_topic)))
     passes = sum(result.passes for result in results)
     return Report(
         "Stress", f"{passes} of {len(results)} cases pass", judged=Cell(""), parts=parts, wall_time=wall_time
@@ -116,10 +116,10 @@ def _engines(results: Sequence[CaseResult]) -> list[str]:
 def counts(results: Sequence[CaseResult]) -> dict[str, dict[str, str]]:
     """Return texts such as "3 of 4" (number of passed cases) by title of the topic and by engine."""
     table = {}
-    for letter, (topic, _) in TOPICS.items():
+    for letter, topic in TOPICS.items():
         of_topic = [result for result in results if result.case.topic == letter]
         if of_topic:
-            title = f"({letter}) {topic}"
+            title = f"({letter}) {topic.title}"
             table[title] = {engine: _passes(of_topic, engine) for engine in _engines(results)}
     return table
 

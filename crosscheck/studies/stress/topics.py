@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 from crosscheck.studies.stress import (
     configurations,
@@ -20,20 +21,27 @@ from crosscheck.studies.stress import (
 from crosscheck.studies.stress.cases import Case, CaseResult, Progress, run_cases
 from crosscheck.support.errors import CrosscheckError
 
-TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
-    "a": ("drift and energy over long runs", integration.long_run_cases),
-    "b": ("largest stable step, loosest tolerance", integration.step_size_cases),
-    "e": ("stiff gains", extremes.stiff_gain_cases),
-    "f": ("mass ratios, inertias near the realisable limit", extremes.mass_ratio_cases),
-    "g": ("start poses off the constraints", configurations.violated_start_cases),
-    "h": ("singular configurations", configurations.singular_cases),
-    "i": ("many turns and high speeds", rotation.cases),
-    "j": ("random mechanisms", random_mechanisms.cases),
-    "k": ("floating-point traps", extremes.floating_point_cases),
-    "l": ("noise in overconstrained loops", noise.cases),
+
+class Topic(NamedTuple):
+    """Title of a group of cases, and the function that yields them: all cases if its argument is True."""
+
+    title: str
+    cases: Callable[[bool], Iterator[Case]]
+
+
+TOPICS = {
+    "a": Topic("drift and energy over long runs", integration.long_run_cases),
+    "b": Topic("largest stable step, loosest tolerance", integration.step_size_cases),
+    "e": Topic("stiff gains", extremes.stiff_gain_cases),
+    "f": Topic("mass ratios, inertias near the realisable limit", extremes.mass_ratio_cases),
+    "g": Topic("start poses off the constraints", configurations.violated_start_cases),
+    "h": Topic("singular configurations", configurations.singular_cases),
+    "i": Topic("many turns and high speeds", rotation.cases),
+    "j": Topic("random mechanisms", random_mechanisms.cases),
+    "k": Topic("floating-point traps", extremes.floating_point_cases),
+    "l": Topic("noise in overconstrained loops", noise.cases),
 }
-"""Title of each topic, and the function that yields its cases, by the topic's letter. The argument of the
-function is True for all cases, False for the short form."""
+"""Topics by letter; c and d were topics that no longer exist."""
 
 
 def stress(letters: str, full: bool, progress: Progress) -> list[CaseResult]:
@@ -59,4 +67,4 @@ def stress(letters: str, full: bool, progress: Progress) -> list[CaseResult]:
 
 def cases_of(letter: str, full: bool) -> list[Case]:
     """Return the cases of the topic with a letter; `full` as for `stress`."""
-    return [replace(case, topic=letter) for case in TOPICS[letter][1](full)]
+    return [replace(case, topic=letter) for case in TOPICS[letter].cases(full)]

@@ -2,8 +2,8 @@
 
 `Configurations` are n vectors of joint coordinates; a `Chain` is the mechanism with its chosen coordinates.
 The tangent space at a configuration has the f velocities that leave its loops closed, where f is the number
-of degrees of freedom. An assembly branch is a set of configurations that the mechanism can reach from each
-other without passing a singular configuration.
+of degrees of freedom. `Configurations.phi` are the residuals of the loops. An assembly branch is a set of
+configurations that the mechanism can reach from each other without passing a singular configuration.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from newton_euler.analysis.kinematics.configurations import Axis, Chain, Configu
 from newton_euler.analysis.kinematics.continuation import (
     DIFFERENCE_STEP,
     MAX_RESIDUAL,
-    MIN_CURVATURE,
     RANDOM_STEPS,
     follow,
     largest,
@@ -36,10 +35,13 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 MAX_POSES = 1_000_000
-"""Number of points of a grid, or of random configurations. Each pose takes some kB of memory."""
+"""Largest number of points of a grid, or of random configurations. Each pose takes some kB of memory."""
 
 SINGULAR_STEPS = 30
 """Number of Newton's steps from a closed configuration to a singular one."""
+
+MIN_SQUARED_SLOPE = 1e-9
+"""Smallest squared slope of the determinant by which a Newton step is divided."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,8 @@ def workspace(
         >>> print(found.reachable.sum(), found.driving[4, 4].round(3))
         49 0.561
     """
-    # all points of the grid, as goals
+    # all points of the grid, as goals: coordinates only, without a direction for the axis (`towards`) and
+    # without other coordinates to return (`measure`)
     axis_values = {name: np.atleast_1d(coordinate_values(scene, name, given)) for name, given in grid.items()}
     if (points := math.prod(map(len, axis_values.values()))) > MAX_POSES:
         raise OptionError("grid", f"{points} points", f"at most {MAX_POSES}")
@@ -116,6 +119,7 @@ def workspace(
     # poses of the reachable points
     configs, reached = follow(chain.at(chain.start[None]), goal)
     every = np.ones(int(np.sum(reached)), dtype=bool)
+    # no pose is beyond a singular configuration, as seen from the start
     poses = poses_of(configs[reached], goal[reached], names, reached=every, beyond=~every)
 
     def on_grid(values: Array) -> Array:
@@ -176,6 +180,7 @@ def singular_poses(
     # random closed configurations
     q = random_coordinates(chain, count, np.random.default_rng(0))
     configs, closed = newton(chain.at(q), _no_goals(count), RANDOM_STEPS)
+    # `values` of configurations are results of the chain's compiled function: coordinates, residuals, poses
     configs, singular_results = configs[closed], [np.zeros((0, chain.function.outputs))]
     # Newton's steps to a determinant of zero
     for _ in range(SINGULAR_STEPS):
@@ -183,11 +188,11 @@ def singular_poses(
         is_singular = (np.abs(determinant) < MAX_RESIDUAL) & (largest(configs.phi) < MAX_RESIDUAL)
         singular_results.append(configs.values[is_singular])
         configs, determinant, slope = configs[~is_singular], determinant[~is_singular], slope[~is_singular]
-        squared_slope = np.maximum(np.sum(slope**2, axis=1, keepdims=True), MIN_CURVATURE)
+        squared_slope = np.maximum(np.sum(slope**2, axis=1, keepdims=True), MIN_SQUARED_SLOPE)
         along = -determinant[:, None] * slope / squared_slope
         configs = moved_closed(configs, products(np.swapaxes(configs.tangent, 1, 2), along))
     singular = Configurations(chain, np.concatenate(singular_results))
-    every = np.ones(len(singular), dtype=bool)
+    every = np.ones(len(singular), dtype=bool)  # without a start, no pose is beyond a singular configuration
     return poses_of(singular, _no_goals(len(singular)), tuple(coordinates), reached=every, beyond=~every)
 
 
@@ -208,6 +213,8 @@ def _determinant(configs: Configurations) -> tuple[Array, Array]:
 
     The slope (n, f) along the basis vectors of the tangent space is a central difference. The basis of
     another configuration may have the other orientation, which changes the sign of the determinant.
+    `configs.driving` (n, f, nv) is the Jacobian of the chosen coordinates with respect to the nv velocities,
+    and `configs.tangent` (n, f, nv) has the basis vectors as rows.
     """
     determinant, columns = np.linalg.det(configs.coordinate_jacobian @ np.swapaxes(configs.tangent, 1, 2)), []
     for k in range(configs.chain.freedoms):

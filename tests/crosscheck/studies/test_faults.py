@@ -32,8 +32,8 @@ from crosscheck.studies.faults.report import (
     Count,
     count_detected,
     count_detected_by_motion,
+    detects_enough,
     finding_lines,
-    holds,
     report,
 )
 from crosscheck.support.errors import CrosscheckError
@@ -228,12 +228,12 @@ def test_shares_count_what_can_be_found():
     assert count_detected([a_fault(), in_another]) == Count(2, 2, 1)
     assert count_detected_by_motion([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 2)
     many = [a_fault()] * 99
-    assert holds(search_of(*many, elsewhere, nothing))
-    assert not holds(search_of(*many[:9], elsewhere))  # nine of ten
-    assert not holds(search_of(*many, unseen))
+    assert detects_enough(search_of(*many, elsewhere, nothing))
+    assert not detects_enough(search_of(*many[:9], elsewhere))  # nine of ten
+    assert not detects_enough(search_of(*many, unseen))
     small = search_of(*many, replace(unseen, fault=replace(unseen.fault, size=1e-5)))
-    assert holds(small)
-    assert not holds(replace(small, smallest=0.0))
+    assert detects_enough(small)
+    assert not detects_enough(replace(small, smallest=0.0))
 
 
 def test_misses_are_listed():
