@@ -105,8 +105,8 @@ class Robot:
         root: root element of the URDF; None for a model in memory.
         first: configuration near which to start, with its name in reports; None for coordinates 0.
         springs: springs between points of two links.
-        own_run: settings that the user has given for the own simulation loop (time step, gains, ...), by
-            name, see `urdf.run_settings.PinocchioSettings`.
+        own_run: settings that the user has given for the user's own simulation program (time step, gains,
+            ...), by name, see `urdf.run_settings.PinocchioSettings`.
         gains: Baumgarte's gains kp, 1/s^2, and kd, 1/s, of each constraint in memory; None for a file.
     """
 
@@ -168,7 +168,7 @@ def read(
     # options of both kinds of models, then those of one kind
     check_choice("base", base, BASES)
     request = Request.of(options)
-    loop_settings = read_settings(own_run)
+    run_settings = read_settings(own_run)
     if gravity is not None:
         gravity = finite_array("urdf.read", "gravity", gravity, (3,)).tolist()
     if isinstance(model, str | os.PathLike):
@@ -176,11 +176,11 @@ def read(
             raise OptionError("q", q, "no q for a URDF, which starts from coordinates 0")
         ignored = (ignore,) if isinstance(ignore, str) else () if ignore is None else tuple(ignore)
         gravity_of_file = DEFAULT_GRAVITY if gravity is None else gravity
-        return _import_file(model, loops, base, gravity_of_file, request, ignored, loop_settings)
+        return _import_file(model, loops, base, gravity_of_file, request, ignored, run_settings)
     for option, value, default in (("loops", loops, None), ("base", base, "fixed"), ("ignore", ignore, None)):
         if value is not default and not (isinstance(value, str) and value == default):
             raise OptionError(option, value, f"no {option} for a model in memory, an option of URDF files")
-    return _import_from_memory(model, gravity, q, request, loop_settings)
+    return _import_from_memory(model, gravity, q, request, run_settings)
 
 
 def _import_file(
@@ -194,7 +194,7 @@ def _import_file(
 ) -> Reading:
     """Import a URDF file; for the arguments see `read`."""
     source_name = path_text(path, SourceError)
-    text = read_text(source_name, "file_size", SourceError)
+    text = read_text(source_name, limit="file_size", error=SourceError)
     root = parsed(source_name, text)
     if text.startswith("<?xml"):  # Pinocchio would decode the text by the encoding in the declaration
         text = text[text.index("?>") + 2 :]
@@ -205,7 +205,7 @@ def _import_file(
         report.findings.extend(_unread_loops(Path(source_name)))
     else:
         loop_path = path_text(loops, SourceError)
-        loop_text = read_text(loop_path, "scene_size", SourceError)
+        loop_text = read_text(loop_path, limit="scene_size", error=SourceError)
         loop_content = read_loops(loop_path, loop_text)
     # parse, import and verify, and collect the messages that Pinocchio's parser would print
     parser_messages: list[str] = []
@@ -340,7 +340,8 @@ def _import(
     start = RobotAtStart(
         robot.source_name, robot.closed_model, robot.loops, robot.mimics, report, tolerance, robot.first
     )
-    tree = Tree(robot.source_name, start, set(robot.loops.name_mot), report)
+    motor_joints = set(robot.loops.name_mot)
+    tree = Tree(robot.source_name, start, motor_joints, report)
     if robot.root is not None:
         tree.bodies = with_visuals(robot.source_name, robot.root, start, tree, report)
     scene = _scene(robot, start, tree, report, request, gravity)
@@ -447,14 +448,15 @@ def _limit_watches(start: RobotAtStart, joint: JointProperties, key: Key) -> lis
     assert joint.limits is not None
     x_start = start.displacement(joint.name)
     low, high = joint.limits.low - x_start, joint.limits.high - x_start
-    return [Bounds(((key, 1.0),), low, high, joint.unit)]
+    return [Bounds(terms=((key, 1.0),), low=low, high=high, unit=joint.unit)]  # the coordinate, weight 1
 
 
 def _speed_watches(joint: JointProperties, key: Key) -> list[Watch]:
     """Return the watch of a joint's limit of velocity; for the arguments see `_limit_watches`."""
     assert joint.limits is not None
     speed = joint.limits.speed
-    return [Bounds(((key, 1.0),), -speed, speed, f"{joint.unit}/s", by_value=0.0, by_rate=1.0)]
+    terms, unit = ((key, 1.0),), f"{joint.unit}/s"
+    return [Bounds(terms, low=-speed, high=speed, unit=unit, by_value=0.0, by_rate=1.0)]
 
 
 def _report_joints(
@@ -462,7 +464,8 @@ def _report_joints(
 ) -> None:
     """Report dry friction, limits, rotors and safety controllers of joints, which scenes do not simulate.
 
-    The watches test, after a run, whether a limit or friction would have acted.
+    The watches test, after a run, whether a limit or friction would have acted. An element whose action
+    neither the file nor a run can show is not `examined`. `numbers` are the values in the file, SI units.
     """
     for joint in joints:
         element, key = f"joint {joint.name!r}", tree.coordinate_keys.get(joint.name)

@@ -56,6 +56,7 @@ def _judgment(result: EngineComparison) -> tuple[str, str]:
         first, *others = result.diagnosis
         parts = [f"{first.who}; {first.place}", first.fault_text]
         parts += [f"then {other.who}, {other.place}" for other in others]
+        # not if the import of the model file is wrong
         if _reduction(result) and not result.misread:
             parts.append(_reduction(result))
         text = "; ".join(filter(None, parts))
@@ -80,8 +81,8 @@ def _own_checks(result: EngineComparison) -> str:
 
 
 def _qualifications(result: EngineComparison) -> str:
-    """Format qualifications of an agreement: reference values, checks that are not judged, coverage, and
-    elements of the file that are not simulated."""
+    """Format qualifications of an agreement: reference values (`measured`), checks that are not judged,
+    coverage (the elements that the motion tests), and elements of the file that are not simulated."""
     text = f", and the reference in all {len(result.measured)}" if result.measured else ""
     text += not_judged(result.checks)
     text += "; nothing moves" if result.nothing_moves else ""
@@ -89,9 +90,10 @@ def _qualifications(result: EngineComparison) -> str:
         text += f"; {result.coverage}"
     elif len(result.engines) > 1:
         text += "; what the motion covers is not known"
-    # The models that the file's engine compiles; informative if motions at a state are known well enough
-    references = result.mapping.references if result.mapping else []
-    if references and not any(reference.is_informative for reference, _ in references):
+    # The import report (`mapping`) of a model file compares the scene with models that the file's own engine
+    # compiles. A model is informative if motions at some state are accurate enough to show mistakes
+    compiled_models = result.mapping.references if result.mapping else []
+    if compiled_models and not any(model.is_informative for model, _ in compiled_models):
         text += "; motions are not verified against the file: no state tells them"
     if result.mapping and (counts := result.mapping.counts()):
         text += f"; of what can act in the file {counts}"

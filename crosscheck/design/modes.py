@@ -1,7 +1,8 @@
 """Report of a modal analysis: pose, stability, eigenvalues and the table of vibration modes.
 
 A mode is an eigenvector of the equations of motion, linearized about a state, usually an equilibrium. A mode
-with eigenvalue s = a + i w moves like exp(a t) cos(w t). `crosscheck.recording.modes` animates the modes.
+with eigenvalue s = a + i w moves like exp(a t) cos(w t). Its frequency is w / (2 pi), its damping ratio
+-a / |s|. `crosscheck.recording.modes` animates the modes.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
     columns = text_columns("coordinate", "value", "unit")
     pose_table = Table("pose, from the initial one", columns, [list(row) for row in rows])
     parts: list[Part] = [pose_table, _eigenvalues(modes)]
-    return Report(title, verdict, Cell(""), parts, summary=[table(scene.mechanism, modes)])
+    no_judgment = Cell("")
+    return Report(title, verdict, no_judgment, parts, summary=[table(scene.mechanism, modes)])
 
 
 def pose(scene: Scene, model: LinearModel) -> list[tuple[str, str, str]]:
@@ -75,6 +77,7 @@ def stability(modes: Modes) -> str:
     growing = [k for k, ratio in enumerate(modes.damping_ratios, start=1) if ratio < -DAMPING_ROUND_OFF]
     if growing:
         return f"unstable: {_listed(growing)} grow{'s' * (len(growing) == 1)}"
+    # the modal analysis sets the eigenvalues of rigid-body modes to exactly 0
     rigid = [k for k, value in enumerate(modes.eigenvalues, start=1) if value == 0.0]
     if rigid:
         verb, them = ("is", "it") if len(rigid) == 1 else ("are", "them")

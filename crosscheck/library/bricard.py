@@ -68,7 +68,7 @@ def _bar(name: str, start: np.ndarray, end: np.ndarray) -> Body:
 
 
 P3 = 0.5 * (POINTS[2] - POINTS[1])
-"""Hinge P3 (3,) in the frame of bar_2, m."""
+"""Vector (3,) from the center of mass of bar_2 to hinge P3, frame of bar_2, m."""
 
 REFERENCE_QUANTITIES: dict[str, Quantity] = {
     **components(("P3_x", "P3_y", "P3_z"), lambda run: position(run, "bar_2", P3)),

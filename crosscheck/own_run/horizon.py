@@ -18,8 +18,8 @@ NUDGE = 1e-6
 """Change of the start velocities, sizes/s and rad/s: far above round-off, far below the motion."""
 
 MAX_ERROR_GROWTH = 1000.0
-"""Factor by which the motion may multiply a change of its start. Beyond it, a run whose steps have errors of
-0.001 % has no digit left that a better step could save."""
+"""Factor by which the motion may multiply a change of its start. Beyond it, even step errors of 0.001 % grow
+to 1 %, so that a difference of two runs shows the instability of the motion rather than a faulty run."""
 
 
 def comparable_until(scene: Scene, reference: Trajectory) -> float | None:
@@ -29,7 +29,8 @@ def comparable_until(scene: Scene, reference: Trajectory) -> float | None:
     change of velocity v moves a free body by v t, which does not count as growth.
 
     Returns:
-        The time; None if the motion can be compared to its end.
+        The time; None if the motion can be compared to its end, or if the growth is unknown because the
+        changed motion cannot be simulated.
     """
     size = scene.mechanism.size
     start = initial_state(scene)
@@ -46,12 +47,14 @@ def comparable_until(scene: Scene, reference: Trajectory) -> float | None:
         np.max(np.linalg.norm(other.position - reference.position, axis=2), axis=1) / size,
         np.max(angle_between(other.quaternion, reference.quaternion), axis=1),
     )
-    given = max(
+    # change of the velocities that is left after `assemble` made them satisfy the constraints
+    change = max(
         float(np.max(np.abs(nudged.linear_velocity - start.linear_velocity))) / size,
         float(np.max(np.abs(nudged.angular_velocity - start.angular_velocity))),
     )
-    if not given:
+    if not change:
         return None
-    growth = apart / (given * np.maximum(reference.time, reference.time[-1] / len(reference.time)))
+    # the time since the start is at least about one output period, so that it is not 0 at the start
+    growth = apart / (change * np.maximum(reference.time, reference.time[-1] / len(reference.time)))
     grown = np.flatnonzero(growth > MAX_ERROR_GROWTH)
     return float(reference.time[grown[0]]) if len(grown) else None

@@ -53,7 +53,7 @@ MIN_TIMED_RUNS = 64
 """Smallest number of runs that the estimate of speed may execute; smaller sweeps repeat their runs for it."""
 
 START_CHECK_RUNS = 1024
-"""Number of runs whose initial states are checked together if the first run cannot start."""
+"""Number of runs whose initial states are checked together if the first run fails."""
 
 MAX_TASK_RUNS = 2**16
 """Largest number of runs of a task."""
@@ -112,7 +112,7 @@ class SweepResults:
 
     @cached_property
     def failed_runs(self) -> Array:
-        """Indices of the failed runs."""
+        """Indices of the failed runs; the status is read in blocks that fit into memory."""
         parts = (
             first + np.flatnonzero(self.read(STATUS, slice(first, first + STATUS_RUNS)) == RUN_FAILED)
             for first in range(0, self.plan.samples.runs, STATUS_RUNS)
@@ -135,7 +135,7 @@ def results_of(
         plan: the plan.
         folder: folder of the store; None for results in memory.
         pool: workers that execute the runs.
-        progress: called with the number of completed runs.
+        progress: called with messages, such as the number of completed runs.
 
     Raises:
         CrosscheckError: for a folder with another plan, a folder in use by another process, a full disk, and
@@ -145,7 +145,8 @@ def results_of(
     path = None if folder is None else folder / STORE_NAME
     start, repaired = time.perf_counter(), list[str]()
     with signals_as_interrupts(), locked(path):
-        # Open the store of an interrupted sweep, or make one after a test of the first run
+        # Open the store of an interrupted sweep, or make one after a test of the first run. If the first run
+        # fails, some other run must at least be able to start
         if path is not None and path.exists():
             store = Store.checked(path)
             plan = store.resumed(plan)
@@ -181,7 +182,8 @@ def check_names(plan: SweepPlan) -> None:
         CrosscheckError: for a kept output with the name of another variable or dimension of the store, and
             for a varied parameter that is unknown or not a single number.
     """
-    taken = {*plan.samples.names, STATUS, ERROR, "run", *labels(plan.scene)}
+    dimensions = labels(plan.scene)  # labels of bodies, joints, ... by name of the dimension
+    taken = {*plan.samples.names, STATUS, ERROR, "run", *dimensions}
     for each in plan.kept:
         if each.name in taken or TIME_DIMENSION.fullmatch(each.name):
             raise CrosscheckError(f"{each.name!r} is the name of another variable; choose another name")
@@ -273,6 +275,7 @@ def _execute(
         progress(f"runs to execute: {count:,}, workers: {pool.count()}")
     task: Callable[[tuple[int, int]], Chunk | None] = partial(make_runs, plan)
     if store.path is not None:
+        # by the identifier, workers of an earlier process find out that their store has been replaced
         task = partial(store_runs, plan, store.path.absolute(), store.group.attrs.get(STORE_ID))
     with closing(run_tasks(task, tasks, pool, progress)) as results:
         for (first, last), chunk in results:

@@ -73,7 +73,8 @@ class ModelAtStart(FileStart):
         model.opt.disableflags |= sum(
             int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")) for feature in SWITCHED_OFF_FEATURES
         )
-        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame; simple
+        # bodies are those whose mass matrix MuJoCo takes as diagonal
         model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if self.disabled("GRAVITY"):
             model.opt.gravity[:] = 0.0
@@ -144,11 +145,13 @@ class ModelAtStart(FileStart):
     def units(self) -> Units:
         """Return units of velocities (nv,) and of residuals (k,), which make loop closure dimensionless."""
         model, data = self.model, self.data
-        # velocities: 1 rad/s for rotations; for translations the radius of the mechanism, m, per second
+        # velocities: 1 rad/s for rotations; for translations the size of the mechanism, m, per second: the
+        # largest distance of a moving center of mass or a joint from their mean
         movable = data.xipos[np.flatnonzero(model.body_weldid)]
         is_rotation = np.any(data.cdof[:, :3] != 0.0, axis=1)  # `cdof`: angular, then linear velocity
         velocity_units = np.where(is_rotation, 1.0, characteristic_length([*movable, *data.xanchor]))
-        # residuals of couplings: norm of the Jacobian row in these units
+        # residuals of couplings (equalities of joint coordinates or tendons): norm of the Jacobian row in
+        # these units
         _, jacobian = self.residuals(np.array(data.qpos))
         row_units = np.linalg.norm(jacobian * velocity_units, axis=1)
         # residuals of loop closures: the largest motion that one unit velocity gives to the closing point on

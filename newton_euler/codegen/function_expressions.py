@@ -29,7 +29,8 @@ from newton_euler.codegen.function_text import (
 from newton_euler.codegen.native import Kind, is_native, machine_type, signature_of
 from newton_euler.codegen.trigonometry import intrinsic_suffix, literal, vector_type
 
-# LLVM's names of comparisons, instructions and intrinsic functions by Python's syntax node or function
+# LLVM's names of comparisons, instructions and intrinsic functions by Python's syntax node or function. sdiv
+# and srem round towards zero, unlike // and % of Python: native functions use them for numbers not below 0
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
 INT_OPERATIONS = {
@@ -52,7 +53,8 @@ of forms.
 
 - v: double, or one double per lane;
 - u: integer that is the same in all lanes; w: one integer per lane;
-- l: `Vector`; s: `Shared` vector; capital letters if the vector begins at another index in each lane;
+- l: `Vector`, with separate elements for each lane; s: `Shared` vector, the same for all lanes; capital
+  letters if the vector begins at another index in each lane;
 - r: record or callback.
 """
 
@@ -96,7 +98,13 @@ class Expressions(FunctionText):
     """
 
     def __init__(self, function: Callable[..., Any], lanes: int, found: Found) -> None:
-        """Begin the text of a function; see `FunctionText` for the arguments."""
+        """Begin the text of a function.
+
+        Args:
+            function: Python function to translate.
+            lanes: number of runs at once.
+            found: variables and loops known to differ between lanes; the translation adds others.
+        """
         super().__init__(function, lanes, found)
         self.tables: dict[str, str] = {}
         self.calls: list[Call] = []
@@ -342,6 +350,7 @@ class Expressions(FunctionText):
         elif vector.type == "shared":
             raise self._error(target, "writes one element of a shared vector from several lanes")
         else:
+            # volatile keeps LLVM from a masked store, which is slower
             self._blend(value, self._address(vector, index), " volatile")
 
     def _place(self, node: ast.Subscript) -> tuple[Value, Value]:
@@ -402,7 +411,8 @@ class Expressions(FunctionText):
             callback, (x, y) = self._value(node.func), arguments
             if x.offset or y.offset:
                 raise self._error(node, "calls a callback with vectors that begin elsewhere in each lane")
-            self._emit(f"call void {callback.operand}({typed(x)}, {typed(y)}, i64 {self._bits()})")
+            lanes_on = self._bits()  # an integer, bit i for lane i
+            self._emit(f"call void {callback.operand}({typed(x)}, {typed(y)}, i64 {lanes_on})")
             return Value("void", "")
         name = node.func.id
         if name == "float":

@@ -40,7 +40,11 @@ from newton_euler.scalars import Array, Scalar, sqrt
 
 
 class Cartesian(CartesianTerms):
-    """Cartesian form of the equations of a scene: equation (21), solved with dense or sparse matrices."""
+    """Cartesian form of the equations of a scene: equation (21), solved with dense or sparse matrices.
+
+    The form's own coordinates, those of the methods `own_...`, are (r, p). The base class may append counted
+    angles and the work of forces to q; the first 7 n elements of q are (r, p).
+    """
 
     name = "cartesian"
 
@@ -120,12 +124,20 @@ class Cartesian(CartesianTerms):
 
         omegadot' = 2 L pddot, equation (11), is the angular acceleration in the body frame. With these
         unknowns in place of qddot, M is block diagonal, and
-        Phi_p pddot = Phi_theta R omegadot' / (p^T p). The Jacobian of the constraints is then B.
+        Phi_p pddot = Phi_theta R omegadot' / (p^T p). Here R is the rotation matrix of the body, and
+        Phi_theta are the derivatives of Phi for small rotations of the body, world frame. The Jacobian of the
+        constraints is then B.
+
+        Args:
+            q, v: (7 n,) each, (r, p) and their rates.
+            rows: numbers of independent constraint rows, with reference magnitudes of their pivots
+                (`scales`), and with flags that omit some of the rows at present.
         """
         _, B = self.Phi_q_and_B(q, v)
         right = self.right_side(q, v)
         force = self._applied(q, v)
-        # mass matrix: m_i and p^T p J'_i of each body; p^T p enters after the factorization
+        # mass matrix: m_i and p^T p J'_i of each body; p^T p enters after the factorization, which therefore
+        # does not depend on q
         mass: Rows = [{} for _ in force]
         squared_norms = []
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
@@ -140,7 +152,8 @@ class Cartesian(CartesianTerms):
         # selected rows, without those of the quaternions' norms: these unknowns do not contain d2|p|/dt2
         count = sum(number < self.rows for number in rows.numbers)
         # an armature of inertia a on a coordinate x is an additional row, the soft constraint
-        # d2x/dt2 + lambda / a = 0; its multiplier is the armature's force -a d2x/dt2
+        # d2x/dt2 + lambda / a = 0; its multiplier is the armature's force -a d2x/dt2. In `scales`, the
+        # armatures' rows follow the selected rows
         inertias, _, rotor_rows, gammas = self.rotors(q, v)
         softness = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         scales = rows.scales and rows.scales[: count + len(softness)]
@@ -156,7 +169,7 @@ class Cartesian(CartesianTerms):
         )
 
     def _applied(self, q: Array, v: Array) -> Array:
-        """Compute g - b (6 n,) of equation (21), without array b: applied forces minus gyroscopic torques."""
+        """Compute g - b (6 n,) of equation (21): applied forces minus gyroscopic torques (`l_h_pdot`)."""
         force = self.g(q, v)
         parts = zip(self.bodies, self.split(q), self.split(v), strict=True)
         for k, (body, (_, p), (_, pdot)) in enumerate(parts):
@@ -212,7 +225,8 @@ class Cartesian(CartesianTerms):
         frames, measured, rows = self.frames(q, v), self.measured(q, v), list[dict[int, Scalar]]()
         for key in keys:
             first, second = self.between[key].first, self.between[key].second
-            rows.extend(self._rows(q, frames, first, second, measured[key].jacobian)[1])
+            _, on_b = self._rows(q, frames, first, second, measured[key].jacobian)  # rows of Phi_q and of B
+            rows.extend(on_b)
         return rows, np.array([measured[key].gamma for key in keys])
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
@@ -280,13 +294,16 @@ class Cartesian(CartesianTerms):
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Translate row numbers of the joint-coordinate form; see `Formulation.rows_of`.
 
-        Rows of loop-closing joints and couplings that are not in `relative` are left out.
+        Rows of `closing_rows` that are not in `relative` are left out.
         """
         left_out = set(np.delete(self.closing_rows(), list(relative)).tolist())
         return [row for row in range(len(self.phi_units)) if row not in left_out]
 
     def closing_rows(self) -> list[int]:
-        """List the rows of loop-closing joints (cuts of the spanning tree), then those of couplings."""
+        """List the rows of loop-closing joints (cuts of the spanning tree), then those of couplings.
+
+        Prescribed motions count as couplings.
+        """
         # row numbers of each joint, then of all couplings
         rows = np.split(np.arange(self.rows), np.cumsum([equations.count for equations in self.equations]))
         of_cuts = [rows[joint] for joint in SpanningTree(self.mechanism).cuts]

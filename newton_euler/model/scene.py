@@ -2,7 +2,8 @@
 
 A `Scene` holds the mechanism, gravity, control laws, forces, prescribed motions, rotor inertias, the initial
 state, and the duration and outputs of the run. Its constructor checks all of them. Every engine simulates a
-scene.
+scene. The decorator `description` makes a class a frozen dataclass. Its fields of type `ArrayField` and
+`TupleField` accept any sequence and hold an array or a tuple.
 """
 
 from __future__ import annotations
@@ -137,7 +138,8 @@ class Scene(Variable):
     description: str = ""
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
 
-    # Numbers of the scene itself that may vary from run to run, and reasons why others cannot
+    # Numbers of the scene itself that may vary from run to run, and reasons why others cannot. The initial
+    # coordinate of a joint varies under the name start.JOINT, a list of initial states as argument `states`
     number_fields: ClassVar = {"gravity": NumberField("m/s^2", shape=(3,))}
     constant: ClassVar = {
         "duration": "the same in all runs",

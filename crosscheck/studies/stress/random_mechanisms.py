@@ -1,10 +1,10 @@
-"""Stress cases (j): equations of motion of all engines for random mechanisms at random consistent states.
+"""Stress cases, topic (j): equations of motion of all engines for random mechanisms at random states.
 
-A consistent state satisfies all constraints. At each state the equations of an engine are compared with
-newton_euler's equations in joint coordinates, as `crosscheck run` does: masses, kinematics, accelerations and
-reactions. Tolerances are round-off times the condition number of the equations that determine the
-accelerations. For some mechanisms, newton_euler's compiled (native) code is compared with the same equations
-evaluated in Python.
+The states are consistent: they satisfy all constraints. At each state the equations of an engine are compared
+with newton_euler's equations in joint coordinates, as `crosscheck run` does: masses, kinematics,
+accelerations and reactions. Tolerances are round-off times the condition number of the equations that
+determine the accelerations. For some mechanisms, newton_euler's compiled (native) code is compared with the
+same equations evaluated in Python. `crosscheck.studies.stress.topics` lists the topics.
 """
 
 from __future__ import annotations
@@ -47,20 +47,24 @@ RANDOM_SEED = 0
 """Seed of the random mechanisms, see `random_scene`."""
 
 TOLERANCE_RATIO = Bound(
-    "value divided by its tolerance",
-    "",
-    1.0,
-    1.0,
-    "tolerances of `crosscheck run`: round-off times the condition of the mechanism",
+    quantity="value divided by its tolerance",
+    unit="",
+    survives=1.0,
+    degrades=1.0,
+    reason="tolerances of `crosscheck run`: round-off times the condition of the mechanism",
 )
-"""Bound on the compared value of a mechanism that is largest in units of its tolerance."""
+"""Bound on the compared value of a mechanism that is largest in units of its tolerance.
+
+Values above the tolerance are failures, not merely inaccurate (`degrades`)."""
 
 COMPARED_SYSTEMS = (
     Setting("newton_euler", {"formulation": "cartesian"}),
     Setting("pinocchio", {"equations": "constraintDynamics"}),
     Setting("mujoco", {"equations": "rigid constraints"}),
 )
-"""Equations that are compared with newton_euler's equations in joint coordinates."""
+"""Equations that are compared with newton_euler's equations in joint coordinates.
+
+The options are for the report; `_system` chooses the equations by the engine's name."""
 
 NATIVE_SETTINGS = tuple(
     Setting("newton_euler", {"formulation": name, "code": "native"}) for name in FORMULATIONS
@@ -169,6 +173,7 @@ def native_code_difference(scene: Scene, formulation: str) -> float | None:
     """
     code = CompiledEquations(scene, formulation)
     system = code.system
+    # inputs: q (nq,), v (nv,), and from index `code.size` = nq + nv on, the time, flags and parameters
     x = code.packed(*system.coordinates(initial_state(scene)))
     # Native code returns dq/dt, dv/dt, and a pivot ratio of the elimination that solves for dv/dt: its
     # smallest pivot relative to the typical one. Without a positive ratio the elimination failed

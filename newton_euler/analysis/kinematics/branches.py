@@ -1,7 +1,9 @@
 """Assembly branches: all poses of a mechanism for given coordinates, found from random configurations.
 
-Given joint coordinates and directions of an axis are called goals. `Configurations` are n vectors of joint
-coordinates; a `Chain` is the mechanism with its chosen joint coordinates.
+Given joint coordinates and directions of an axis are called goals. A `Chain` is a mechanism with the joint
+coordinates that have goals or are to be measured. `Configurations` are n poses of a chain, evaluated by its
+compiled `function`. A pose is a vector of coordinates of the spanning tree: the mechanism without the joints
+that close loops.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 SAMPLES = 500
-"""Number of random configurations that are solved at a time."""
+"""Number of random configurations that are solved at a time, at least twice."""
 
 MAX_SAMPLES = 5_000
 """Largest number of random configurations."""
@@ -142,6 +144,8 @@ def assembly_branches(
     sign_texts = ["".join("-0+"[int(sign) + 1] for sign in signs[row]) for row in order]
     labels = tuple(f"{k} {text}" for k, text in enumerate(sign_texts))
     configs = configs[order]
+    # all poses meet their goals; the labels, and not `Poses.beyond`, show which of them lie beyond a singular
+    # configuration
     every = np.ones(len(configs), dtype=bool)
     return Branches(
         poses=poses_of(configs, goals[order], names, reached=every, beyond=~every),
@@ -160,6 +164,7 @@ def _search(chain: Chain, goal: Goal) -> tuple[Configurations, Array]:
         The n configurations; how many random configurations converged to each, (n,).
     """
     rng = np.random.default_rng(0)
+    # one row per branch: results of the chain's function, features, and number of hits
     branches, features = np.zeros((0, chain.function.outputs)), np.zeros((0, 0))
     hits = np.zeros(0, dtype=int)
     for tried in range(SAMPLES, MAX_SAMPLES + 1, SAMPLES):
@@ -234,7 +239,7 @@ def _determinants(configs: Configurations, goal: Goal, blocks: list[tuple[Array,
 
 
 def _joints(chain: Chain, columns: Array) -> tuple[str, ...]:
-    """Return the names of the joints that velocities of the tree, given by their indices, belong to."""
+    """Return the names of the joints that velocities of the spanning tree, given by indices, belong to."""
     tree = chain.system.tree
     return tuple(
         tree.joint(each.joint).name
