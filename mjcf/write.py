@@ -232,7 +232,7 @@ def _add_body(
     Args:
         parent_element: XML element of the parent body.
         tree_joint: joint of the spanning tree between parent and body. MuJoCo has a joint for each of its
-            elementary motions (hinge, slide, ball).
+            elementary motions (hinge, slide, ball). `forward` is True if the body is the joint's second one.
         welded: welded mechanism.
         force_attributes: attributes of springs and armatures, by name of MuJoCo's joint.
     """
@@ -247,7 +247,7 @@ def _add_body(
     )
     _add_inertial(element, body)
     joint = welded.tree.joint(tree_joint.joint)
-    names = motion_names(joint, tree_joint.forward)
+    names = motion_names(joint, forward=tree_joint.forward)
     for name, motion, point in zip(names, tree_joint.motions, tree_joint.points, strict=True):
         attributes = {"name": name, "type": motion.kind}
         attributes["pos"] = numbers(body.pose.point_to_body(point))
@@ -416,6 +416,7 @@ def _add_loop_closures(equality: ET.Element, welded: WeldedMechanism) -> None:
             anchor = rotation(q1).T @ (joint.point - p1)
             ET.SubElement(equality, "connect", attributes, anchor=numbers(anchor))
         else:
+            # `reaction_point` is the joint point that is fixed in the second body
             anchor = rotation(q2).T @ (joint.reaction_point - p2)
             # the position in `relpose` is the anchor in body 1, not the position of body 2
             anchor_in_first = rotation(q1).T @ (joint.reaction_point - p1)
@@ -477,6 +478,7 @@ def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float
     if isinstance(law, HeldLaw):  # a digital law, whose force is constant between samples
         return law.held
     if isinstance(law, StateFeedback | ComputedTorque):
+        # force that drives the readings towards the set-points
         return float(law.towards(law.references(time), readings, time, model))
     if not isinstance(law, PD):
         assert_never(law)
@@ -484,13 +486,14 @@ def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float
         return float(law.force(x=0.0, x_rate=0.0, time=time) + model[law.key])
     if law.depends_on_time:
         return float(law.force(x=0.0, x_rate=0.0, time=time))
-    return float(law.references(time)[law.key].value)
+    return float(law.references(time)[law.key].value)  # the target, by the key of its joint coordinate
 
 
 def _add_start_keyframe(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
     """Add the keyframe with the initial state, the initial controls, and the rests of ball springs.
 
-    The attribute `plastic` of a key has the rest orientations of yielding ball springs, see `mjcf.forces`.
+    The attribute `plastic` of a key, new in MuJoCo 4, has the rest orientations of ball springs that do not
+    rest at qpos0, see `mjcf.forces`.
     """
     state = initial_state(scene)
     q, v = welded.tree.coordinates(welded.state(state))

@@ -60,7 +60,8 @@ divided by the largest residual before. Residuals are linear in a small error up
 
 MIN_RELATIVE_RESIDUAL = 1e-10
 """Smallest residual of Newton's and Euler's equations, N, that is not round-off, divided by a typical force:
-the scene's unit of energy over its size. 1e-10 is the round-off at a condition number of 100."""
+the scene's unit of energy over its size. 1e-10 is the round-off of some hundred operations, 1e-12, at a
+condition number of 100."""
 
 
 def kinematic_cause(first: Samples, second: Samples) -> str | None:
@@ -72,7 +73,8 @@ def kinematic_cause(first: Samples, second: Samples) -> str | None:
 
     Returns:
         Name of the joint whose constraints in the scene are violated, or of the body if the constraints of
-        all its joints are. None if no constraint is violated, so that an engine has too many constraints.
+        all its joints are. None if no constraint is violated: the engines then differ because one of them has
+        additional constraints.
     """
     for search in (_violated_after_closure, _violated_in_tree, _violated_closure):
         # the second engine first: the first one is usually newton_euler, this project's solver
@@ -110,6 +112,8 @@ def _violations(samples: Samples) -> Array:
     system, mechanism = samples.system, samples.states.scene.mechanism
     size = mechanism.size
     violations = np.zeros(len(mechanism.joints))
+    # At each state: the engine's own coordinates and velocities, the body states (`State`) that follow by its
+    # kinematics, and a basis of the body velocities that its constraints allow
     for (q, v), motion, basis in zip(samples.coordinates, samples.motions, samples.bases, strict=True):
         # Poses; some loops cannot be closed
         with suppress(AssemblyError):
@@ -123,6 +127,7 @@ def _violations(samples: Samples) -> Array:
             blocks = equations.jacobian(frames[i], frames[j])
             linear = blocks.r_first @ velocities[i, :3] + blocks.r_second @ velocities[j, :3]
             angular = blocks.theta_first @ velocities[i, 3:] + blocks.theta_second @ velocities[j, 3:]
+            # `units`: the size for each equation in m, 1 for each equation in rad
             rates = np.abs(size * linear + angular) / equations.units(size)[:, None]
             violations[k] = max(violations[k], float(np.max(rates, initial=0.0)))
     return violations
@@ -366,11 +371,12 @@ def _unit_loads(equations: Cartesian, force: ForceAtJoint, state: State) -> Arra
     # The loads are the Jacobian of the coordinate with respect to motions of its two bodies (virtual work)
     if force.on_ball:
         first, second = joint_bodies(equations.mechanism, force.joint)  # numbers of the bodies
-        jacobian = SPIN  # of the relative angular velocity
+        jacobian = SPIN  # of the three components of the relative angular velocity
     else:
         coordinate = equations.between[force.key]  # a joint coordinate, with the numbers of its two bodies
         first, second = coordinate.first, coordinate.second
         jacobian = coordinate.measure(q, frames).jacobian
+    # Derivatives (k, 3) by position (r) and rotation (theta, world frame) of the first and the second body
     r_first, theta_first, r_second, theta_second = jacobian
     loads = np.zeros((len(r_first), len(frames), 6))
     for body, r, theta in ((first, r_first, theta_first), (second, r_second, theta_second)):

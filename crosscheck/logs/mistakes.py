@@ -1,5 +1,6 @@
 """Find out whether a log is read wrongly: other readings that reduce its error by a large factor.
 
+The error of a log is its deviation from the reference: a simulation of the scene from the start of the log.
 Other readings are orders of quaternions, units, points of bodies, zeros of coordinates, and times. They are
 tried one after the other. A `Mistake` names the columns and the option that selects the other reading.
 """
@@ -159,6 +160,8 @@ def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> I
             if point != options.position:
                 other = replace(options, position=point)  # type: ignore[arg-type]
                 yield OtherReading(other, columns, words, f"--log-set position={point}")
+    # `zero`: logged coordinates are zero at the zero pose of the model "file", or at the scene's "start".
+    # Without a model file there are no names in the file (`reading.names`), and the start is the only zero
     if data.coordinates and reading.names is not None and options.zero == "file":
         columns = tuple(name for each in data.coordinates.values() for name in each.columns)
         other = replace(options, zero="start")
@@ -177,9 +180,10 @@ def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> I
 
 def _coordinate_columns(reading: LogReading, data: LogData) -> Iterator[tuple[str, str]]:
     """Yield the column of each joint coordinate, and the quantity as `LogOptions.columns` names it."""
+    # a coordinate may have several names, of the scene and of the model file
     for key, measured in data.coordinates.items():
-        for name, (own_key, _) in reading.elements.coordinates.items():
-            if own_key == key:
+        for name, (named_key, _) in reading.elements.coordinates.items():
+            if named_key == key:
                 yield measured.columns[0], f"coordinate.{name}"
 
 
@@ -196,6 +200,7 @@ def _delay(compared: ComparedLog) -> Iterator[Mistake]:
             inside[0] = False  # the reference starts there, whatever its time is
             if np.sum(inside) < 3:
                 continue
+            # without energies, which `relative` does not contain
             delayed = run_error(
                 without_energies(at_outputs(run, np.flatnonzero(inside))),
                 without_energies(compared.reference_at(times[inside])),

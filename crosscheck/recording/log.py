@@ -345,7 +345,7 @@ def _log_tilt(
 ) -> None:
     """Draw arrows from the center of mass of the platform, the body whose tilt is plotted.
 
-    The arrows are the body's normal (its zeta axis), the vertical, and given directions.
+    The arrows are the body's normal (its z axis), the vertical, and given directions.
 
     Args:
         recording: recording to write to.

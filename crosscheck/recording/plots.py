@@ -104,7 +104,7 @@ def platforms(mechanism: Mechanism) -> list[int]:
 
 
 def tilt(quaternion: Array) -> Array:
-    """Compute the angles (n,), degrees, between a body's zeta axis and the world's z axis.
+    """Compute the angles (n,), degrees, between the z axis of a body's frame and the world's z axis.
 
     Args:
         quaternion: orientations of the body (n, 4), (w, x, y, z).
@@ -117,7 +117,8 @@ def _coordinates(scene: Scene) -> list[Key]:
     """Choose the joint coordinates to plot: (joint, number) pairs.
 
     These are the coordinates that control laws or springs act on. If there are none, the coordinates of
-    actuated joints are plotted, and without actuated joints those of joints at the ground.
+    actuated joints (joints that control laws may drive) are plotted. Without actuated joints, the coordinates
+    of joints at the ground are plotted.
     """
     joints, ground = scene.mechanism.joints, scene.mechanism.body_names[0]
     acting = (*scene.control, *(force for force in scene.forces if isinstance(force, JointSpring)))
@@ -132,12 +133,13 @@ def _coordinates(scene: Scene) -> list[Key]:
 def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Plot joint coordinates with their set-points, and the tilt of a platform."""
     mechanism = scene.mechanism
-    # set-points by joint coordinate, also of laws that a digital controller evaluates at its samples
+    # set-points by joint coordinate, also of laws that a digital controller evaluates at its samples;
+    # controllers that are Python functions have none
     continuous = [law.law if isinstance(law, Digital) else law for law in scene.control]
     targets = {law.key: law.target for law in continuous if isinstance(law, DeclaredLaw)}
     for joint, number in _coordinates(scene)[:MAX_COORDINATES]:
         name = coordinate_name(mechanism.joint(joint), number)
-        lines = {
+        lines = {  # `Trajectory.joint` needs a mechanism, which some runs lack
             engine: replace(run, mechanism=mechanism).joint(joint).coordinates[:, number]
             for engine, run in trajectories.items()
         }

@@ -39,7 +39,11 @@ MAX_RUNS = 2**32
 """Largest number of runs: the number of points of a Sobol sequence of `SOBOL_BITS` bits."""
 
 SOBOL_BITS, SALTELLI_BITS = 32, 30
-"""Bits of the coordinates of Sobol sequences: for the sampling "sobol", and in Saltelli's design."""
+"""Bits of the coordinates of Sobol sequences: for the sampling "sobol", and in Saltelli's design.
+
+A sequence of n bits has 2^n points. A base sample of Saltelli's design has one point and at least 3 runs, so
+that `MAX_RUNS` contains at most 2^30 base samples.
+"""
 
 MAX_SOBOL_DIMENSION = 21_201
 """Largest dimension of the Sobol sequence in SciPy; Saltelli's design needs two dimensions per parameter."""
@@ -61,7 +65,7 @@ NOT_EXTENSIBLE_REASONS = {
     ("grid", "vary"): " (a grid of other values numbers its runs differently)",
 }
 """Reasons why runs cannot be added to a stored sweep, as ends of an error message. The keys are a sampling
-and the part of the plan that differs."""
+and what differs from the stored sweep: the number of runs, or a distribution ("vary")."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +166,8 @@ class SweepSamples:
         """Return the probabilities u (last - first, parameters) of runs `first` to `last` - 1."""
         count, size = last - first, len(self.names)
         if self.sampling == "random":
-            # Philox is a generator with a counter. Each run takes as many steps of the counter, and a step
-            # gives four numbers.
+            # Philox is a generator with a counter. A step of the counter gives four numbers. All runs take
+            # the same number of steps.
             steps = -(-size // 4)  # rounded up
             generator = np.random.Generator(np.random.Philox(key=self.seed).advance(first * steps))
             return generator.random((count, 4 * steps))[:, :size]

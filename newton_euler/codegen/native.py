@@ -59,7 +59,7 @@ class Record:
     """Base class of frozen dataclasses that native functions take as one argument.
 
     Fields are numbers, vectors, callbacks and other records. A native function reads a field once, when it is
-    called. Values that change during a run must be elements of vectors.
+    called. Values that change during a run must be elements of vectors; `overwrite_with` replaces all fields.
     """
 
     kinds: ClassVar[dict[str, Kind]]
@@ -77,6 +77,7 @@ class Record:
     @cached_property
     def _packed(self) -> Any:
         """Memory block with the values of the fields, which lives as long as this object."""
+        # a callback that is None has the address 0
         values = (address_of(getattr(self, name)) or 0 for name in self.kinds)
         return ctypes.create_string_buffer(self.layout.pack(*values), self.layout.size)
 
@@ -88,14 +89,17 @@ class Record:
     def overwrite_with(self, other: Self) -> None:
         """Replace the fields that native code sees by those of another record, also while native code runs.
 
-        The attributes that Python sees stay as they are.
+        Native functions that are called afterwards read the new fields. A callback can thus compile a
+        function at its first use and put it into the record. The attributes that Python sees stay unchanged.
         """
         ctypes.memmove(self.address, other.address, self.layout.size)
         self.__dict__["_other"] = other  # keeps the memory that the other record's fields point to
 
 
 def address_of(argument: Any) -> Any:
-    """Return the address of an array of doubles, of a record or of a native function; numbers unchanged.
+    """Return the address of an array of doubles, of a record or of a compiled function.
+
+    Records and compiled functions have an attribute `address`. Numbers and None are returned unchanged.
 
     Raises:
         TypeError: if an array has elements of another type or is not contiguous.

@@ -36,7 +36,7 @@ from newton_euler.compiled.outputs import Outputs, loops
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.row_choice import exchanged
 from newton_euler.errors import OptionError
-from newton_euler.integrators.constraint_ratio import ConstraintRatio, Progress
+from newton_euler.integrators.constraint_ratio import Availability, ConstraintRatio
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, Closing, closing_of, unprepared
 from newton_euler.integrators.dop853 import CONTROLS, Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, divisions, integrate_fixed
@@ -416,12 +416,12 @@ def ratio_on_demand(code: CompiledEquations, python: DenseCallbacks, in_lanes: b
         with COMPILATION_LOCK:
             function = code.function("ratio", in_lanes)
         ratio.overwrite_with(
-            ConstraintRatio(Progress.READY, prepare=None, evaluate=function, results=results)
+            ConstraintRatio(Availability.COMPILED, prepare=None, evaluate=function, results=results)
         )
 
     results = np.zeros((1, lane_count() if in_lanes else 1))
     ratio = ConstraintRatio(
-        Progress.UNPREPARED, prepare=python.guarded(prepare), evaluate=None, results=results
+        Availability.NOT_COMPILED, prepare=python.guarded(prepare), evaluate=None, results=results
     )
     return ratio
 

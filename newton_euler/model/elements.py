@@ -35,8 +35,8 @@ class Surroundings(NamedTuple):
         mechanism: the bodies and joints.
         poses: poses of all body frames at the initial pose, ground first.
         frames: present frames (pose and velocity) of all bodies, ground first.
-        measured: by joint coordinate, a sequence whose first two values are the coordinate, m or rad from the
-            initial pose, and its rate.
+        measured: by joint coordinate, a sequence of the coordinate, m or rad from the initial pose, its rate,
+            and possibly derivatives, which elements do not use.
         time: s.
         model: function without arguments that computes, by joint coordinate, the forces (N or N m) of control
             laws that use a model of the mechanism. The default, `dict`, returns no forces.
@@ -92,6 +92,9 @@ class PoseChange(NamedTuple):
 class Element(Variable):
     """Base class of everything that acts in a scene: forces, control laws, armatures and prescribed motions.
 
+    The attribute `number_fields` of the base class `Variable` declares the numbers that parameter studies may
+    vary: by attribute name, a `NumberField` with the unit and the allowed values.
+
     Attributes:
         noun: name of the kind of element, with which error messages begin.
         body_fields: names of the attributes that are names of bodies.
@@ -102,11 +105,10 @@ class Element(Variable):
 
     @property
     def strengths(self) -> dict[str, tuple[str, ...]]:
-        """Names of the attributes to which an effect of the element is proportional, by the name of the
-        effect.
+        """Names of the attributes to which an effect of the element is proportional, by the effect's name
+        (`NumberField.strength`).
 
-        A spring with a damper returns {"spring": ("stiffness",), "damper": ("damping",)}; see
-        `NumberField.strength`.
+        A spring with a damper returns {"spring": ("stiffness",), "damper": ("damping",)}.
         """
         kinds = dict.fromkeys(field.strength for field in self.number_fields.values() if field.strength)
         return {
@@ -300,8 +302,11 @@ class AppliedForce(Element):
             )
 
     def reversing_vector(self, at: Surroundings) -> Array:
-        """Compute a vector (k,) that jumps to the opposite direction, or passes through zero, where the force
-        jumps; zeros if the force cannot jump."""
+        """Compute a vector (k,) that reverses its direction where the force jumps, to find jumps in a run.
+
+        The vector and its length k depend on the kind of force, for example the vector (3,) between the two
+        points of a spring. All numbers are zero if the force cannot jump.
+        """
         raise NotImplementedError
 
     def wrenches(self, at: Surroundings) -> Iterable[tuple[int, Array]]:

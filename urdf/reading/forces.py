@@ -1,8 +1,10 @@
 """Import springs, dampers and armatures of joints, and springs between points of links, for `urdf.reader`.
 
-An armature is the rotor inertia of a joint. Elements of joints other than moving hinges and slides, which
-have a coordinate in the scene, are left out. The import report receives one entry for each element; FORCE in
-an entry says that the element became a force of the scene.
+An armature is the rotor inertia of a joint. URDF itself has only dampers of joints; the other elements come
+from extensions of the format (`urdf.extensions`). Elements of joints other than moving hinges and slides,
+which have a coordinate in the scene, are left out. The import report receives one entry for each element.
+`FORCE` marks springs, which not every file format can represent. The topic of an entry is the property of the
+joint that is left out.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ def joint_springs(
 
     Args:
         joints: properties of the joints in the file.
-        start: Pinocchio's model and data at the start state.
+        start: Pinocchio's model of the file, at the start state of the scene.
         tree: imported bodies and joints of the tree.
         report: report that receives the entries.
     """
@@ -35,7 +37,8 @@ def joint_springs(
         damper = f"its damping {damping:g} as a damper" if damping else ""
         spring = f"its stiffness {stiffness:g} about {joint.rest:g} as a spring" if stiffness else ""
         if name in tree.coordinate_keys:
-            # the file counts coordinates from its zero pose, the scene from the start
+            # the file counts coordinates from its zero pose, the scene from the start; `displacement` is the
+            # coordinate at the start, counted from the zero pose
             rest = joint.rest - start.displacement(name) if stiffness else 0.0
             scene_joint, coordinate = tree.coordinate_keys[name]
             yield JointSpring(scene_joint, stiffness, damping, rest, coordinate)
@@ -57,7 +60,7 @@ def point_springs(
 
     Args:
         springs: springs in the file.
-        start: Pinocchio's model and data at the start state.
+        start: Pinocchio's model of the file, at the start state of the scene.
         tree: imported bodies and joints of the tree.
         report: report that receives the entries.
     """
@@ -67,7 +70,7 @@ def point_springs(
             tree.body_and_point(model.getFrameId(name)) for name in spring.frames
         )
         element = f"spring {spring.name!r}"
-        if first == second:
+        if first == second:  # forces inside one body: the scene moves as if the spring were imported
             report.left_out(element, f"both its ends are on {first!r}", moves_nothing=True)
             continue
         yield PointSpring(

@@ -59,12 +59,12 @@ class Fault:
         detail: entry, direction or value at fault; may be empty.
         size: relative size, see `FAULT_SIZES`; None for a fault without a size.
         inject: function that takes the scene and returns the scene with the fault.
-        expected: names of bodies, joints and terms of which a correct diagnosis names one.
+        expected: names of bodies or joints, or "gravity"; a correct diagnosis names one of them.
         neighbors: further names that are accepted of a diagnosis from motion alone: the bodies at a joint.
         closure_shift: for a wrong point of a loop-closing joint, the shift (3,) of the point on the second
             body, m, world frame; else None.
-        hinge: for a dropped velocity term, the name of its hinge, see `velocity_terms`; else None. The fault
-            is then in an engine's equations, and `inject` changes nothing.
+        hinge: for a dropped velocity term, see `_velocity_term_faults`, the name of the joint; else None. The
+            fault is then in an engine's equations, and `inject` changes nothing.
     """
 
     kind: str
@@ -132,7 +132,7 @@ def confusion_faults(scene: Scene) -> Iterator[Fault]:
 def _body_faults(scene: Scene, size: float) -> Iterator[Fault]:
     """Yield faults of a size in mass, center of mass and inertia of each body."""
     length = scene.mechanism.size
-    for body in scene.mechanism.body_names[1:]:
+    for body in scene.mechanism.body_names[1:]:  # without the ground
         expected = frozenset({body})
         yield Fault("mass", body, "", size, injection.mass(body, size), expected)
         for label, axis in zip("xyz", np.eye(3), strict=True):
@@ -177,7 +177,11 @@ def _joint_faults(scene: Scene, size: float) -> Iterator[Fault]:
 
 
 def _force_faults(scene: Scene, size: float) -> Iterator[Fault]:
-    """Yield faults of a size in the values of controllers, joint springs and armatures (rotor inertias)."""
+    """Yield faults of a size in the values of controllers, joint springs and armatures (rotor inertias).
+
+    A spring or an armature acts on one coordinate of a joint (hinge or slide) or, if `on_ball`, on the ball
+    of the joint: its three rotations, as in a spherical joint.
+    """
     # Controllers and joint springs, but not forces on bodies and sampled controllers
     for field in ("control", "forces"):
         for index, force in enumerate(getattr(scene, field)):
@@ -220,6 +224,7 @@ def _faulty_gravities(gravity: Array, size: float) -> dict[str, Array]:
     if not strength:
         x, _, z = np.eye(3)
         return {label: size * REFERENCE_GRAVITY * axis for label, axis in (("x", x), ("z", z))}
+    # u and w: unit vectors perpendicular to gravity and to each other
     turns = zip("uw", perpendicular_pair(gravity / strength), strict=True)
     turned = {f"about {label}": injection.turned_about(axis, size) @ gravity for label, axis in turns}
     return {"strength": (1.0 + size) * gravity, **turned}
@@ -233,7 +238,7 @@ def connected_bodies(joint: Joint) -> frozenset[str]:
 def _body_confusions(scene: Scene) -> Iterator[Fault]:
     """Yield faults without a size of bodies: wrong order of the quaternion, missing, swapped."""
     bodies = scene.mechanism.bodies
-    for body in bodies[1:]:
+    for body in bodies[1:]:  # without the ground
         expected = frozenset({body.name})
         yield Fault("quaternion order", body.name, "", None, injection.quaternion_order(body.name), expected)
         yield Fault("missing body", body.name, "", None, injection.missing_body(body.name), expected)
@@ -266,7 +271,12 @@ def _joint_confusions(scene: Scene) -> Iterator[Fault]:
 
 
 def _velocity_term_faults(scene: Scene) -> Iterator[Fault]:
-    """Yield a dropped velocity term for each joint of the spanning tree whose last motion is a hinge."""
+    """Yield a dropped velocity term for each joint of the spanning tree whose last motion is a hinge.
+
+    The term is omega x axis v in the angular acceleration of the part after the hinge. omega is the angular
+    velocity of the part before the hinge, v the rate about the axis. See
+    `crosscheck.studies.faults.velocity_terms`.
+    """
     tree = SpanningTree(scene.mechanism)
     for tree_joint in tree.joints:
         joint = tree.joint(tree_joint.joint)
@@ -302,7 +312,7 @@ def confused_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
         case "spherical" if joint.name not in driven:
             x, y, _ = np.eye(3)
             return {"universal": {"axis_on_first": x, "axis_on_second": y}}
-        case "prismatic" | "translational":
+        case "prismatic" | "translational":  # two names of the same joint
             return {"cylindrical": {"axis": joint.axis}}  # type: ignore[attr-defined]
         case "cylindrical" if joint.name not in driven:
             return {"revolute": {"axis": joint.axis}}  # type: ignore[attr-defined]

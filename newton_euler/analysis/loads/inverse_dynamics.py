@@ -71,8 +71,9 @@ def inverse_dynamics(
 
     Gravity, springs, dampers, wrenches, rotors and prescribed motions act as in a run; control laws do not.
     If the actuators act on the coordinates themselves, degrees of freedom without a wanted acceleration move
-    freely. If there are more actuators than coordinates, the forces with the least sum of squares are taken,
-    in N m: forces on slides are multiplied by the mechanism's size.
+    freely. Otherwise there must be as many wanted accelerations as degrees of freedom. If there are more
+    actuators than coordinates, the forces with the least sum of squares are taken, in N m: forces on slides
+    are multiplied by the mechanism's size.
 
     Args:
         scene: the mechanism with its forces.
@@ -106,7 +107,9 @@ def inverse_dynamics(
         actuator_keys = tuple(law.key for law in scene.control) or coordinates
     else:
         actuator_keys = tuple(mechanism.coordinate(name) for name in actuators)
-    if set(actuator_keys) == set(coordinates):  # in the same order, which needs a simpler computation
+    # if the actuators act on the coordinates themselves, the same order lets the compiled equations give the
+    # forces without a further solution
+    if set(actuator_keys) == set(coordinates):
         actuator_keys = coordinates
     compiled = compiled_dynamics(scene, coordinates, actuator_keys)
     # states, accelerations and times as arrays
@@ -148,7 +151,7 @@ def loads_of(compiled: InverseDynamics, solved: SolvedStates, is_single: bool) -
     """Return the loads of solved states as a record.
 
     Args:
-        compiled: compiled inverse dynamics; gives names.
+        compiled: compiled inverse dynamics; its `servos` name the coordinates and the actuators.
         solved: results for n states.
         is_single: True if a single state was given; the arrays then lose their first axis.
     """
