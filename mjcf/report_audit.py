@@ -33,7 +33,7 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
 
     Args:
         model: compiled model.
-        roots: numbers of the bodies that have joints.
+        roots: numbers of the bodies that have joints; bodies without joints are fixed to their parents.
         report: report to check.
     """
     mentioned = {entry.element for entry in report.entries}
@@ -101,7 +101,7 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
             setattr(model.opt, topic, 0.0)
         case "option wind", _:
             model.opt.wind[:] = 0.0
-        case _ if kind.endswith("flexes"):
+        case _ if kind.endswith("flexes"):  # one entry for all deformable bodies, such as "2 flexes"
             for field in ("stiffness", "bending", "edgestiffness", "damping", "edgedamping"):
                 getattr(model, f"flex_{field}")[:] = 0.0
 

@@ -61,7 +61,7 @@ MAX_VELOCITY = 1e10
 """Largest velocity, m/s or rad/s, of a run that has not diverged; MuJoCo has the same limit."""
 
 MAX_LOOP_EVALUATIONS = 20_000
-"""Largest number of evaluations of accelerations in the judged run, and in a run with a smaller step.
+"""Largest number of evaluations of accelerations in a run with the user's time step or a smaller one.
 
 They take 0.2 s in Python."""
 
@@ -179,10 +179,10 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         """Yield the properties of the user's settings that can cause an error.
 
         The contribution of a cause is the difference of two runs: with the settings `against`, and with the
-        settings `without` the cause. Causes that could hide a later cause are also removed from the settings
-        `against` of the later one. For example, a small step hides bad gains, because a drift of the loops is
-        an error of the integration. The step and the integrator are therefore examined with gains that keep
-        loops closed.
+        settings `without` the cause. By default, `against` are the user's settings. Causes that could hide a
+        later cause are also removed from the settings `against` of the later one. For example, a small step
+        hides bad gains, because a drift of the loops is an error of the integration. The step and the
+        integrator are therefore examined with gains that keep loops closed.
         """
         # settings without the causes that were yielded before
         base = self.settings

@@ -89,17 +89,18 @@ def sweep_command(
     from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.sweeps.distributions import parse_vary
     from crosscheck.sweeps.store import STORE_NAME, interruptible
-    from crosscheck.sweeps.sweep import own_scene, sweep
+    from crosscheck.sweeps.sweep import named_after_file, sweep
 
     vary = parse_vary(varied)
+    # by default, inputs and start velocities excite a model file, which is usually at rest at its start
     scene_settings = with_excitation(scene, scene_options(settings))
-    read, mapping = load_scene(scene, scene_settings)
-    warn_about_import(scene, mapping, read)
-    loaded = own_scene(scene, read)
+    read, import_report = load_scene(scene, scene_settings)
+    warn_about_import(scene, import_report, read)
+    loaded = named_after_file(scene, read)
     folder = output or Path("output/sweep") / loaded.name
     with interruptible(folder / STORE_NAME), progress_shown() as progress:
         swept = sweep(loaded, vary, keep=keep, output=folder, progress=progress, **options)
-        swept = replace(swept, options=scene_settings, mapping=mapping)
+        swept = replace(swept, options=scene_settings, mapping=import_report)
         if check != 0:
             swept = swept.check(check, progress=progress)
         progress("analysis")

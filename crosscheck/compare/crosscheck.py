@@ -184,7 +184,7 @@ def crosscheck(
         left_out=left_out,
         trajectories=runs,
         checks=tuple(checks),
-        measured=tuple(reference_checks),
+        reference_checks=tuple(reference_checks),
         wall_time=time.perf_counter() - start,
         mapping=mapping,
         advice=advice,

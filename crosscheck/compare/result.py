@@ -1,7 +1,9 @@
 """Result of a comparison of engines: runs, checks, diagnosis, coverage and advice, and the outcome.
 
-`crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has the verdict in words, and
-`crosscheck.report` makes tables and pages of results.
+A comparison simulates one scene (a mechanism with its forces, inputs and initial state) in several engines.
+Checks are grouped in levels: the import of the model file, the equations of motion at single states, then
+whole runs. `crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has the verdict in
+words, and `crosscheck.report` makes tables and pages of results.
 
 The "own run" is the run of a model file in the file's engine (such as MuJoCo for an MJCF) with the time step
 and the solver settings of the file. The own run is judged separately, by its error.
@@ -43,7 +45,8 @@ class EngineComparison(ComparisonResult):
 
     Attributes:
         left_out: engines that cannot represent the scene, with the reason.
-        measured: checks against reference values, for scenes of the library that have some.
+        reference_checks: checks against reference values (published or exact results), for scenes of the
+            library that have some.
         mapping: import report of the model file: how each element was imported. None for other scenes.
         advice: advice on redundant constraints, if it was requested.
         coverage: elements of the scene that the runs test; None if trajectories were not compared, or if the
@@ -57,7 +60,7 @@ class EngineComparison(ComparisonResult):
     """
 
     left_out: dict[str, str]
-    measured: tuple[ReferenceCheck, ...] = ()
+    reference_checks: tuple[ReferenceCheck, ...] = ()
     mapping: ImportReport | None = None
     advice: tuple[Advice, ...] = ()
     coverage: Coverage | None = None
@@ -80,7 +83,7 @@ class EngineComparison(ComparisonResult):
     @property
     def differs(self) -> bool:
         """True if any check exceeds its tolerance, those against reference values included."""
-        return super().differs or not all(check.agrees for check in self.measured)
+        return super().differs or not all(check.agrees for check in self.reference_checks)
 
     @property
     def outcome(self) -> Outcome:
@@ -151,7 +154,7 @@ class EngineComparison(ComparisonResult):
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
         """Outliers, at the first level with a difference and then among the remaining engines."""
-        return diagnosed(self.scene, self.engines, self.checks, self.measured, self.unfinished)
+        return diagnosed(self.scene, self.engines, self.checks, self.reference_checks, self.unfinished)
 
     @property
     def single_engine(self) -> bool:
@@ -160,12 +163,17 @@ class EngineComparison(ComparisonResult):
         The engine may have been compared with the model file, its formulations with each other, and its run
         with reference values.
         """
+        # `between`: the compared names, such as two engines; one name for a check such as energy balance
         pairs_agree = all(check.agrees for check in self.checks if len(check.between) > 1)
-        references_agree = all(check.agrees for check in self.measured)
+        references_agree = all(check.agrees for check in self.reference_checks)
         return len(self.engines) == 1 and pairs_agree and references_agree
 
     def summary(self) -> dict[str, Any]:
-        """All checks, versions, settings, wall times and judgements, for JSON."""
+        """All checks, versions, settings, wall times and judgements, for JSON.
+
+        Of the import report: `findings` are likely mistakes in the file, `start` has lines of text about the
+        initial state, `moved_start` and `changed_velocities` are its changes that satisfy the constraints.
+        """
         return super().summary() | {
             "not_simulated": [asdict(entry) for entry in self.acting],
             "as_in_the_file_until": self.until,
@@ -178,7 +186,7 @@ class EngineComparison(ComparisonResult):
             "changed_velocities": asdict(changed)
             if self.mapping and (changed := self.mapping.changed_velocities)
             else None,
-            "known_values": [check.summary() for check in self.measured],
+            "known_values": [check.summary() for check in self.reference_checks],
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
             "singular": asdict(self.singular) if self.singular else None,
@@ -199,7 +207,7 @@ def diagnosed(
     scene: Scene,
     engines: Sequence[Engine],
     checks: Sequence[Check],
-    measured: Sequence[ReferenceCheck],
+    reference_checks: Sequence[ReferenceCheck],
     stops: Sequence[Stop],
 ) -> tuple[Diagnosis, ...]:
     """Make the diagnosis, see `EngineComparison.diagnosis`; the other arguments are attributes of the result.
@@ -210,10 +218,11 @@ def diagnosed(
     soft = [each.name for each in engines if each.evaluate_soft_constraints and each.name not in stopped]
     names = [each.name for each in engines]
     nearly_redundant = mobility(scene).nearly
-    return diagnose(names, checks, measured, soft, nearly_redundant)
+    return diagnose(names, checks, reference_checks, soft, nearly_redundant)
 
 
 def misread(engines: Sequence[Engine], checks: Sequence[Check]) -> bool:
     """Return True if the equations of every engine differ from those of the model file."""
+    # `between` is an engine and the file at this level
     differing = {check.between[0] for check in checks if check.level == READING and not check.agrees}
     return bool(engines) and differing >= {engine.name for engine in engines}

@@ -81,9 +81,9 @@ def _own_checks(result: EngineComparison) -> str:
 
 
 def _qualifications(result: EngineComparison) -> str:
-    """Format qualifications of an agreement: reference values (`measured`), checks that are not judged,
-    coverage (the elements that the motion tests), and elements of the file that are not simulated."""
-    text = f", and the reference in all {len(result.measured)}" if result.measured else ""
+    """Format qualifications of an agreement: reference values, checks that are not judged, coverage (the
+    elements that the motion tests), and elements of the file that are not simulated."""
+    text = f", and the reference in all {len(result.reference_checks)}" if result.reference_checks else ""
     text += not_judged(result.checks)
     text += "; nothing moves" if result.nothing_moves else ""
     if result.coverage:
@@ -105,8 +105,8 @@ def _failed_checks(result: EngineComparison) -> str:
     failed = sum(not check.agrees for check in result.checks)
     if failed:
         return f"{failed} of {len(result.judged)} checks fail"
-    failed_references = sum(not check.agrees for check in result.measured)
-    return f"{failed_references} of {len(result.measured)} reference values fail"
+    failed_references = sum(not check.agrees for check in result.reference_checks)
+    return f"{failed_references} of {len(result.reference_checks)} reference values fail"
 
 
 def _engine_count(result: EngineComparison) -> str:

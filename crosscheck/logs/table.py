@@ -1,7 +1,8 @@
 """Read the log of another simulator as a table: named columns of numbers, one row per time.
 
 A log is a CSV file, a Parquet file, a DataFrame of pandas or polars, or a mapping from names to columns. CSV
-files need no other package; Parquet files need pyarrow, which the extra `tables` installs.
+files need no other package; Parquet files need pyarrow, which the extra `tables` installs. The limit
+`log_size` of `newton_euler.limits` bounds the size of files.
 """
 
 from __future__ import annotations
@@ -133,7 +134,10 @@ def _from_columns(where: str, given: Any) -> LogTable:
 
 
 def _numbers(cells: Any) -> tuple[Array, int | None]:
-    """Convert cells to floats, NaN for empty cells; also return the row of the first cell that is text."""
+    """Convert cells to floats, dates and durations to s; also return the row of the first cell that is text.
+
+    Empty cells become NaN.
+    """
     if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiub":
         return cells.astype(float), None
     if isinstance(cells, np.ndarray) and cells.dtype.kind in "mM":

@@ -1,8 +1,10 @@
 """Report of `crosscheck regress`: verdict and tables for the terminal and Markdown, JSON and JUnit XML.
 
 The input is a list of `Comparison`, one for each scene that was compared with its baseline (stored results).
-A check of a quantity against the baseline fails if the quantity "moved". Costs and errors that fell are
-improvements: "cheaper" or "more accurate".
+A check of a quantity against the baseline fails if the quantity "moved". If nothing moved, the outcome is
+"quiet", or "quiet on a reduced model" if elements of the model file acted that are not simulated. Costs and
+errors that fell are improvements: "cheaper" or "more accurate". The level of a check is the name of a group
+of quantities.
 """
 
 from __future__ import annotations
@@ -38,17 +40,21 @@ def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
             if checks:
                 hidden = len(checks) - MAX_SHOWN_CHECKS
                 rows = [_row(check, f"{check.level}: ") for check in checks[:MAX_SHOWN_CHECKS]]
+                # a text instead of a list of cells is a line across all columns
                 more = [f"and {hidden} more"] if hidden > 0 else []
                 yield Table(f"{comparison.scene}: {title}", CHECK_COLUMNS, [*rows, *more])
 
 
 def _row(check: BaselineCheck, prefix: str = "") -> list[str | Cell]:
-    """Format a check as a row of `CHECK_COLUMNS`, with a prefix before the name of the quantity."""
+    """Format a check as a row of `CHECK_COLUMNS`, with a prefix before the name of the quantity.
+
+    Pages show the origin of the tolerance (`check.reason`) when the mouse points at the last cell.
+    """
     unit = f", {check.unit}" if check.unit else ""
     name = f"{prefix}{check.quantity}{unit}"
     better = "cheaper" if check.cheaper else "more accurate" if check.more_accurate else ""
     verdict: Verdict = "fails" if check.moved else "improved" if better else "holds"  # selects a color
-    if check.was is None or check.now is None:  # no numbers, as for an element of a model file
+    if check.was is None or check.now is None:  # an element of a file, or not comparable
         return [name, Cell(check.problem or "the same", verdict), "", "", ""]
     change = f"{check.now - check.was:+.2e}"
     ratio = Cell(f"{check.tolerance_ratio:.3g} {better}".rstrip(), verdict, about=check.reason)
@@ -108,8 +114,8 @@ def report(
         if comparison.scene in recordings:
             lines.append(f"recording: {recordings[comparison.scene]}")
         rows: Rows = []
-        for group in dict.fromkeys(check.level for check in comparison.checks):
-            rows += [group, *(_row(check) for check in comparison.checks if check.level == group)]
+        for level in dict.fromkeys(check.level for check in comparison.checks):
+            rows += [level, *(_row(check) for check in comparison.checks if check.level == level)]
         if comparison.acting:
             rows.append("acts in the file, and is not simulated")
             for entry in comparison.acting:

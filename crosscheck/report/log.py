@@ -26,7 +26,7 @@ POINTS = {"center": "centers of mass", "frame": "origins of body frames"}
 
 
 def log_lines(judgement: LogJudgement) -> Lines:
-    """Format the judgement of a log, the result first."""
+    """Format the judgement of a log, the result first, in the color of its accuracy."""
     return Lines("", list(_lines(judgement)), verdict=judgement.band.verdict)
 
 
@@ -42,6 +42,7 @@ def _lines(judgement: LogJudgement) -> Iterator[str]:
     if judgement.has_inputs:
         texts.append("inputs of the log")
     yield f"  run     {'; '.join(texts)}"
+    # mistakes in reading the log: other units, orders or times with which the error is much smaller
     yield from (f"  mistake {mistake_line(mistake)}" for mistake in judgement.mistakes)
     if error.position or error.rotation:
         yield f"  errors  {'; '.join(error_texts(judgement, judgement.has_energy))}"
@@ -54,7 +55,7 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         first = judgement.events[0]
         end = "compared until then" if first.time > 0.0 else "the error may be due to it"
         yield f"{first.element} acts from {first.time:.3g} s on and the reference does not simulate it: {end}"
-    if judgement.until is not None:
+    if judgement.until is not None:  # time, s, from which on the motion is chaotic or unstable
         yield chaos_text(judgement.until)
     start = judgement.start
     if start and judgement.scene:
@@ -66,6 +67,7 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
                 "have another zero"
             )
     if (start_error := judgement.start_error) is not None:
+        # as a length, or as an angle if the error is mainly one of rotations
         by_position = judgement.error.is_of_position
         yield (
             "no columns of velocities: those of the start are fitted to the first rows, which are known to "

@@ -127,8 +127,8 @@ def tables(result: ComparisonResult) -> Iterator[Table]:
         checks = [check for check in result.checks if _kind_of(check, engines) == kind]
         if checks:
             yield _checks_table(title, checks)
-    if isinstance(result, EngineComparison) and result.measured:
-        yield _reference_table(result.measured)
+    if isinstance(result, EngineComparison) and result.reference_checks:
+        yield _reference_table(result.reference_checks)
     failed = [check for check in result.checks if not check.agrees]
     if len(failed) > 1:
         yield Table(

@@ -64,7 +64,7 @@ def judged_runs(result: ComparisonResult) -> list[Part]:
 def judged_checks(result: ComparisonResult) -> list[Check]:
     """Return all checks that are judged, including those against reference values."""
     checks = [check for check in result.checks if check.judged]
-    for each in result.measured if isinstance(result, EngineComparison) else ():
+    for each in result.reference_checks if isinstance(result, EngineComparison) else ():
         where = f"{each.known.time:g} s"  # without the engine
         quantity = each.known.quantity
         checks.append(Check(REFERENCE, quantity, (each.engine,), each.value, each.tolerance, where))

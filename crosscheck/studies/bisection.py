@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 
 def smallest(holds: Callable[[int], bool], maximum: int) -> int | None:
-    """Find the smallest n from 1 to `maximum` for which `holds(n)` is True, by doubling and bisection.
+    """Find about the smallest n from 1 to `maximum` for which `holds(n)` is True, by doubling and bisection.
 
     If `holds` is True for a number, it is assumed to be True for all larger numbers.
 

@@ -211,7 +211,7 @@ class Sweep:
         show(log_sweep, *to_log)
 
 
-def own_scene(model: Model, scene: Scene) -> Scene:
+def named_after_file(model: Model, scene: Scene) -> Scene:
     """Return a scene under the name of the file that it was loaded from; the name in the file may differ.
 
     Args:
@@ -275,7 +275,7 @@ def sweep(
     # Load the scene; a crosscheck needs all of its outputs
     model_options = with_excitation(scene, {})
     read, mapping = load_scene(scene, model_options)
-    loaded = replace(own_scene(scene, read), outputs=frozenset(OUTPUTS))
+    loaded = replace(named_after_file(scene, read), outputs=frozenset(OUTPUTS))
     # Make the plan. The remaining options are those of the integrator
     threads, executor = options.pop("threads", None), options.pop("executor", None)
     cluster, progress = options.pop("cluster", None), options.pop("progress", _quiet)

@@ -87,7 +87,11 @@ class LaneExit(DenseCallbacks):
         self.derivative = self.guarded(self._leave)
 
     def _leave(self, x: int, y: int, on: int) -> None:
-        """Mark the rates at address y as missing in the active lanes, and make their runs leave."""
+        """Mark the rates as missing in the active lanes (bit mask `on`), and make their runs leave.
+
+        The memory at address y has the rates (size, lanes), then a row with 1.0 for lanes whose rates exist
+        and -1.0 for others.
+        """
         count = self.counts.shape[1]
         vector_at(y, (self._size + 1) * count).reshape(-1, count)[self._size, self._lanes(on)] = -1.0
         self._end(on)
@@ -101,7 +105,7 @@ class LaneExit(DenseCallbacks):
         return [lane for lane in range(self.counts.shape[1]) if on >> lane & 1]
 
     def _pause(self, counts: int, request: int, on: int) -> None:
-        """Stop all runs if another thread has asked for it."""
+        """Stop all runs if another thread has asked for it; native code calls this function regularly."""
         if self._stopped:
             self.counts[Count.STOP_REQUEST] = STOP_ALL_RUNS
 
@@ -110,7 +114,8 @@ class Runs(NamedTuple):
     """Many runs of a scene: their starts, and their results once they are integrated.
 
     Attributes:
-        starts: (runs, inputs) initial states with time, flags and parameters.
+        starts: (runs, inputs) initial states with time, flags (1 for a redundant constraint row that is left
+            out) and parameters.
         results: (runs, n, outputs) at the n output times; NaN for runs that stopped early.
         counts: (runs, COUNTS) counters, see `newton_euler.integrators.stepper.Count`.
         errors: errors of runs that could not start or stopped early, by number of the run.
@@ -148,7 +153,9 @@ class SideBySide:
         counts = np.zeros((COUNTS, lane_count()))
         python = LaneExit(code, counts, stopped)
         derivative = code.function("derivative", in_lanes=True)
+        # marks: angles and quaternions that the integrator wraps or normalizes after each step
         system = equations(code, python, derivative, marks(code, options.integrator))
+        # steps: no room, so that no steps of the runs are recorded
         method = method_of(code, options, steps=np.zeros((0, 0)), lanes=lane_count())
         integrate = METHODS[options.integrator]
         self._times = times.copy()
@@ -165,7 +172,8 @@ class SideBySide:
 
     def _run_group(self, runs: Runs, numbers: Array) -> None:
         """Integrate a group of runs, given by their numbers (k,), and write their results into `runs`."""
-        # integrate in lanes and evaluate the outputs
+        # integrate in lanes and evaluate the outputs; `ends` has the start states, which the integrator
+        # overwrites with the end states
         ends, states = runs.starts[numbers], self._states[: len(numbers)]
         counts = np.zeros((len(numbers), COUNTS))
         self._run(table_of(self._code, self._times, ends, states, counts, lane_count()))

@@ -137,7 +137,8 @@ def _child(
         acceleration = acceleration + cross(alpha, s) + cross(omega, velocity_change)
 
     # from the parent's center of mass to the first motion's point. Points are in the world at the initial
-    # pose; they are those of the joint's second body, `gap` from those of its first body
+    # pose; they are those of the joint's second body. `gap` is the vector to them from the points of the
+    # joint's first body, which is the parent if the joint is `forward`, else the child
     reached = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
     gap = tree.joint(joint.joint).point_gap
     move(a @ (reached - (gap if joint.forward else 0.0) - mechanism.bodies[joint.parent].center_of_mass))
@@ -226,6 +227,9 @@ class TreeKinematics(Formulation):
 
     Attributes:
         tree: the spanning tree; the joints outside the tree close loops and are `constrained`.
+
+    Methods `own_` are about the tree's coordinates and velocities only. The base class appends angles of
+    loop-closing joints, and the work of the forces, to q. A key (joint, number) names a joint coordinate.
     """
 
     def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
@@ -249,8 +253,11 @@ class TreeKinematics(Formulation):
 
     @property
     def uncounted_angles(self) -> list[int]:
-        """Indices in q of the hinge angles whose full revolutions have no effect."""
-        counted = set(self.angles.values())
+        """Indices in q of the hinge angles whose full revolutions have no effect.
+
+        Revolutions have an effect, and are counted, if forces or couplings depend on the angle.
+        """
+        counted = set(self.angles.values())  # indices in q
         hinges = [on_q.start for motion, on_q, _ in self.tree.motions if motion.kind == "hinge"]
         return [place for place in hinges if place not in counted]
 
@@ -331,8 +338,9 @@ class TreeKinematics(Formulation):
         """Compute the joint coordinates that forces, couplings and armatures (rotor inertias) depend on.
 
         Returns:
-            By key: coordinate, rate, sparse row of the Jacobian over v, and gamma. Coordinates of the tree
-            are elements of q; those of loop-closing joints are measured between two bodies.
+            By key: coordinate x, rate, sparse row of the Jacobian over v, and gamma, with
+            d2x/dt2 = row . vdot - gamma. Coordinates of the tree are elements of q; those of loop-closing
+            joints are measured between two bodies.
         """
         links, frames = self.links(q, v), self.frames(q, v)
         found = {}
@@ -373,11 +381,14 @@ class TreeKinematics(Formulation):
         return row
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
-        """Return the given row numbers in ascending order: they are those of this form already."""
+        """Return the given row numbers in ascending order.
+
+        Row numbers count the rows in joint coordinates; only the Cartesian formulation translates them.
+        """
         return sorted(relative)
 
     def closing_rows(self) -> list[int]:
-        """Return all row numbers: each row of this form closes a loop or belongs to a coupling."""
+        """Return all row numbers: each row here closes a loop or belongs to a coupling."""
         return list(range(len(self.phi_units)))
 
     def row_scales(self, q: Array) -> Array:

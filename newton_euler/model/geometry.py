@@ -3,7 +3,8 @@
 Viewers draw the shapes, and exported model files contain them. A shape determines the mass and inertia of a
 body only if the body is constructed by `Body.solid`. All coordinates are in m, world frame, at the
 mechanism's initial pose. Moments of inertia of homogeneous solids are those of Meriam and Kraige, Engineering
-Mechanics: Dynamics, table D/4.
+Mechanics: Dynamics, table D/4. The decorator `description` makes frozen dataclasses. Their array fields
+(`ArrayField`, `IndexField`) accept anything that NumPy converts to an array.
 """
 
 from __future__ import annotations
@@ -262,6 +263,7 @@ class Capsule(_Bar):
         bar, ball = math.pi * density * square * length, 4.0 / 3.0 * math.pi * density * square * self.radius
         axial = (0.5 * bar + 0.4 * ball) * square
         transverse = bar * (3.0 * square + length * length) / 12.0
+        # parallel axis theorem; the center of mass of a hemisphere is 3/8 of the radius beyond its center
         transverse += ball * (0.4 * square + 0.25 * length * length + 0.375 * length * self.radius)
         return self._axisymmetric(bar + ball, axial, transverse)
 

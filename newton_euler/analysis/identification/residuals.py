@@ -1,8 +1,8 @@
 """Residuals (computed minus measured motion), and their derivatives with respect to parameters of a scene.
 
 `Residuals` simulates the measured runs with given parameter values and compares the results with the measured
-columns. It also finds columns that are likely wrong: in degrees, worse than a constant, or in contradiction
-to the start of the run.
+columns, such as "coordinate.hinge", "rate.hinge" or "reaction_force.hinge.x". It also finds columns that are
+likely wrong: in degrees, worse than a constant, or in contradiction to the start of the run.
 """
 
 from __future__ import annotations
@@ -127,7 +127,9 @@ class Residuals:
         outputs = {QUANTITIES[kind].output for kind in kinds if kind in QUANTITIES}
         outputs |= {"velocities"} if "rate" in kinds else set()
         self.code = code = tangent_code(_with_outputs(scene, frozenset(outputs)), names, formulation)
-        # places of the columns in the results, and in the derivatives of the results
+        # places of the columns in the results, and in the derivatives of the results, which compiled programs
+        # compute: "coordinates", or "output" for other quantities. ALONG ends the names of programs that also
+        # return derivatives
         layouts = (code.function(name).layout for name in ("output", "output" + ALONG))
         places = [column_places(scene.mechanism, layout) for layout in layouts]
         self._columns = [_columns(scene, where, run, places) for where, run in runs.items()]
@@ -227,7 +229,8 @@ class Residuals:
                 line = (
                     f"{name} starts at {start:.6g} {column.unit}, held, but is {first:.6g} in the first row"
                 )
-                # `start` is the row of the file with initial coordinates
+                # the line "start" of the file has the initial coordinates, which are held: no parameter
+                # moves them
                 advice = "is the line start right?" if initial in run.start else f"fit {initial}?"
                 noise = run.noise.get(name, _estimated_noise(measured))
                 deviations[f"{self._prefixes[k]}{line}: {advice}"] = abs(residuals[name][0]) / noise

@@ -12,8 +12,9 @@ from crosscheck.report.run import tables
 
 def test_known_figures_stand_beside_what_was_found():
     known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
-    measured = [ReferenceCheck.of(name, known, 0.25 + off, 1e-8) for name, off in (("a", 1e-9), ("b", 0.5))]
-    (table,) = tables(crosscheck_of(measured=measured))
+    offsets = (("a", 1e-9), ("b", 0.5))
+    checks = [ReferenceCheck.of(name, known, 0.25 + off, 1e-8) for name, off in offsets]
+    (table,) = tables(crosscheck_of(reference_checks=checks))
     assert [column.heading.replace("\n", " ") for column in table.columns] == [
         "",
         "value, a",

@@ -53,10 +53,9 @@ def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance(
 def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
     informs = Check("kinematics", "condition", ("newton_euler", "mujoco"), 1e3, 1.0, "", judged=False)
     known = ReferenceValue(2.0, "angle", "rad", 0.25, 1e-9)
-    measured = [ReferenceCheck.of("mujoco", known, 0.25 + 2e-9, 1e-8)]
-    found = cells(
-        levels_table(crosscheck_of([informs, figure("reading", ("mujoco", FILE), 0.0)], measured=measured))
-    )
+    reference_checks = [ReferenceCheck.of("mujoco", known, 0.25 + 2e-9, 1e-8)]
+    checks = [informs, figure("reading", ("mujoco", FILE), 0.0)]
+    found = cells(levels_table(crosscheck_of(checks, reference_checks=reference_checks)))
     assert found["reading"] == ["1 ok", "0.0e+00", "", "<1 % rod, mass"]
     assert found[REFERENCE][:2] == ["1 ok", "2.0e-09"]
     assert found.keys() == {"reading", REFERENCE}

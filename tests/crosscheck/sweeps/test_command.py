@@ -431,7 +431,7 @@ def test_a_run_on_which_engines_differ_is_named(monkeypatch):
         result.__dict__.update(
             scene=arguments[0],
             checks=(wrong,),
-            measured=(),
+            reference_checks=(),
             left_out={},
             unfinished=(),
             trajectories={},
