@@ -78,6 +78,8 @@ class EvaluatedScene(MujocoScene):
         """Return accelerations (b, 3), m/s^2, of the centers of mass, and angular ones (b, 3), rad/s^2."""
         count = len(self.mechanism.bodies)
         linear, angular = np.zeros((2, count, 3))
+        # MuJoCo's body numbers; body 0 is the ground, and numbers beyond the mechanism's bodies are halves of
+        # bodies that are cut to open loops
         for k, index in enumerate(self.body_id[1:count], start=1):
             linear[k], angular[k] = body_acceleration(self.model, self.data, index)
         return linear, angular

@@ -115,7 +115,7 @@ def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfi
     Raises:
         CrosscheckError: for a mechanism that is too large to search.
     """
-    system = Relative(scene)
+    system = Relative(scene)  # the equations in joint coordinates
     count = constraint_rank(system)
     if not count:
         return None
@@ -165,6 +165,8 @@ def find_singular_configurations(scene: Scene, run: Trajectory) -> SingularConfi
     q = singular[0].q
     values, directions = _spectrum(system, q, count)
     gained = int(np.sum(values < max(GAINED_RATIO * values[-1], SINGULAR_RATIO * largest)))
+    # The units below, (nv,) and (6 b,), make velocities of joints and bodies comparable: the mechanism's size
+    # for linear ones, 1 for angular ones
     gained_velocities = directions[count - gained :] / system.velocity_units
     # The bodies that these freedoms move
     motion = np.abs(system.velocity_transformation(q) @ gained_velocities.T / body_units(scene)[:, None])
@@ -216,8 +218,10 @@ def _repeat_with_closer_outputs(scene: Scene, outputs: int) -> Trajectory:
     """
     factor = max(1, min(REFINEMENT, MAX_REFINED_OUTPUTS // outputs))
     finer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset(["velocities"]))
+    # crosscheck's usual integrator and tolerances for the scene, not the tighter ones of a refined run
+    options = native_method(finer, refined=False)
     try:
-        return simulate(finer, **native_method(finer, refined=False))
+        return simulate(finer, **options)
     except StoppedError as error:
         if error.partial is None:
             raise

@@ -90,6 +90,7 @@ def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
 
 def _all_eigenvalues(product: Callable[[Array], Array], n: int) -> Array:
     """Compute the eigenvalues of a matrix (n, n), given as its product with a vector; none if not finite."""
+    # the first block without columns is for n = 0
     matrix = np.column_stack([np.zeros((n, 0)), *(product(direction) for direction in np.eye(n))])
     return np.asarray(np.linalg.eigvals(matrix)) if np.all(np.isfinite(matrix)) else np.zeros(0)
 

@@ -24,9 +24,9 @@ MIN_SCALE = 1e-3
 MAX_ANGLE_SCALE = 1.0
 """Largest rotation, rad, that errors of rotations are divided by: many revolutions excuse no larger error."""
 
-MIN_DESCRIPTIVE = 0.5
-"""Smallest relative error of positions that describes a run, as a fraction of the relative error: people
-judge lengths more easily than angles."""
+MIN_STATED_POSITION = 0.5
+"""Smallest relative error of positions by which reports state the error of a run, as a fraction of the larger
+relative error. A smaller one is stated by rotations. People judge lengths more easily than angles."""
 
 
 class Band(StrEnum):
@@ -62,9 +62,9 @@ class RunError:
         position_at: body and time, s, of that error.
         rotation: largest error of a body's orientation, rad.
         rotation_at: body and time, s, of that error.
-        energy: largest error of the total energy, divided by the energy that the reference exchanges.
-        relative_position: largest error of a center of mass, divided by the motion.
-        relative_rotation: largest error of an orientation, divided by the motion.
+        energy: largest error of the change of total energy, divided by `MotionScale.energy`.
+        relative_position: `position`, divided by `MotionScale.length`.
+        relative_rotation: `rotation`, divided by `MotionScale.angle`.
     """
 
     position: float
@@ -81,13 +81,13 @@ class RunError:
         return max(self.relative_position, self.relative_rotation)
 
     @property
-    def is_of_position(self) -> bool:
-        """True if the error of positions describes the run: it is no small part of the relative error."""
-        return self.relative_position >= MIN_DESCRIPTIVE * self.relative
+    def stated_by_position(self) -> bool:
+        """True if reports state the error as a length, False for an angle, see `MIN_STATED_POSITION`."""
+        return self.relative_position >= MIN_STATED_POSITION * self.relative
 
-    def part(self, of_position: bool) -> float:
-        """Return the relative error of positions, or of rotations."""
-        return self.relative_position if of_position else self.relative_rotation
+    def relative_by(self, position: bool) -> float:
+        """Return the relative error of positions if `position` is True, else that of rotations."""
+        return self.relative_position if position else self.relative_rotation
 
     @property
     def band(self) -> Band:
@@ -102,10 +102,10 @@ class LoopError:
     """Largest violations of the loop constraints of a run.
 
     Attributes:
-        opening: largest distance, m.
-        opening_at: constraint and time, s, of that distance.
-        angle: largest angle, rad.
-        angle_at: constraint and time, s, of that angle.
+        opening: largest violation of a constraint of lengths, m, such as the gap between two points.
+        opening_at: constraint and time, s, of that violation.
+        angle: largest violation of a constraint of angles, rad.
+        angle_at: constraint and time, s, of that violation.
     """
 
     opening: float = 0.0
@@ -165,16 +165,18 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
     """
     position, rotation = errors_over_time(run, reference)
     count = len(position)
-    exchanged = []
+    energy_changes = []  # of the run and of the reference: total energy (n,), J, minus that of the start
     for each in (run, reference):
         kinetic, potential = _energies(each.first(count))
-        exchanged.append(kinetic + potential - kinetic[0] - potential[0])
-    drift = float(np.max(np.abs(exchanged[0] - exchanged[1])))
-    worst_position, worst_rotation = (_worst(gaps, run.body_names, run.time) for gaps in (position, rotation))
+        energy_changes.append(kinetic + potential - kinetic[0] - potential[0])
+    energy_error = float(np.max(np.abs(energy_changes[0] - energy_changes[1])))
+    worst_position, worst_rotation = (
+        _worst(errors, run.body_names, run.time) for errors in (position, rotation)
+    )
     return RunError(
         *worst_position,
         *worst_rotation,
-        drift / scale.energy if scale.energy else 0.0,
+        energy_error / scale.energy if scale.energy else 0.0,
         worst_position[0] / scale.length,
         worst_rotation[0] / scale.angle,
     )

@@ -138,7 +138,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
     if run.stopped or error.band is not Band.ACCURATE:
-        causes = tuple(_causes(compared, run, error.is_of_position))
+        causes = tuple(_causes(compared, run, error.stated_by_position))
         tested = dict.fromkeys(cause.name for cause in simulation.causes())
         harmless = tuple(name for name in tested if name not in {cause.name for cause in causes})
         remedies = tuple(find_remedies(compared, run, error))
@@ -238,7 +238,9 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
 
     def place(pair: tuple[float, MeasuredCause]) -> tuple[bool, float]:
         remaining, cause = pair
-        return not cause.brings_back, remaining if cause.brings_back else -cause.error.part(of_position)
+        if cause.brings_back:
+            return False, remaining
+        return True, -cause.error.relative_by(of_position)
 
     return [cause for _, cause in sorted(best.values(), key=place)]
 

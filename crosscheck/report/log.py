@@ -68,7 +68,7 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
             )
     if (start_error := judgement.start_error) is not None:
         # as a length, or as an angle if the error is mainly one of rotations
-        by_position = judgement.error.is_of_position
+        by_position = judgement.error.stated_by_position
         yield (
             "no columns of velocities: those of the start are fitted to the first rows, which are known to "
             f"about {size(start_error, by_position)}"

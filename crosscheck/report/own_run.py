@@ -104,7 +104,7 @@ def _by_position(judgement: Judgement, error: RunError) -> bool:
     All errors are given like that of the judged run. If that run diverged, an error is given by positions
     unless the error of positions is a small part of it.
     """
-    return error.is_of_position if judgement.stopped else judgement.error.is_of_position
+    return error.stated_by_position if judgement.stopped else judgement.error.stated_by_position
 
 
 def _causes(judgement: Judgement) -> list[str]:
@@ -113,14 +113,14 @@ def _causes(judgement: Judgement) -> list[str]:
         names = [each.name for each in judgement.causes if each.brings_back]
         which = "one of these" if names[1:] else "it"
         return [f"{', '.join(names)} (the run completes if {which} is changed)"] if names else []
-    by_position = judgement.error.is_of_position
+    by_position = judgement.error.stated_by_position
     # causes are sorted, the largest first; `part` is the error of positions or of rotations,
     # relative to the motion
-    causes = [each for each in judgement.causes if each.error.part(by_position) > 0.0]
+    causes = [each for each in judgement.causes if each.error.relative_by(by_position) > 0.0]
     if not causes:
         return []
-    least = MIN_CAUSE * causes[0].error.part(by_position)
-    listed = [each for each in causes if each.error.part(by_position) >= least]
+    least = MIN_CAUSE * causes[0].error.relative_by(by_position)
+    listed = [each for each in causes if each.error.relative_by(by_position) >= least]
     small = [each.name for each in causes if each not in listed] + list(judgement.harmless)
     words = [f"{each.name}: {size(each.error, by_position)}" for each in listed]
     return words + ([f"little or nothing: {', '.join(small)}"] if small else [])
@@ -171,7 +171,7 @@ def _body(body: MovingBody) -> str:
 def _model_change(change: ModelChange) -> str:
     """Format a change of the model and what it does to the motion."""
     error = change.error
-    return f"{change.change}: completes, {size(error, error.is_of_position)} from the motion of the file"
+    return f"{change.change}: completes, {size(error, error.stated_by_position)} from the motion of the file"
 
 
 def headline(judgement: Judgement) -> str:
@@ -190,7 +190,9 @@ def sizes(error: RunError) -> str:
 
     The smaller one, relative to the motion, is left out if it is less than a tenth of the larger one.
     """
-    shown = [by_position for by_position in (True, False) if error.part(by_position) >= 0.1 * error.relative]
+    shown = [
+        by_position for by_position in (True, False) if error.relative_by(by_position) >= 0.1 * error.relative
+    ]
     return " and ".join(size(error, by_position) for by_position in shown)
 
 

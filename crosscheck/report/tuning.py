@@ -50,7 +50,7 @@ def _error(tried: Tried) -> str:
     error = tried.error
     if tried.stopped:
         return "diverged"
-    return f"{size(error, error.is_of_position)}, {percent(error.relative)} of the motion"
+    return f"{size(error, error.stated_by_position)}, {percent(error.relative)} of the motion"
 
 
 def _cost(tried: Tried, of_file: Tried) -> str:

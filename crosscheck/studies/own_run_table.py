@@ -91,7 +91,7 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
     error = RunError(**own_run["error"])
     remedies = [MeasuredRemedy(**each | {"error": RunError(**each["error"])}) for each in own_run["remedies"]]
     errors = [error, *(remedy.error for remedy in remedies)]
-    by_position = errors[-1].is_of_position if own_run["stopped"] else error.is_of_position
+    by_position = errors[-1].stated_by_position if own_run["stopped"] else error.stated_by_position
     repeated = _repeat(path, summary, script) if own_run["run_inputs"].get("qpos") is not None else []
     loops = LoopError(**own_run["loop_error"])
     opening = f"; loops open by {length(loops.opening)}" if loops.opening >= MIN_OPENING else ""
@@ -132,7 +132,7 @@ def _is_same(found: Mapping[str, float] | None, reported: RunError) -> bool:
     if found is None:
         return False
     allowed = REPEAT_TOL + REPEAT_TOL_OF_MOTION / max(reported.relative, 1e-300)
-    by_position = reported.is_of_position
+    by_position = reported.stated_by_position
     wanted = reported.position if by_position else reported.rotation
     return abs(found["position" if by_position else "rotation"] - wanted) <= allowed * wanted
 
@@ -159,8 +159,8 @@ def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
     if own_run["stopped"]:
         words = [name for name, _, brings_back in causes if brings_back]
     else:
-        largest = causes[0][1].part(by_position) if causes else 0.0
-        listed = [each for each in causes if each[1].part(by_position) > MIN_CAUSE * largest]
+        largest = causes[0][1].relative_by(by_position) if causes else 0.0
+        listed = [each for each in causes if each[1].relative_by(by_position) > MIN_CAUSE * largest]
         words = [f"{name} {size(error, by_position)}" for name, error, _ in listed]
     mode = own_run["stability"]
     words = words[:MAX_CAUSES]

@@ -1,7 +1,8 @@
 """Writing result files safely.
 
 Before a long computation, `check_writable` verifies that its files can be written. After it, `write_files`
-writes all of the files or none of them, even if the process is killed meanwhile.
+writes all of the files or none of them, unless the process is killed in the short time in which it renames
+them. The first file, such as a summary of the others, is renamed last: if it is new, all files are.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ def check_writable(*paths: Path) -> None:
                 pass
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-        # `atomic_file` writes to .STEM-XXXXXXXX.SUFFIX and renames the file at the end
+        # `atomic_file` writes to .STEM-XXXXXXXX.SUFFIX and renames the file at the end; a writer that itself
+        # writes this file atomically adds another dot and another number
         unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
         remove_abandoned(each for each in path.parent.iterdir() if unfinished.fullmatch(each.name))
 

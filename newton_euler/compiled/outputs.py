@@ -4,6 +4,9 @@ A native loop evaluates the compiled function `output` of the scene at each stat
 native code cannot compute: joint reactions at singular states and under redundant constraints. Python also
 checks for open joints and infinite numbers. A lane is one element of a vector register; a function with
 several lanes evaluates one state in each lane per call.
+
+The decorator `native` marks Python functions that are translated to machine code. They see arrays as flat,
+row by row, and a slice `a[k:]` is the array from element k on.
 """
 
 from __future__ import annotations
@@ -32,14 +35,15 @@ class StateTable(Record):
     Attributes:
         runs: number of runs.
         count: number of states of each run.
-        n: length of a state (q, v).
-        inputs: length of a vector x: a state, the time, flags and parameters.
+        state_size: length of a state (q, v).
+        inputs: length of a vector x: a state, the time, flags and parameters. A flag is 1 for a redundant
+            constraint row that the run leaves out, else 0.
         outputs: number of results of the function.
         lanes: number of states that the function takes per call.
         function: writes the results y (outputs, lanes) for x (inputs, lanes).
         x: (runs, inputs) gives the flags and parameters of each run.
         times: (count,) s, times of the states.
-        states: (runs, count, n).
+        states: (runs, count, state_size).
         result_numbers: (runs,) for each run here, its index in the array of results, which may have more
             runs.
         x_block, y_block: (inputs, lanes) and (outputs, lanes) scratch for one call of the function.
@@ -47,7 +51,7 @@ class StateTable(Record):
 
     runs: int
     count: int
-    n: int
+    state_size: int
     inputs: int
     outputs: int
     lanes: int
@@ -70,7 +74,7 @@ def map_runs(table: StateTable, results: Vector) -> None:
     """
     size = table.count * table.outputs
     for run in range(table.runs):
-        states = table.states[table.count * table.n * run :]
+        states = table.states[table.count * table.state_size * run :]
         number = int(table.result_numbers[run])
         map_states(table, table.x[table.inputs * run :], states, results[size * number :])
 
@@ -82,14 +86,14 @@ def map_states(table: StateTable, x: Vector, states: Vector, results: Vector) ->
     Args:
         table: the function and the times.
         x: (inputs,) gives the flags and parameters.
-        states: (count, n).
+        states: (count, state_size).
         results: (count, outputs), written.
     """
-    n = table.n
+    state_size = table.state_size
     outputs = table.outputs
     lanes = table.lanes
     # flags and parameters, the same in all lanes
-    for i in range(n + 1, table.inputs):
+    for i in range(state_size + 1, table.inputs):
         for lane in range(lanes):
             table.x_block[lanes * i + lane] = x[i]
     row = 0
@@ -99,11 +103,11 @@ def map_states(table: StateTable, x: Vector, states: Vector, results: Vector) ->
             source = row + lane
             if source >= table.count:
                 source = table.count - 1
-            state = states[n * source :]
+            state = states[state_size * source :]
             input_of_lane = table.x_block[lane:]
-            for i in range(n):
+            for i in range(state_size):
                 input_of_lane[lanes * i] = state[i]
-            input_of_lane[lanes * n] = table.times[source]
+            input_of_lane[lanes * state_size] = table.times[source]
         # evaluate, and copy the results of each lane to its row
         table.function(table.x_block, table.y_block)
         for lane in range(lanes):
@@ -139,7 +143,7 @@ def at_rows(function: NativeFunction, x: Array) -> Array:
     table = StateTable(
         runs=1,
         count=len(x),
-        n=function.inputs - 1,
+        state_size=function.inputs - 1,
         inputs=function.inputs,
         outputs=function.outputs,
         lanes=function.lanes,
@@ -176,7 +180,7 @@ class Outputs:
             code: compiled equations of the scene.
             times: (n,) s, output times.
             x: (runs, inputs) vectors with the flags and parameters of each run.
-            states: (runs, n, size) states at the output times.
+            states: (runs, n, state_size) states at the output times.
             result_numbers: (runs,) indices of the runs in the array that `write` writes to.
         """
         function = code.function("output")
@@ -185,7 +189,7 @@ class Outputs:
         table = StateTable(
             runs=len(x),
             count=len(times),
-            n=code.size,
+            state_size=code.size,
             inputs=code.inputs,
             outputs=function.outputs,
             lanes=function.lanes,
@@ -218,7 +222,7 @@ class Outputs:
     def complete(self, results: Array, run: int = 0) -> dict[str, Array]:
         """Check the results of a run that `write` has written, and complete its joint reactions.
 
-        At singular states and under redundant constraints, reactions are recomputed over floats, with the
+        At singular states and under redundant constraints, Python computes the reactions again, with
         minimum norm.
 
         Args:
@@ -246,7 +250,8 @@ class Outputs:
         """Overwrite reactions at singular states, or at all states if constraints are redundant.
 
         Args:
-            arrays: outputs of the run by name; `pivot_ratio` is not positive at a singular state.
+            arrays: outputs of the run by name. `pivot_ratio` is the smallest pivot of the elimination of
+                constraints, relative to its usual magnitude; it is not positive at a singular state.
             run: index of the run in `states`.
         """
         code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]

@@ -8,7 +8,12 @@ compensation computes the forces at rest for zero accelerations. `ModelControl` 
 this package, `EngineControl` and `servo_forces` for other engines, which have their own mass matrices and
 Jacobians. A key (joint, number) names a joint coordinate.
 
-Equations may be evaluated over floats, or over symbolic scalars when they are traced for compilation.
+The equations of this package have two forms (`Formulation`): joint coordinates or the poses of all bodies.
+They may be evaluated over floats, or over symbolic scalars when they are traced for compilation.
+
+If constraints are redundant, the equations use independent rows of the constraint Jacobian. A row is
+exchangeable if a run may replace it by another one; its flag is 1 while it is left out, else 0
+(`newton_euler.equations.row_choice`).
 """
 
 from __future__ import annotations
@@ -149,7 +154,7 @@ class ModelControl:
         """
         self.roles: Roles = known.roles if known else roles(system.scene)
         # equations of the controller's model for computed torque and for gravity compensation, without
-        # stabilization
+        # stabilization; `measuring` returns a scene whose equations allow forces on the coordinates `keys`
         form: Any = type(system)
         if known:
             scene = without_wind(with_values(system.scene, self.roles.model))
@@ -202,7 +207,7 @@ def _servos(model: Formulation | None, keys: tuple[Key, ...]) -> Servos | None:
     """Return inverse dynamics data for a model with actuators on given coordinates; None without a model."""
     if model is None:
         return None
-    return scaled(Servos(keys, keys, rows_in_use(model)), model)
+    return scaled(Servos(coordinates=keys, actuators=keys, rows=rows_in_use(model)), model)
 
 
 def scaled(servos: Servos, system: Formulation) -> Servos:
@@ -216,6 +221,8 @@ def scaled(servos: Servos, system: Formulation) -> Servos:
         servos: coordinates and actuators.
         system: the form of the equations, which gives the constraint rows in use.
     """
+    # rows in use and exchangeable rows; then the pivots at each examined state, for each choice of
+    # independent rows, with 0 for the rows that the choice leaves out
     exchangeable = exchangeable_rows(system)
     used, pivots = rows_in_use(system, exchangeable=exchangeable), []
     for state, rows in regular_choices(system, exchangeable=exchangeable):
@@ -243,8 +250,8 @@ def _solve(
     """Compute the actuator forces that cause given accelerations, N or N m, by key.
 
     Args:
-        system: equations of the scene with the control laws, which give the time and the flags of constraint
-            rows.
+        system: equations of the scene with the control laws, which give the time and the flags of
+            exchangeable rows.
         model: equations of the controller's model; without a model there are no forces.
         servos: coordinates and actuators.
         q: (nq,) coordinates of the system.

@@ -2,9 +2,10 @@
 
 Points are given in the world at the initial pose, like those of joints, and move with their bodies. Each kind
 of force computes its wrenches on bodies, its energy and its power from the state (`Surroundings`: the time,
-the present frames of all bodies, their poses at the initial pose, and the joint coordinates). The method
-`described_after` converts a force to another initial pose. The numbers may be floats or generic scalars such
-as expressions of the code generator (`newton_euler.scalars`).
+the present frames of all bodies, their poses at the initial pose, and the joint coordinates). A wrench (6,)
+is a force, N, and a torque about the center of mass, N m, in the world frame. The method `described_after`
+converts a force to another initial pose, to which `PoseChange` has the displacement of each body. The numbers
+may be floats or generic scalars such as expressions of the code generator (`newton_euler.scalars`).
 `newton_euler.equations.applied_forces` sums the forces of a scene. Source of springs between points:
 Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9.
 """
@@ -162,6 +163,7 @@ class BallSpring(OnBall, Spring):
 
     def described_after(self, change: PoseChange) -> Self:
         i, j = balls.joint_bodies(change.mechanism, self.joint)  # indices of the two bodies
+        # rotation of the second body from the new initial pose to rest, with the first body at the new pose
         rest = change.moves[i].turn @ balls.rotation_by(self.rest) @ change.moves[j].turn.T
         return replace(self, rest=balls.rotation_vector(rest))
 
@@ -177,8 +179,10 @@ class BallSpring(OnBall, Spring):
         return -(self.stiffness * theta + self.damping * omega)
 
     def reversing_vector(self, at: Surroundings) -> Array:
-        """Compute the quaternion (4,) of theta, whose vector part reverses where theta jumps; zeros without a
-        spring."""
+        """Compute the quaternion (4,) of theta, whose vector part reverses where theta jumps.
+
+        A reversal during a run shows that the force jumped. Zeros are returned without a spring.
+        """
         return np.zeros(4) if self.stiffness == 0.0 else balls.quaternion_by(self.theta(at))
 
     def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
@@ -309,13 +313,14 @@ class PointSpring(OnBodies, Spring):
         return np.asarray(tension * along)
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
+        """Return the vector between the points, (3,) m, if the force depends on its direction."""
         return (self.line(at).d,) if self.has_direction else ()
 
     def reversing_vector(self, at: Surroundings) -> Array:
-        """Compute the vector (3,), m, between the points, which reverses where the points pass through each
-        other.
+        """Compute the vector (3,), m, between the points, which reverses where they pass through each other.
 
-        It is zero for an element whose force does not jump there: a damper, or a spring without rest length.
+        A reversal during a run shows that the force jumped. The vector is zero for an element whose force
+        does not jump there: a damper, or a spring without rest length.
         """
         return np.zeros(3) if self.stiffness == 0.0 or self.rest_length == 0.0 else self.line(at).d
 

@@ -6,6 +6,9 @@ a constructor accepts an interval of values. Bisection with a few constructions 
 all runs. Inertias and directions of all runs are first tested by array operations, and only suspicious values
 are passed to the constructor.
 
+An assembly (`newton_euler.runs.starts.Assembly`) closes the loops at the initial states of runs. It is needed
+if one of the values changes the geometry, a prescribed motion or an initial coordinate.
+
 The decorator `checked` makes a public function check its arguments against their type hints, except those
 marked `UNCHECKED`.
 """
@@ -44,10 +47,10 @@ from newton_euler.runs.starts import Assembly, assembly_of
 from newton_euler.scalars import Array, Floats
 
 MIN_DIRECTION_LENGTH = 1e-100
-"""Length of a direction vector below which the constructor has to check the vector."""
+"""Length of a direction vector (its largest component) below which the constructor has to check it."""
 
 MAX_DIRECTION_LENGTH = 1e100
-"""Length of a direction vector above which the constructor has to check the vector."""
+"""Length of a direction vector (its largest component) above which the constructor has to check it."""
 
 INERTIA_MARGIN = 1e-9
 """Ratio of the smallest principal inertia to the largest element of an inertia matrix, below which the
@@ -96,6 +99,7 @@ def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
     given = checked_values(scene, values)
     assembly = assembly_of(scene, tuple(given))
     if assembly.is_needed:
+        # a single run; x begins with the coordinates and velocities of its initial state
         (x,), errors = assembly({name: value[None] for name, value in given.items()})
         for error in errors.values():
             raise of_single_run(scene, error)
@@ -199,7 +203,7 @@ def own_values(scene: Scene, names: Iterable[str]) -> dict[str, Array]:
 
     Raises:
         UnknownNameError: for any other name.
-        MechanismError: for a name that stands for two, and for two that stand for one number.
+        MechanismError: for a name of two parameters, and for two names of the same number.
     """
     names = list(names)
     initial = initial_numbers(scene, names)
@@ -213,7 +217,7 @@ def units_of(scene: Scene, names: Iterable[str]) -> dict[str, str]:
 
     Raises:
         UnknownNameError: for any other name.
-        MechanismError: for a name that stands for two, and for two that stand for one number.
+        MechanismError: for a name of two parameters, and for two names of the same number.
     """
     names = list(names)
     found = {}
@@ -250,7 +254,8 @@ def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunV
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two, and for values of a wrong shape in all runs.
+        MechanismError: for a name of two parameters, two names of the same number, and values whose shape
+            is wrong in all runs.
     """
     # finite numbers of the right shape
     initial, own, runs = initial_numbers(scene, given), own_values(scene, given), RunValues({}, {})
@@ -379,8 +384,8 @@ def _suspicious(scene: Scene, owner: Owner, field: NumberField, stack: Array) ->
         case "direction" | "axis":
             lengths = np.max(np.abs(stack), axis=1)
             outside |= (lengths < MIN_DIRECTION_LENGTH) | (lengths > MAX_DIRECTION_LENGTH)
-            # a joint chooses vectors perpendicular to its axis by the smallest component of the axis; the
-            # smallest component of another axis must have the same index
+            # a joint chooses vectors perpendicular to its axis by the index of the axis's smallest component;
+            # with another index these vectors could jump, and the constructor may refuse the axis
             if field.allowed == "axis":
                 units = np.abs(stack) / np.maximum(
                     np.linalg.norm(stack, axis=1, keepdims=True), MIN_DIRECTION_LENGTH

@@ -108,7 +108,7 @@ def test_error_of_a_free_top(tmp_path):
         spin = spin - STEP * np.cross(spin, inertia * spin) / inertia
         turn = turn @ rotation(STEP * spin)
     assert found.error.rotation == pytest.approx(worst, rel=PERCENT)
-    assert not found.error.is_of_position
+    assert not found.error.stated_by_position
 
 
 def rotation(vector):
