@@ -276,7 +276,7 @@ def workspace_command(
     "letters",
     default="",
     metavar="LETTERS",
-    help="Run these topics only, such as bd.  [default: all]",
+    help="Run these topics only, such as bh.  [default: all]",
 )
 def stress_command(full: bool, output: Path, letters: str) -> int:
     """Stress-test all engines with extreme parameter values and report where each engine fails."""

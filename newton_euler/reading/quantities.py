@@ -139,7 +139,7 @@ def freedom(jacobian: Array, units: Array) -> Freedom:
     held, not_free = int(np.sum(s > HELD_SINGULAR_VALUE)), int(np.sum(s > FREE_SINGULAR_VALUE))
     condition = float(s[0] / s[held - 1]) if held else 1.0
     basis, chosen = _with_identity_rows(vt[held:].T)
-    certain_basis = vt[not_free:].T[chosen] / units[chosen, None]
+    certain_basis = units[chosen, None] * vt[not_free:].T[chosen]
     basis = basis * units[:, None] / units[chosen]
     return Freedom(
         basis, chosen, certain_basis, condition, doubtful_value=float(np.max(s[held:], initial=0.0))
