@@ -142,7 +142,7 @@ def _numbers(cells: Any) -> tuple[Array, int | None]:
         return cells.astype(float), None
     if isinstance(cells, np.ndarray) and cells.dtype.kind in "mM":
         kind = "timedelta64[ns]" if cells.dtype.kind == "m" else "datetime64[ns]"
-        return cells.astype(kind).astype(np.int64) * 1e-9, None
+        return np.where(np.isnat(cells), np.nan, cells.astype(kind).astype(np.int64) * 1e-9), None
     numbers, bad = np.full(len(cells), np.nan), None
     try:
         return np.array([cell if cell not in ("", None) else np.nan for cell in cells], dtype=float), None

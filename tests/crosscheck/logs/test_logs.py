@@ -251,6 +251,13 @@ def test_a_row_is_named_by_its_place_in_the_log_beside_incomplete_rows(four_bar,
         judged(four_bar, str(tmp_path / "log.csv"))
 
 
+def test_dates_that_are_missing_make_their_rows_incomplete(four_bar):
+    joints = {name: np.insert(column, 3, 0.0) for name, column in four_bar[3].items()}
+    dates = np.datetime64("2026-01-01") + (1e9 * joints["time"]).astype("timedelta64[ns]")
+    dates[3] = np.datetime64("NaT")
+    assert judged(four_bar, joints | {"time": dates}).error.relative < 2e-4
+
+
 def test_bodies_that_columns_do_not_determine_are_named(four_bar):
     found = judged(four_bar, {n: c for n, c in four_bar[3].items() if "elbow" not in n})
     assert found.error.relative < 2e-4

@@ -1,4 +1,4 @@
-"""Motions that the constraints of a file leave free, with slides and hinges in a model whose size is not 1."""
+"""Motions that constraints leave free, with slides and hinges in a model whose size is not 1."""
 
 from __future__ import annotations
 
