@@ -46,6 +46,9 @@ CONSTRAINT_VIOLATION = "constraint violation, m or rad"
 START = "start"
 """Level after "model" if two models are compared, since each model has its own initial state."""
 
+LEVELS_WITH_START = (LEVELS_OF_EQUATIONS[0], START, *LEVELS_OF_EQUATIONS[1:], *LEVELS_OF_RUNS)
+"""Levels that compare engines or two models, in their order."""
+
 ERROR_PER_CHANGE = 4.0
 """Bound on the error of a run, divided by the change between the run and a refined run.
 
@@ -190,7 +193,7 @@ def not_compared(checks: Sequence[Check]) -> Iterator[str]:
     """Yield a line for each level at which pairs of engines differ: a pair that differs is not compared at
     later levels."""
     # Group the pairs by the last level at which they differ
-    levels = ("model", START, *LEVELS_OF_EQUATIONS[1:], *LEVELS_OF_RUNS)
+    levels = LEVELS_WITH_START
     pairs = (check.between for check in checks if len(check.between) == 2 and FILE not in check.between)
     pairs_by_level: dict[str, list[Sequence[str]]] = {}
     for pair in dict.fromkeys(pairs):

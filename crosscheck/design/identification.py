@@ -46,11 +46,16 @@ def report(found: Identification) -> Report:
     parts: list[Part] = [Table("", names, [list(row) for row in rows]), _columns(found)]
     if lines := [*found.doubts, *found.notes, *_correlated(found)]:
         parts.append(Lines("", lines))
+    # `fit`: line of text with the reduced chi and its probability
     return Report(title, found.fit, _judged(found), parts, summary=parts)
 
 
 def _judged(found: Identification) -> Cell:
-    """Return the verdict of the fit in one word; "fits" only if noise was given, so that misfits show."""
+    """Return the verdict of the fit in one word.
+
+    The scene is wrong if the given noise does not explain the residuals. Other reasons not to trust the fit,
+    such as parameters that are not identifiable, make it doubtful. Without given noise it is only "fitted".
+    """
     if found.is_wrong:
         return Cell("wrong", "fails")
     if found.doubts:
@@ -88,7 +93,12 @@ def _correlated(found: Identification) -> Iterator[str]:
 
 
 def data(found: Identification) -> dict[str, Any]:
-    """Return the result of a fit for JSON; most entries are attributes of `Identification`."""
+    """Return the result of a fit for JSON; most entries are attributes of `Identification`.
+
+    "unlike" has the columns that a constant fits better than the scene, and "in_degrees" those that fit as
+    degrees. "curvature" is the relative change of the derivatives two standard deviations away.
+    "contradiction" names a column whose first measurement contradicts the start of its run.
+    """
     rows = zip(
         found.units,
         found.before.tolist(),

@@ -1,4 +1,8 @@
-"""A log as its options read it, and the reference solution from its start."""
+"""Read a log and compare it with the reference solution, a simulation from the start of the log.
+
+A log is a table of joint coordinates and poses over time, measured or written by another simulator. Options,
+such as units, state what the names of its columns do not show.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from crosscheck.logs.inputs import started_at, with_inputs
 from crosscheck.logs.names import Elements, Origin
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import Poses, all_rows, body_poses, first_rows, loop_errors
-from crosscheck.logs.rates import energy, logged_rates, velocities
+from crosscheck.logs.rates import RATE_ROWS, energy, logged_rates, velocities
 from crosscheck.logs.start import LogStart, log_start
 from crosscheck.logs.table import LogTable
 from crosscheck.own_run.errors import MotionScale, RunError, run_error
@@ -47,7 +51,8 @@ class ComparedLog:
         reference: reference solution, at its own output times.
         motion_scale: extent of the reference's motion, by which errors are divided.
         run: logged motion of the known bodies at the compared times.
-        points: point of positions.
+        points: point of a body that logged positions are of: the "center" of mass, or the origin of the body
+            "frame"; "" if the log has no poses of bodies.
         poses: poses of all known bodies.
         has_energy: True if the log determines the energy.
         error: error of the log.
@@ -102,6 +107,7 @@ class LogReading:
         """
         data = _from_offset(self.data(options), options.offset)
         points = options.position or self._point(data)
+        # `offset`: time of the log at which the time of the scene is zero
         scene = started_at(self.scene, float(data.time[0]) - options.offset)
         scene = with_inputs(scene, data, self.names)
         start = log_start(scene, self.elements, data, points)
@@ -176,12 +182,18 @@ class LogReading:
         return of_bodies(run, names), poses, energies is not None
 
     def start_error(self, compared: ComparedLog) -> RunError | None:
-        """Measure the error that another estimate of the start velocities causes; None if they are logged."""
+        """Measure the error that another estimate of the start velocities causes; None if they are logged.
+
+        Velocities that are not logged are estimated from the first `RATE_ROWS` rows; the other estimate uses
+        one row less.
+        """
+        # `differences`: columns whose rates are estimated
         if not compared.start.differences:
             return None
         try:
             data = compared.data
-            start = log_start(compared.scene, self.elements, data, compared.points or "frame", rows=4)
+            points = compared.points or "frame"
+            start = log_start(compared.scene, self.elements, data, points, rows=RATE_ROWS - 1)
             other = _reference(replace(compared.scene, initial_state=start.state))
         except NewtonEulerError:
             return None
@@ -223,7 +235,7 @@ def _output_period(times: Array) -> float:
 
 
 def _reference(scene: Scene) -> Trajectory:
-    """Simulate the reference; a run that stops early counts up to its end."""
+    """Simulate the reference at default tolerances; a run that stops early counts up to its end."""
     try:
         return simulate(scene, **native_method(scene, refined=False))
     except StoppedError as error:

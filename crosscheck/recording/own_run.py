@@ -1,4 +1,4 @@
-"""Draw the "own run" of a model file in a recording: a ghost, and its error over time.
+"""Draw the "own run" of a model file in a recording for the Rerun viewer: a ghost, and its error over time.
 
 The own run is the run that the file's engine (such as MuJoCo for an MJCF) makes with the settings of the
 file. Its error is the difference from a reference solution at the same times. The ghost is a transparent copy
@@ -22,7 +22,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 YOUR_SETTINGS = "your_settings"
-"""Name of the own run in the paths and legends of recordings."""
+"""Name of the own run in recordings: in legends, and in the paths of their entities."""
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 """Quaternion of no rotation."""
@@ -64,7 +64,8 @@ def error_plots(judgement: Judgement) -> Iterator[Plot]:
         ("rotation", "error of rotation [rad]", rotation),
     ):
         lines = {YOUR_SETTINGS: np.max(values, axis=1)}
-        yield Plot(group, (YOUR_SETTINGS, name), title, lines, is_judged=True)
+        # `is_judged`: an error, which is plotted even if constant, rather than a quantity of the motion
+        yield Plot(group, path=(YOUR_SETTINGS, name), title=title, lines=lines, is_judged=True)
 
 
 def _product(one: Array, two: Array) -> Array:

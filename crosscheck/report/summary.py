@@ -13,11 +13,9 @@ from typing import Any
 from crosscheck.compare.check import (
     CONSTRAINT_VIOLATION,
     FILE,
-    LEVELS_OF_EQUATIONS,
-    LEVELS_OF_RUNS,
+    LEVELS_WITH_START,
     READING,
     REFERENCE,
-    START,
     Check,
 )
 from crosscheck.compare.comparison import ComparisonResult
@@ -56,6 +54,7 @@ def judged_runs(result: ComparisonResult) -> list[Part]:
         return []
     parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
     if result.own_run:
+        # the line of the import report (`mapping`) on inputs and velocities that the file does not have
         excitation = result.mapping.excitation if result.mapping else ""
         parts.append(own_run_lines(result.own_run, excitation, result.allowed_errors))
     return parts
@@ -82,8 +81,7 @@ def levels_table(result: ComparisonResult) -> Table:
     shown_engines = others or [first]
     checks = judged_checks(result)
     rows: Rows = []
-    # `START` is a level of the comparison of two models
-    for level in (READING, "model", START, *LEVELS_OF_EQUATIONS[1:], *LEVELS_OF_RUNS, REFERENCE):
+    for level in (READING, *LEVELS_WITH_START, REFERENCE):
         at_level = [check for check in checks if check.level == level]
         if not at_level:
             continue
@@ -127,11 +125,14 @@ def nearest(checks: Sequence[Check]) -> Cell:
     name = "" if worst.quantity == CONSTRAINT_VIOLATION else quantity or unit
     place = ", ".join(filter(None, [where, name]))
     about = worst.where.partition(" at ")[0]  # the body or joint, without the time
-    return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about)
+    return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about=about)
 
 
 def engines_table(result: ComparisonResult) -> Table:
-    """Make a table with a row per engine: run time, error and settings, or the time at which it stopped."""
+    """Make a table with a row per engine: run time, error and settings, or the time at which it stopped.
+
+    The error is the largest deviation from a reference run, m or rad.
+    """
     stopped = {stop.what: stop for stop in result.unfinished}
     errors = result.run_errors if isinstance(result, EngineComparison) else {}
     rows: Rows = []

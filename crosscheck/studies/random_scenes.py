@@ -274,7 +274,7 @@ class _Draft:
 
 def _direction(rng: np.random.Generator) -> Array:
     """Return a random unit vector, uniformly distributed."""
-    return _unit(rng.normal(size=3))
+    return _normalized(rng.normal(size=3))
 
 
 def _compound_options(rng: np.random.Generator) -> dict[str, Any]:
@@ -287,7 +287,7 @@ def _compound_options(rng: np.random.Generator) -> dict[str, Any]:
 def _independent_axes(rng: np.random.Generator, count: int) -> Array:
     """Return `count` unit vectors (count, 3): orthogonal axes, each rotated by some tenths of a radian."""
     axes = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))[:count]
-    return np.array([_unit(axis + rng.uniform(-0.2, 0.2, 3)) for axis in axes]).reshape(-1, 3)
+    return np.array([_normalized(axis + rng.uniform(-0.2, 0.2, 3)) for axis in axes]).reshape(-1, 3)
 
 
 def _ball_elements(
@@ -324,14 +324,14 @@ def _wind(rng: np.random.Generator, draft: _Draft) -> tuple[WindLoad, ...]:
     return (load,) if rng.random() < 0.2 else ()
 
 
-def _unit(vector: Array) -> Array:
+def _normalized(vector: Array) -> Array:
     """Return a vector divided by its length."""
     return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _perpendicular_part(vector: Array, axis: Array) -> Array:
     """Return the unit vector along the part of a vector (3,) that is perpendicular to a unit axis (3,)."""
-    return _unit(cross(axis, cross(vector, axis)))
+    return _normalized(cross(axis, cross(vector, axis)))
 
 
 def _sign(rng: np.random.Generator) -> float:
@@ -350,7 +350,7 @@ def _body(rng: np.random.Generator, name: str, mass: float, center: Array, lengt
     turn = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))
     # principal moments of inertia, such as m (<y^2> + <z^2>)
     inertia = turn @ np.diag(mass * (np.sum(mean_squares) - mean_squares)) @ turn.T
-    return Body(name, mass, center, 0.5 * (inertia + inertia.T), _unit(rng.normal(size=4)))
+    return Body(name, mass, center, 0.5 * (inertia + inertia.T), _normalized(rng.normal(size=4)))
 
 
 def _coordinates(joints: Sequence[Joint]) -> list[tuple[Joint, int]]:
@@ -360,6 +360,7 @@ def _coordinates(joints: Sequence[Joint]) -> list[tuple[Joint, int]]:
 
 def _mobility(mechanism: Mechanism) -> tuple[int, int]:
     """Return the numbers of degrees of freedom and of redundant constraints at the initial pose."""
+    # `Relative`: equations of motion in the joint coordinates q of a spanning tree
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
     return _mobility_at(system, system.coordinates(initial_state(system.scene))[0])
 
@@ -387,6 +388,7 @@ def _random_state(rng: np.random.Generator, mechanism: Mechanism) -> State:
             q = project_position(system, system.retract(start, step))
         except AssemblyError:
             continue
+        # accept only loops closed to round-off: 4 is a margin on the residual at which the projection stops
         if (
             largest(system.phi(q)) < 4.0 * RESIDUAL_ROUND_OFF * mechanism.size
             and _mobility_at(system, q) == wanted

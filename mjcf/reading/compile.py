@@ -3,7 +3,7 @@
 Usage: `python compile.py FILE RESULT SECONDS BYTES`. The process writes the compiled model to RESULT (.mjb).
 On an error it prints one line on standard error and exits with status 1. The operating system ends the
 process after SECONDS of CPU time, and limits its memory to BYTES. The limits are needed because MuJoCo's
-compiler expands macros without limit, and a file may be hostile.
+compiler expands elements such as `replicate` without limit, and a file may be hostile.
 """
 
 from __future__ import annotations

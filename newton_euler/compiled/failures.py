@@ -35,7 +35,8 @@ DIFFERENCE_STEP = 1e-7
 UNSTABLE_STATUSES = (Status.NOT_FINITE, Status.OPEN, Status.STRAYING)
 """Statuses with which a run may end because its fixed step is too long.
 
-`OPEN`: projection cannot close a joint. `STRAYING`: accelerations within one step contradict each other."""
+`OPEN`: projection cannot close a joint. `STRAYING`: accelerations at the stages of one step contradict each
+other."""
 
 LEFT_MOTION_FACTOR = 30.0
 """Factor beyond the stability limit at which a rate is no property of the motion but of a diverged run.
@@ -65,8 +66,9 @@ def failure(
         code: compiled equations of the scene.
         options: integrator and step control.
         status: how the run ended, a `Status`.
-        states: vectors x (inputs,) of the run: state, time, flags, parameters. The last one is where the run
-            ended. Runs with a fixed step also have earlier ones.
+        states: vectors x (inputs,) of the run: state, time, flags of constraint rows (1 for a redundant row
+            that is left out), parameters. The last one is where the run ended. Runs with a fixed step also
+            have earlier ones.
         counts: (COUNTS,) counters of the run, see `newton_euler.integrators.stepper.Count`.
         error: exception of the equations in Python that ended the run, or None.
     """
@@ -108,7 +110,8 @@ def _instability(code: CompiledEquations, options: Options, states: Sequence[Arr
     def rate_at(number: int) -> float:
         """Estimate the fastest rate, 1/s, at a state; 0 near a singular configuration."""
         x = states[number]
-        is_regular = code.pivot_ratio(x) > FAR_PIVOT_RATIO  # the ratio falls from 1 to 0 at a singular one
+        # smallest ratio of a pivot of the elimination to its usual value; 0 at a singular configuration
+        is_regular = code.pivot_ratio(x) > FAR_PIVOT_RATIO
         return fastest_rate(code, x) if is_regular else 0.0
 
     limit = STABILITY_LIMITS[options.integrator]
@@ -160,17 +163,17 @@ def first_above(rate_at: Callable[[int], float], count: int, limit: float) -> tu
 def fastest_rate(code: CompiledEquations, x: Array) -> float:
     """Estimate the largest eigenvalue magnitude, 1/s, of the motion linearized at x (inputs,).
 
-    The estimate comes from a power iteration with one-sided differences of the compiled rates. The mean
-    growth over many iterations is the magnitude even if the eigenvalues are complex. The result is 0 if the
-    rates are not finite.
+    The estimate comes from a power iteration with one-sided differences of the time derivatives of the state.
+    The mean growth over many iterations is the magnitude even if the eigenvalues are complex. The result is 0
+    if the time derivatives are not finite.
     """
     derivative, n = code.function("derivative"), code.size
-    rates, steps = derivative(x)[:n], DIFFERENCE_STEP * np.maximum(1.0, np.abs(x[:n]))
+    unmoved, steps = derivative(x)[:n], DIFFERENCE_STEP * np.maximum(1.0, np.abs(x[:n]))
     direction, log_growth = np.random.default_rng(0).standard_normal(n), np.zeros(POWER_ITERATIONS)
     for k in range(POWER_ITERATIONS):
         moved = x.copy()
         moved[:n] += steps * direction
-        direction = (derivative(moved)[:n] - rates) / steps
+        direction = (derivative(moved)[:n] - unmoved) / steps
         size = float(np.linalg.norm(direction))
         if not 0.0 < size < np.inf:
             return 0.0
@@ -180,7 +183,8 @@ def fastest_rate(code: CompiledEquations, x: Array) -> float:
 
 def _reason(code: CompiledEquations, options: Options, status: Status, x: Array) -> str:
     """Complete the message of a status with the singular configuration near x (inputs,), or with advice."""
-    # messages of these statuses name the singular configuration
+    # messages of these statuses name the singular configuration; the run starts there with `UNDETERMINED` (at
+    # rest) and `UNPROJECTED` (moving, without projection)
     is_singular = status in (Status.STRAYING, Status.UNDETERMINED, Status.UNPROJECTED)
     near = is_singular or code.pivot_ratio(x) < NEAR_PIVOT_RATIO
     joint, singular_value = nearly_dependent(code, x) if near else ("", 0.0)
@@ -190,7 +194,7 @@ def _reason(code: CompiledEquations, options: Options, status: Status, x: Array)
         return reason
     if near:
         noise = f"round-off near {place} (singular value {singular_value:.1e}), is larger than rtol allows"
-        # "one" is a larger rtol
+        # "one" is a larger rtol. Dimensions miss a singular configuration if the closed loops cannot reach it
         remedy = "a larger one, up to 1e-8, may pass, unless dimensions miss that configuration by more"
         return f"{reason}; {noise}; {remedy}"
     return f"{reason}; for stiff equations use Radau" if options.integrator == "DOP853" else reason
@@ -206,7 +210,7 @@ def nearly_dependent(code: CompiledEquations, x: Array) -> tuple[str, float]:
 
     Args:
         code: compiled equations of the scene.
-        x: (inputs,) state, time, flags and parameters.
+        x: (inputs,) state, time, flags of constraint rows and parameters.
 
     Returns:
         Name of the joint or gear, and the smallest dimensionless singular value of the Jacobian of the

@@ -3,9 +3,8 @@
 Several tangents of one run are integrated together, each in one *lane* (element) of the processor's vector
 registers. This module has their record, the stages of a step of DOP853, its dense output (interpolation
 within the step), and the evaluation of results at output times. `newton_euler.integrators.tangent_steps`
-takes the steps, and `newton_euler.analysis.sensitivity.tangent_run` prepares the record. An array (n,
-lanes) has the n
-elements one after the other, each for all lanes: element i of a lane has the index lanes i + lane.
+takes the steps, and `newton_euler.analysis.sensitivity.tangent_run` prepares the record. An array (n, lanes)
+has the n elements one after the other, each for all lanes: element i of a lane has the index lanes i + lane.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -75,7 +74,8 @@ class Tangents(Record):
         table: (rows, n, lanes) tangents at the output times.
         min_pivot_ratio: (1,) smallest pivot ratio so far.
         errors: (2, lanes) error of the last substep in units of the tolerance, and its norm in SI units.
-        longer_errors: (lanes + 1,) norms in SI units of the errors of a longer substep, and its size, s.
+        longer_errors: (lanes + 1,) norms in SI units of the errors of an earlier, longer substep, and its
+            size, s. Errors that hardly fall in shorter substeps are round-off, see `noise`.
         noise: (lanes,) norm of the error per second, SI, that is round-off and does not fall with the step
             size.
         counts: (3,) counts of the integration, see `TangentCount`.
@@ -155,23 +155,23 @@ def tangent_stage(tangents: Tangents, s: int, t: float, h: float) -> None:
     """
     lanes = tangents.lanes
     size = tangents.n * lanes
-    row = 2 * size + lanes  # length of a row of k
+    row_length = 2 * size + lanes  # of k
     along = tangents.inputs * lanes  # index of the tangents in x and `at`
     at = tangents.at
     x = tangents.x
     k = tangents.k
     # the state, then the tangents
     if s > 0:
-        advance(s, h, size, row, x, k, at)
-        advance(s, h, size, row, x[along:], k[size:], at[along:])
+        advance(s, h, size, row_length, x, k, at)
+        advance(s, h, size, row_length, x[along:], k[size:], at[along:])
     else:
         for i in range(size):
             at[i] = x[i]
             at[along + i] = x[along + i]
     for lane in range(lanes):
         at[size + lane] = t + NODES[s] * h
-    tangents.rates(at, k[row * s :])
-    tangents.min_pivot_ratio[0] = min(tangents.min_pivot_ratio[0], k[row * s + 2 * size])
+    tangents.rates(at, k[row_length * s :])
+    tangents.min_pivot_ratio[0] = min(tangents.min_pivot_ratio[0], k[row_length * s + 2 * size])
 
 
 @native
@@ -182,10 +182,12 @@ def prepare_terms(tangents: Tangents, h: float) -> None:
     the tangents at the end of the step.
     """
     size = tangents.n * tangents.lanes
-    row = 2 * size + tangents.lanes
+    row_length = 2 * size + tangents.lanes
     k = tangents.k[size:]
     start = tangents.x[tangents.inputs * tangents.lanes :]
-    prepare_dense(h, size, row, row, start, tangents.k[row * 16 :], k, k)
+    end = tangents.k[row_length * 16 :]
+    # the terms go to the memory of the rates, with rows of the same length
+    prepare_dense(h, size, row_length, row_length, start, end, k, k)
 
 
 @native
@@ -199,7 +201,7 @@ def interpolate_tangents(tangents: Tangents, theta: float, y: Vector) -> None:
         y: (n, lanes) tangents, written.
     """
     size = tangents.n * tangents.lanes
-    row = 2 * size + tangents.lanes  # length of a row of k
+    row_length = 2 * size + tangents.lanes  # of k
     terms = tangents.k[size:]
     start = tangents.x[tangents.inputs * tangents.lanes :]
     for i in range(size):
@@ -207,7 +209,7 @@ def interpolate_tangents(tangents: Tangents, theta: float, y: Vector) -> None:
         weight = 1.0
         for j in range(7):
             weight = weight * (theta if j % 2 == 0 else 1.0 - theta)
-            total += weight * terms[row * j + i]
+            total += weight * terms[row_length * j + i]
         y[i] = start[i] + total
 
 

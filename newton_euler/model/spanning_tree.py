@@ -194,7 +194,8 @@ class SpanningTree:
         """Add a free joint between the ground and the body with an index; return the index of the joint."""
         ground, name = self.mechanism.body_names[0], self.mechanism.body_names[body]
         free = Free(f"{name}_floats", ground, name, np.zeros(3))
-        # Set the points after construction, because the constructor refuses the symbols of the code generator
+        # Set the points after construction: when the equations are traced to generate code, the points are
+        # symbols, which the constructor refuses
         for point in ("point", "point_on_second"):
             object.__setattr__(free, point, self.mechanism.bodies[body].center_of_mass)
         self.floating = (*self.floating, free)
@@ -234,12 +235,12 @@ class SpanningTree:
 
     @cached_property
     def velocity_units(self) -> Array:
-        """(nv,) scales of velocities: the mechanism's size, m, for slides, and 1 for angles."""
+        """(nv,) scales of velocities: the mechanism's characteristic length, m, for slides; 1 for angles."""
         return np.where(self.is_length, self.mechanism.size, 1.0)
 
     @cached_property
     def coordinate_units(self) -> Array:
-        """(nq,) scales of coordinates: the mechanism's size, m, for slides, and 1 for angles and
+        """(nq,) scales of coordinates: the mechanism's characteristic length, m, for slides; 1 for angles and
         quaternions."""
         units = np.ones(self.nq)
         for motion, on_q, _ in self.motions:
@@ -362,7 +363,8 @@ class WeldedMechanism:
     weld has the six equations that balance the degrees of freedom that the joint adds to the tree.
 
     Attributes:
-        mechanism: the bodies, with the additional halves at the end; the joints, with the welds at the end.
+        mechanism: the bodies, with the additional halves at the end; the joints, with the welds at the end;
+            the couplings of joint coordinates, such as gears, unchanged.
         tree: spanning tree of that mechanism; its cuts are ball joints without loads, rods and welds.
         origin: for each body, the index of the original mechanism's body from which it was made.
     """

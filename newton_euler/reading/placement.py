@@ -1,9 +1,9 @@
 """Place the bodies of an imported scene at the poses of the file's reference model.
 
 A reference model is the model file as an independent parser compiles it. Its samples are states
-(configuration and velocities) at which scene and file are compared. The file has *rigid groups*: links that
-fixed joints hold together. A group is one body of the scene, or a part of a body if the file cuts bodies at
-loops.
+(configuration and velocities) at which scene and file are compared. The first sample is the start, at which
+the bodies have the initial poses of the scene. The file has *rigid groups*: links that fixed joints hold
+together. A group is one body of the scene, or a part of a body if the file cuts bodies at loops.
 """
 
 from __future__ import annotations
@@ -77,9 +77,10 @@ class ScenePlacement:
     def force_tolerances(self) -> list[float]:
         """Relative tolerance of forces at each sample.
 
-        The tolerance includes ten times the loop-closure error if the file cuts bodies into halves, whose
-        poses may differ by the error. It also does if the scene has couplings: a spring or an armature of the
-        file may be on one side of a gear, and that of the scene on the other side.
+        The tolerance includes ten times the loop-closure error (rad, or divided by the model's size) if the
+        file cuts bodies into halves, whose poses may differ by the error. It also does if the scene has
+        couplings: a spring or an armature of the file may be on one side of a gear, and that of the scene on
+        the other side.
         """
         includes_closure = bool(self.has_cut_bodies or self.mechanism.couplings)
         return [

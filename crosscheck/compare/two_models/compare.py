@@ -24,7 +24,7 @@ from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.runs import compare_runs
 from crosscheck.compare.samples import Samples
 from crosscheck.compare.two_models.align import Aligned, alignments
-from crosscheck.compare.two_models.levels import LEVELS, SharedStates, bodies_row, differences, start_rows
+from crosscheck.compare.two_models.levels import LEVELS, SharedStates, bodies_check, differences, start_checks
 from crosscheck.compare.two_models.unsimulated import NEVER_COMPARED, Model, Unsimulated, is_mjcf, unsimulated
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.engines.engine_runs import Stop, collecting_errors, run_engines, stops_text
@@ -54,8 +54,8 @@ NOT_COMPLETED = "not run to the end"
 class TwoModelComparison(ComparisonResult):
     """Result of a comparison of two models.
 
-    The models take the place of engines: `engines`, `trajectories`
-    and `checks` use their names. Results of the second model are expressed with the joints of the first one.
+    The models take the place of engines: `engines`, `trajectories` and `checks` use their names. Results of
+    the second model are expressed with the joints of the first one.
 
     Attributes:
         models: the two models.
@@ -73,7 +73,7 @@ class TwoModelComparison(ComparisonResult):
 
     @property
     def files(self) -> tuple[ModelFile, ...]:
-        """The files of the models that were read from files."""
+        """The files of the models that were read from files, whose `mapping` is the import report."""
         return tuple(
             ModelFile(f"the file of {model.name}", f"{model.name}: ", model.scene, model.mapping)
             for model in self.models
@@ -96,7 +96,7 @@ class TwoModelComparison(ComparisonResult):
     def verdict(self) -> str:
         """Verdict in one line: the models are the same, or the first level and place at which they differ."""
         judged = self.judged
-        failed = [row for row in judged if not row.agrees]
+        failed = [check for check in judged if not check.agrees]
         names = " and ".join(model.title for model in self.models)
         ending = f"; {NOT_COMPLETED}" if self.unfinished else ""
         # All checks pass; elements that are not simulated may still differ
@@ -115,14 +115,14 @@ class TwoModelComparison(ComparisonResult):
                 agree += f"; {NEVER_COMPARED}"
             return f"SAME: {agree}"
         # The first failing check, and the quantity that differs most at its level
-        row = failed[0]
+        first = failed[0]
         worst = max(
-            (each for each in failed if each.level == row.level), key=lambda each: each.tolerance_ratio
+            (each for each in failed if each.level == first.level), key=lambda each: each.tolerance_ratio
         )
-        most = "" if worst is row else f", {worst.quantity.rpartition(', ')[0] or worst.quantity} most"
+        most = "" if worst is first else f", {worst.quantity.rpartition(', ')[0] or worst.quantity} most"
         return (
-            f"DIFFERENT: {names} differ at level '{row.level}': {row.quantity}: {row.value:.3g} > "
-            f"{row.tolerance:.3g}, worst at {row.place} "
+            f"DIFFERENT: {names} differ at level '{first.level}': {first.quantity}: {first.value:.3g} > "
+            f"{first.tolerance:.3g}, worst at {first.place} "
             f"({len(failed)} of {len(judged)} checks fail{most}){ending}"
         )
 
@@ -165,19 +165,19 @@ def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelC
     with limited("comparing equations", SHORTER_RUN_ADVICE, progress):
         states = _aligned_best(list(alignments(first.scene, second.scene)), stopped)
         aligned, engines = states.aligned, _engines(pair, states.aligned)
-        rows, notes = _equations_compared(pair, engines, states)
+        checks, notes = _equations_compared(pair, engines, states)
     # Simulate both models and compare their runs, if the equations agree
     runs, stops = run_engines(aligned.first, engines, progress)
     stops = [*stopped, *stops]
-    if len(runs) == len(pair) and all(row.agrees for row in rows):
+    if len(runs) == len(pair) and all(check.agrees for check in checks):
         # Without these outputs there are no checks of a single run, which are no differences between models
         compared = {
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
         }
         what = "comparing runs"
         with collecting_errors(what, stops), limited(what, SHORTER_RUN_ADVICE, progress):
-            for row in require_finite(compare_runs(aligned.first, engines, compared, states.energy)):
-                rows.append(row)  # one by one, to keep the checks before an error
+            for check in require_finite(compare_runs(aligned.first, engines, compared, states.energy)):
+                checks.append(check)  # one by one, to keep the checks before an error
     # Notes, and differences of elements that are not simulated
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
     if same_file and first.options == second.options:
@@ -194,7 +194,7 @@ def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelC
         scene=scene,
         engines=tuple(engines),
         trajectories=runs,
-        checks=tuple(rows),
+        checks=tuple(checks),
         wall_time=time.perf_counter() - start,
         unfinished=tuple(stops),
         models=(first, second),
@@ -220,7 +220,7 @@ def _aligned_best(candidates: Sequence[Aligned], stops: list[Stop]) -> SharedSta
     shared = [SharedStates(scene, tuple(states), aligned) for aligned in candidates]
     if len(shared) == 1:
         return shared[0]
-    return min(shared, key=lambda each: sum(len(found.larger) for found in differences(each)))
+    return min(shared, key=lambda each: sum(len(found.differing) for found in differences(each)))
 
 
 def _equations_compared(
@@ -232,16 +232,16 @@ def _equations_compared(
         Checks up to the first level at which the models differ, and notes on different initial states.
     """
     if states.aligned.second is None:
-        return [bodies_row(pair, states.aligned)], []
+        return [bodies_check(pair, states.aligned)], []
     first, second = (engine.systems(states.scene)[0] for engine in engines)
     one, two = Samples(first, states), _SecondSamples(second, states)
-    rows = list(require_finite(compare_pair(pair, [one], [two], LEVELS)))
+    checks = list(require_finite(compare_pair(pair, [one], [two], LEVELS)))
     differences = [
-        f"{row.quantity}: {row.value:.1e} at {row.where}"
-        for row in start_rows(pair, one, two)
-        if not row.agrees
+        f"{check.quantity}: {check.value:.1e} at {check.where}"
+        for check in start_checks(pair, one, two)
+        if not check.agrees
     ]
-    return rows, [f"starts differ: {'; '.join(differences)}"] if differences else []
+    return checks, [f"starts differ: {'; '.join(differences)}"] if differences else []
 
 
 class _SecondSamples(Samples):
@@ -256,11 +256,10 @@ class _SecondSamples(Samples):
 
 
 class _SecondModel(Relative):
-    """Equations of motion of the second model, with reactions at the joints of the first model.
+    """Joint-coordinate equations of motion of the second model, with reactions at joints of the first model.
 
     Attributes:
-        aligned: the alignment of both models. It is set after construction, because control laws may
-            construct further objects of this class, for models of their own.
+        aligned: the alignment of both models, set after construction.
     """
 
     aligned: Aligned
@@ -280,7 +279,7 @@ def _engines(pair: tuple[str, str], aligned: Aligned) -> list[Engine]:
 
     Each engine simulates its own model in newton_euler, whatever scene it is given. Results of the second
     model are expressed with the joints of the first one. If a body has no partner, only the engine of the
-    first model is returned.
+    first model is returned. Refined runs, with tighter tolerances, are kept for repeated use.
 
     Args:
         pair: names of the models.
@@ -311,6 +310,8 @@ def reactions_in_first(
     aligned: Aligned, position: Array, quaternion: Array, force: Array, torque: Array
 ) -> tuple[Array, Array]:
     """Convert reactions of the second model to the convention of the first: its second body, its joint point.
+
+    Bodies of both models have the same order and frames. The result is exact if the centers of mass agree.
 
     Args:
         aligned: the alignment of both models.

@@ -119,20 +119,20 @@ class Difference(NamedTuple):
     both: Callable[[int], tuple[ArrayLike, ArrayLike, str] | None] = lambda number: None
 
     @property
-    def larger(self) -> list[int]:
+    def differing(self) -> list[int]:
         """Numbers of the elements whose difference exceeds the tolerance, the largest difference first."""
         return [int(k) for k in np.argsort(-self.values) if not self.values[k] <= self.tolerance]
 
     def check(self, level: str, pair: tuple[str, str]) -> Check:
         """Make the check of the largest difference; the check names up to `MAX_NAMED` differing elements."""
-        larger = self.larger
+        differing = self.differing
         found = worst_check(level, self.quantity, pair, self.values, self.tolerance, self.names)
-        if larger and (both := self.both(larger[0])):
+        if differing and (both := self.both(differing[0])):
             found = replace(found, detail=both_values(pair, *both))
-        if len(larger) < 2:
+        if len(differing) < 2:
             return found
-        named = ", ".join(self.names[k] for k in larger[:MAX_NAMED])
-        more = f" and {len(larger) - MAX_NAMED} more" if len(larger) > MAX_NAMED else ""
+        named = ", ".join(self.names[k] for k in differing[:MAX_NAMED])
+        more = f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
         return replace(found, where=f"{named}{more}")
 
     @property
@@ -141,7 +141,7 @@ class Difference(NamedTuple):
         return self.names[int(np.argmax(self.values))]
 
 
-def bodies_row(pair: tuple[str, str], aligned: Aligned) -> Check:
+def bodies_check(pair: tuple[str, str], aligned: Aligned) -> Check:
     """Make the check of the number of bodies without partner in the other model."""
     alone = [name for names in aligned.alone for name in names]
     return Check("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
@@ -297,14 +297,14 @@ def _wrench_basis(equations: JointEquations, frames: Sequence[Frame], arms: Arra
     return orthonormal_range(np.hstack(parts).T)
 
 
-def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
+def model_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Make the checks of the level "model": bodies without partner, and the largest of each of `differences`.
 
     Joints of another kind are counted but not judged, since the motion may be the same: in a planar loop a
     ball joint may replace a hinge. The later levels show whether the motion differs.
     """
     states, aligned = _shared(first), _shared(first).aligned
-    yield bodies_row(pair, aligned)
+    yield bodies_check(pair, aligned)
     other = [name for name in aligned.joints if not aligned.same_kind(name)]
     yield Check(
         "model", "joints of another kind", pair, float(len(other)), 0.5, ", ".join(other), judged=False
@@ -369,7 +369,7 @@ def functions_apart(scene: Scene, one: Coupling, two: Coupling, scale: float) ->
     return float(np.max(np.abs(scale * b - a)) / max(float(np.max(np.abs(a))), 1e-12))
 
 
-def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
+def start_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Compare the initial poses and velocities of the bodies of two models.
 
     Tolerances are round-off times the condition number of the constraints, since initial states are computed
@@ -397,7 +397,7 @@ def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
         yield worst_check(START, quantity, pair, values, tolerance, scene.mechanism.body_names)
 
 
-def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
+def term_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Compare the forces of two models: gravity, elements at joints, forces on bodies, and their sum.
 
     Energies, effective inertia and effective force follow; if they fail, they are attributed to the first
@@ -547,10 +547,10 @@ def _on_bodies(scene: Scene, states: Iterable[State], size: float) -> Array:
 
 
 LEVELS: tuple[Level, ...] = (
-    model_rows,
-    start_rows,
+    model_checks,
+    start_checks,
     kinematics_checks,
-    term_rows,
+    term_checks,
     acceleration_checks,
 )
 """Functions of the levels of two models, in their order; the levels of runs follow."""

@@ -8,8 +8,9 @@ Numerical Optimization, 2nd ed., 2006, sections 3.4 and 15.4), from the nearest 
 
 `Configurations` are n vectors of joint coordinates of a `Chain`, a mechanism with chosen joint coordinates.
 The tangent space at a configuration has the f dimensionless velocities that leave its loops closed, where f
-is the number of degrees of freedom. An assembly branch is a set of configurations that the mechanism can
-reach from each other without passing a singular configuration.
+is the number of degrees of freedom. Lengths are divided by the size of the mechanism: the largest distance of
+joint points and centers of mass from their mean. An assembly branch is a set of configurations that the
+mechanism can reach from each other without passing a singular configuration.
 """
 
 from __future__ import annotations
@@ -128,7 +129,8 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
     signs = np.ones((len(before), 2))
     # bases of the tangent spaces before and after may have different orientations
     orientation = np.linalg.det(after.tangent @ np.swapaxes(before.tangent, 1, 2))
-    # Jacobians before and after: of the goals, and of all chosen coordinates if these are not the same
+    # Jacobians before and after: of the goals, and of all chosen coordinates (`keys`) if these are not the
+    # same; the first `goal_count` of the chosen coordinates have goals
     goal_before, goal_after = (each.goal_errors(chain.goal_at(each))[1] for each in (before, after))
     pairs = [(goal_before, goal_after)]
     if chain.has_axis_goal or chain.goal_count < len(chain.keys):
@@ -156,7 +158,8 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
     chain, count = start.chain, len(goal.coordinates)
     # solved configurations and the goals that they meet, at first the start alone
     solved, solved_goals = start.values, chain.goal_at(start)
-    # for each goal: the configuration so far, and the number of the solved goal from which it was last tried
+    # for each goal: the configuration so far, a point in a Euclidean space in which angles are points on
+    # circles, and the number of the solved goal from which it was last tried
     values = np.repeat(start.values, count, axis=0)
     points, tried, reached = chain.embed(goal), np.full(count, -1), np.zeros(count, dtype=bool)
     # length of a stride for each goal
@@ -193,14 +196,14 @@ def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Ar
     Angles and orientations are arbitrary, slides are at most two sizes of the mechanism from the start.
     """
     q = np.repeat(chain.start[None], count, axis=0)
-    for motion, place, _ in chain.system.tree.motions:
-        shape = count, place.stop - place.start
+    for motion, on_q, _ in chain.system.tree.motions:
+        shape = count, on_q.stop - on_q.start
         if motion.kind == "ball":
             drawn = rng.standard_normal(shape)
-            q[:, place] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+            q[:, on_q] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
         else:
             reach = np.pi if motion.kind == "hinge" else 2.0 * chain.scene.mechanism.size
-            q[:, place] = rng.uniform(-reach, reach, shape)
+            q[:, on_q] = rng.uniform(-reach, reach, shape)
     return q
 
 
@@ -210,6 +213,7 @@ def sample_branch(start: Configurations) -> Configurations:
     here = Configurations(chain, np.repeat(start.values, PATHS, axis=0))
     visited = [start.values]
     for _ in range(PATH_STEPS):
+        # `step_by` shortens steps with a component above `MAX_JOINT_STEP`
         along = rng.standard_normal((PATHS, chain.freedoms))
         after = moved_closed(here, MAX_JOINT_STEP * products(np.swapaxes(here.tangent, 1, 2), along))
         on_branch = (largest(after.phi) < MAX_RESIDUAL) & np.all(crossing_signs(here, after) > 0.0, axis=1)
