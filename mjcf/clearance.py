@@ -26,7 +26,8 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
     """
     import mujoco
 
-    # a model with a mocap body (a body whose pose is set freely) for each moving body
+    # a model with a mocap body (a body whose pose is set freely) for each moving body; body 0 is the ground.
+    # Shapes are given in the world at the initial pose; `add_geom` converts them to the body frame
     root = ET.Element("mujoco")
     world = ET.SubElement(root, "worldbody")
     body_of_geom = []
@@ -60,7 +61,8 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
         for k in np.argsort(lower_bounds):
             if lower_bounds[k] >= smallest[n]:
                 break  # all other pairs are farther apart
-            # MuJoCo searches up to a limit; the distance of the centers plus the radii would be enough
+            # MuJoCo searches up to a limit; the distance of the centers plus the radii would be enough, the
+            # rest is a margin
             limit = 2.0 * (lower_bounds[k] + radii[k]) + radii[k]
             distance = mujoco.mj_geomDistance(model, data, int(first[k]), int(second[k]), limit, None)
             smallest[n] = min(smallest[n], distance)

@@ -95,7 +95,7 @@ def build(
     held = [parsed.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
     if held:
         parsed = pin.buildReducedModel(parsed, held, pin.neutral(parsed))
-    _check_joints(loops, "name_mot", loops.name_mot, list(parsed.names)[1:])
+    _check_joints(loops, "name_mot", loops.name_mot, list(parsed.names)[1:])  # joints with a motor
     model, urdf_joints = _rebuild(parsed, types, _rounded_axes(urdf) if keeps_axes else {})
 
     # loop closures
@@ -240,7 +240,7 @@ def link_inertia(model: Any, index: int) -> Any:
 
 
 def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
-    """Compute the mass matrix (nv, nv) in tree velocities, with armatures.
+    """Compute the mass matrix (nv, nv) in tree velocities, with the rotor inertias `model.armature`.
 
     Args:
         model: `pinocchio.Model`.
@@ -256,6 +256,9 @@ def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
 class CoordinateMap:
     """Map between coordinates of a mechanism's spanning tree and its Pinocchio model.
 
+    The mechanism is welded: ball joints, rods and welds close its loops. At other joints a body was cut into
+    two halves, which a weld holds together.
+
     Tree and model have the same coordinates and signs. Pinocchio has another order, and quaternions
     (x, y, z, w). Angular velocities of balls are in the frame of the child in both.
 
@@ -270,8 +273,8 @@ class CoordinateMap:
             model: `pinocchio.Model` of the welded mechanism.
             welded: welded mechanism, whose spanning tree has the coordinates.
         """
-        # index in the tree of each of Pinocchio's coordinates and velocities; hinges, slides and balls of the
-        # tree have the names of Pinocchio's joints
+        # index in the tree of each of Pinocchio's coordinates and velocities. The motions of the tree are the
+        # hinges, slides and balls of its joints, from parent to child, with the names of Pinocchio's joints
         tree_q = np.zeros(model.nq, dtype=int)
         tree_v = np.zeros(model.nv, dtype=int)
         tree = welded.tree

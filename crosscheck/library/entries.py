@@ -178,8 +178,11 @@ SHAPE = _one_of(
 )
 INERTIA_MATRIX = tuple[Vector, Vector, Vector]
 BODY = _declare_entry(Body, inertia=INERTIA_MATRIX, shapes=_list_of(SHAPE), meshes=None, **QUATERNION_FIELDS)
-AXIS_FIELDS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
-JOINT = _one_of(_declare_entry(joint_class, kind, **AXIS_FIELDS) for kind, joint_class in JOINT_KINDS.items())
+# fields of a joint with several slides and hinges: axes of both, and offsets from each hinge to the next, m
+CHAIN_FIELDS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
+JOINT = _one_of(
+    _declare_entry(joint_class, kind, **CHAIN_FIELDS) for kind, joint_class in JOINT_KINDS.items()
+)
 COUPLING = _one_of(
     [
         _declare_entry(Gear, "gear"),
@@ -232,8 +235,9 @@ Limit = Union[Number, Literal["inf", "-inf"]]  # noqa: UP007
 class DigitalEntry(Entry):
     """Entry of a digital controller: a control law that is sampled, with limits and delay.
 
-    The fields are described at `newton_euler.model.digital_control.Digital`. Files write infinite limits as
-    the texts "inf" and "-inf".
+    The delay is a number of sampling periods, the resolution is that of the encoder, and the stroke limits
+    the set-point; see `newton_euler.model.digital_control.Digital`. Files write infinite limits as the texts
+    "inf" and "-inf".
     """
 
     kind: Literal["digital"]
@@ -374,6 +378,7 @@ def _state(mechanism: Mechanism, entries: dict[str, StateEntry], angles: dict[st
     """
     if not entries and not angles:
         return None
+    # (joint, index of the coordinate) by label: JOINT, or JOINT.0, JOINT.1, ... if a joint has several
     keys = {label: key for key, label in mechanism.coordinate_labels.items()}
     for label in angles:
         if label not in keys:

@@ -1,4 +1,4 @@
-"""Inputs of a log in a scene: controls and joint forces over time, and functions of time of a later start."""
+"""Put the inputs of a log (controls, joint forces) into a scene, and let a scene begin at a later time."""
 
 from __future__ import annotations
 
@@ -31,18 +31,22 @@ def is_time_dependent(scene: Scene) -> bool:
 
 
 def started_at(scene: Scene, time: float) -> Scene:
-    """Return a scene that begins at a later time, s, of the given scene, without its initial state."""
+    """Return a scene that begins at a later time, s, of the given scene.
+
+    Its functions of time are shifted, and its initial state, which belongs to time 0, is removed. A scene
+    without functions of time is returned unchanged, also any scene for time 0.
+    """
     if not time or not is_time_dependent(scene):
         return scene
     changed: dict[str, list[Any]] = {name: list(getattr(scene, name)) for name in ELEMENTS}
-    for field, number, attribute in scene.functions:
-        element = changed[field][number]
+    for field, index, attribute in scene.functions:  # keys: places of the functions in the scene
+        element = changed[field][index]
         given = getattr(element, attribute, None)
         if isinstance(given, TimeFunction):
-            changed[field][number] = replace(element, **{attribute: _later(given, time)})
+            changed[field][index] = replace(element, **{attribute: _later(given, time)})
         elif isinstance(given, Mapping):
             moved = {k: _later(f, time) if isinstance(f, TimeFunction) else f for k, f in given.items()}
-            changed[field][number] = replace(element, **{attribute: moved})
+            changed[field][index] = replace(element, **{attribute: moved})
     elements: dict[str, Any] = {name: tuple(each) for name, each in changed.items()}
     return replace(scene, initial_state=None, **elements)
 
@@ -81,9 +85,7 @@ def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
     driven = {law.key for law in control}
     forces = {key: each.values for key, each in data.forces.items() if key in driven or np.any(each.values)}
     control = [law for law in control if law.key not in forces]
-    control += [
-        PD(key[0], 0.0, 0.0, 0.0, key[1], feedforward=_steps(times, values)) for key, values in forces.items()
-    ]
+    control += [_force_law(key, times, values) for key, values in forces.items()]
     # controls of actuators: sums of forces by joint coordinate, beyond those at the start
     added: dict[Key, Array] = {}
     for name, each in data.inputs.items():
@@ -95,13 +97,20 @@ def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
     for key, values in added.items():
         control = [_with_feedforward(data.where, law, key, times, values) for law in control]
         if key not in {law.key for law in control}:
-            control.append(PD(key[0], 0.0, 0.0, 0.0, key[1], feedforward=_steps(times, values)))
+            control.append(_force_law(key, times, values))
     joints = {law.joint for law in control}
     mechanism = scene.mechanism
     if any(not joint.actuated for joint in mechanism.joints if joint.name in joints):
         actuated = [replace(j, actuated=True) if j.name in joints else j for j in mechanism.joints]
         mechanism = Mechanism(mechanism.bodies, actuated, mechanism.couplings)
-    return replace(scene, mechanism=mechanism, control=tuple(control), initial_state=scene.initial_state)
+    return replace(scene, mechanism=mechanism, control=tuple(control))
+
+
+def _force_law(key: Key, times: Array, values: Array) -> PD:
+    """Return a control law without feedback that applies forces (n,) at times (n,) to a joint coordinate."""
+    joint, coordinate = key
+    steps = _steps(times, values)
+    return PD(joint, stiffness=0.0, damping=0.0, target=0.0, coordinate=coordinate, feedforward=steps)
 
 
 def _with_feedforward(where: str, law: Any, key: Key, times: Array, values: Array) -> Any:

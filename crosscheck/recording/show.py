@@ -24,7 +24,7 @@ def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
     Args:
         log: function that writes to the recording, such as `crosscheck.recording.log.log_run`; called with
             the recording, the scene and the further arguments.
-        scene: the scene.
+        scene: the simulated mechanism, with its forces and initial state.
         args: further arguments of `log`.
 
     Raises:
@@ -45,7 +45,10 @@ def show(log: Callable[..., None], scene: Scene, *args: Any) -> None:
 
 
 def _show_in_window(log: Callable[..., None], scene: Scene, *args: Any) -> None:
-    """Open a viewer, send a recording to it, and end Rerun's threads; the arguments are those of `show`."""
+    """Open a viewer, send a recording to it, and end the two threads that Rerun starts for each recording.
+
+    The arguments are those of `show`.
+    """
     recording = new_recording(scene)
     try:
         with safe_path():  # the viewer must not import modules from the current folder

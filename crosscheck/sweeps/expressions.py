@@ -79,7 +79,8 @@ DIMENSIONS = {
 QUANTITY_OUTPUTS = {name: quantity.output for name, quantity in QUANTITIES.items()} | dict.fromkeys(
     COORDINATES, "velocities"
 )
-"""Output of a scene that each quantity needs; None for quantities that every run has."""
+"""Optional output of a scene that each quantity needs; None for quantities that every run has. The velocities
+are needed for the rates of joint coordinates, and to count the revolutions of hinges between output times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +137,7 @@ class Outputs:
 
     @classmethod
     def of_batch(cls, scene: Scene, batch: Batch) -> Outputs:
-        """Return the outputs of a batch, which may have fewer outputs than the scene."""
+        """Return the outputs of a batch, which may omit optional outputs of the scene."""
         return cls(scene, batch.scene.times, batch.stacked, cache(batch.joint))
 
     @cached_property

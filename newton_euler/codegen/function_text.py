@@ -25,9 +25,11 @@ class Value(NamedTuple):
     """An LLVM operand with its type.
 
     Attributes:
-        type: LLVM type of a number or a condition; kind of a vector, a callback or a record.
+        type: LLVM type of a number or a condition; kind of a vector, a callback or a record (a dataclass that
+            is an argument).
         operand: LLVM text of the operand.
-        factors: operands of the two factors if the value is a product of doubles.
+        factors: operands of the two factors if the value is a product of doubles; a sum with the product
+            becomes a fused multiply-add.
         offset: operand of the index at which a vector begins in each lane, if it differs between lanes.
     """
 
@@ -43,7 +45,8 @@ def is_whole(value: Value) -> bool:
 
 
 def is_vector(value: Value) -> bool:
-    """Return True if the value is a Python vector (`Vector` or `Shared`), an array in memory."""
+    """Return True if the value is an array in memory: `Vector`, with elements of its own for each lane, or
+    `Shared`, the same in all lanes."""
     return value.type in ("ptr", "shared")
 
 

@@ -175,8 +175,10 @@ def solve_augmented(
 ) -> tuple[Array, Array]:
     """Solve the block system [[A, B^T], [J, 0]] (a, -lambda) = right for a (n,) and lambda (k,).
 
-    Equation (21) of `newton_euler.equations.cartesian` has this form. The rows of J are combined into
-    independent ones first, and all rows and unknowns are made dimensionless.
+    Equation (21) of `newton_euler.equations.cartesian` has this form. A holds the mass matrix, and the rows
+    that keep quaternions at norm 1. J has derivatives by quaternions, B by angular velocities instead: B^T
+    lambda gives forces and torques on the bodies. The rows of J are combined into independent ones first, and
+    all rows and unknowns are made dimensionless.
 
     Args:
         matrix: (n + k, n + k) block matrix.

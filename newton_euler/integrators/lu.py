@@ -50,10 +50,10 @@ def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
         n: number of rows and columns.
         m: size of the leading diagonal block.
         a: (n, n) matrix, column by column.
-        pivots: (n,) written: in step k, row k was exchanged with row pivots[k].
+        pivots: (n,) written: in step k, row k was exchanged with row pivots[k]; doubles, as in each `Vector`.
     """
     for k in range(n):
-        # pivot: the largest element of the column, below the diagonal block
+        # pivot: the diagonal element in the diagonal block, else the largest element from row k on
         best = k
         if k >= m:
             for i in range(k + 1, n):
@@ -111,7 +111,7 @@ def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
         a, b: (n, n) real and imaginary parts, column by column.
     """
     for k in range(n):
-        # pivot: the largest element of the column by |re| + |im|, below the diagonal block
+        # pivot: as in `factor_real`, with the size |re| + |im|
         best = k
         if k >= m:
             size = 0.0

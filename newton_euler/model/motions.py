@@ -26,8 +26,10 @@ from newton_euler.scalars import Array, Scalar
 class Sum(Function):
     """The sum of several functions of time.
 
-    Lists of numbers, such as those of `piece` and `part` (see `Function`), have the numbers of the first
-    term first.
+    The methods are those of `Function`. It groups the numbers of a function in parts: "" for those on which
+    the value depends linearly, "angular_frequency" and "phase". Lists of numbers, such as those of `piece`
+    and `part`, have the numbers of the first term first. The argument `change` of `with_part` copies an
+    object with other fields: `dataclasses.replace`, or a function that does not check the fields.
 
     Attributes:
         terms: one or more functions of time; a sum may be a term of a sum.
@@ -63,6 +65,7 @@ class Sum(Function):
 
     @property
     def constant(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Reasons, by field name, why fields of the terms cannot vary from run to run."""
         return {name: reason for term in self.terms for name, reason in term.constant.items()}
 
     @property
@@ -151,7 +154,7 @@ def on_piece(value: Any, numbers: list[Any]) -> Any:
     Args:
         value: the attribute: a function of time, or a mapping whose values may be functions of time.
         numbers: numbers of the pieces of all functions in the attribute, one after the other, see
-            `Function.piece`. They may be generic scalars.
+            `Function.piece`: floats, or symbols of the code generator.
     """
     if isinstance(value, TimeFunction):
         return value.on_piece(numbers)
@@ -186,7 +189,8 @@ class PrescribedMotion(OnCoordinate):
     coordinate: int = 0
 
     noun = "motion"
-    # The numbers of the function may vary from run to run; a change moves the pose at the start (moves_loops)
+    # The numbers of the function may vary from run to run. The constructor checks them (shape=None); a change
+    # moves the pose in which loops are closed at the start (moves_loops)
     number_fields: ClassVar = {"function": NumberField(shape=None, may_be_function=True, moves_loops=True)}
     kind_of_parameters = ".motion"  # names of parameters in studies: `hinge.motion.function`
 

@@ -3,14 +3,13 @@
 `verify` compares the scene with a `ReferenceModel` at the start, and at moving states with closed loops near
 the start and far from it. Springs are deflected and actuators act. The checks are, in this order:
 
-1. mass properties of each body;
+1. mass properties of each body, and the mass matrix with open loops, at random configurations;
 2. the start: loop closure, pose and velocities nearest to the file's;
-3. the mass matrix with open loops, at random configurations;
-4. joints, gears and motions: the scene's joints at motions of the file, and the file's constraints at motions
+3. joints, gears and motions: the scene's joints at motions of the file, and the file's constraints at motions
    that the scene leaves free;
-5. gravity, springs, dampers, actuators and armatures separately, in independent velocities, and forces with
+4. gravity, springs, dampers, actuators and armatures separately, in independent velocities, and forces with
    limits. A difference is attributed to the element of the file whose force alone explains it best;
-6. the equations of motion: poses, energies and accelerations.
+5. the equations of motion: poses, energies and accelerations.
 
 A difference of two sums is divided by the largest sum of the magnitudes of the terms at any state. Tolerances
 are round-off (`READING_ROUND_OFF`, 1e-12) times the condition number of the constraints. Tolerances of
@@ -76,7 +75,7 @@ def verify(reference: ReferenceModel, system: System) -> Iterator[ReadingCheck]:
         return
     try:
         with np.errstate(all="ignore"):  # a check reports numbers that overflow
-            placed = ScenePlacement(reference, system)
+            placed = ScenePlacement(reference, system)  # the scene's bodies at the poses of the reference
         for check_group in CHECK_GROUPS:
             with np.errstate(all="ignore"):
                 found = list(check_group(placed))
@@ -100,7 +99,7 @@ def verify_report(report: ImportReport) -> str:
     for reference, scene in report.references:
         for check in verify(reference, Relative(scene)):
             if not check.agrees:
-                raise VerificationError(*check)
+                raise VerificationError(check.quantity, check.value, check.tolerance, check.where)
             found.append(check)
     # Precision: the largest tolerance of motions at the informative states, whose tolerances are small enough
     # to show mistakes

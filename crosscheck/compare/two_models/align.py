@@ -4,7 +4,7 @@ In: two scenes, for example from an MJCF and a URDF of one robot. Out: `Aligned`
 joint coordinates, and the second model with the bodies (order, names, frames) of the first one.
 
 Bodies that are connected by `fixed` joints are merged first, since files differ in how they split a rigid
-body.
+body. The origin of a body frame is the body's center of mass.
 """
 
 from __future__ import annotations
@@ -92,6 +92,7 @@ class Aligned:
         """Return True if a joint of the first model and its partner allow the same motions."""
         one, two = self.joint_pair(name)
         kinds = [sorted(motion.kind for motion in joint.motions) for joint in (one, two)]
+        # a rod (`only_closes`) has no hinges, slides or balls, but is not rigid
         return kinds[0] == kinds[1] and one.only_closes == two.only_closes
 
     def of_first(self, key: Key) -> Partner:
@@ -125,7 +126,7 @@ class Aligned:
         }
 
     def in_second(self, state: State) -> State:
-        """Return a state of the first model with joint angles as the second model counts them.
+        """Return a state of the first model with the second model's joint angles, full revolutions included.
 
         Only angles that forces or couplings of the second model depend on are included.
         """
@@ -438,7 +439,7 @@ def _centers_at_joints(first: Mechanism, second: Mechanism, joints: Mapping[str,
     """Compute centers of mass of the second mechanism relative to those of the first, if joints coincide.
 
     Body frames of both mechanisms are taken as equal, and restated so that the first paired joint of each
-    body is at the same point.
+    body is at the same point. A joint has a `point` on its first body, and a `reaction_point` on its second.
 
     Returns:
         (b, 3) positions in the body frames, m; 0 for a body without paired joint.
