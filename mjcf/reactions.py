@@ -23,8 +23,8 @@ class Reactions:
 
     The reaction of a joint in the tree of bodies is `cfrc_int` of the joint's child minus the joint's drives.
     The reaction of a ball or rod (a link of constant length) that closes a loop follows from the multipliers
-    of its equality. At other joints that close a loop, a body is cut into halves; the weld that joins the
-    halves belongs to no joint of the mechanism.
+    of its equality. At other joints that close a loop, a body is cut into halves, which a weld joins. The
+    welded mechanism has the joints of the scene's mechanism, and then these welds.
     """
 
     def __init__(self, compiled: MujocoScene) -> None:
@@ -45,8 +45,8 @@ class Reactions:
         self._children = np.array([compiled.body_id[each.child] for each in tree_joints], dtype=int)
         second_bodies = [mechanism.equations[joint].second for joint in self._tree_joints]
         self._second_ids = np.array([compiled.body_id[body] for body in second_bodies], dtype=int)
-        # joint points in the frames of the second bodies; MuJoCo's world body has its origin at 0, not at the
-        # ground's center of mass
+        # joint points from the centers of mass of the second bodies, in body frames; MuJoCo's world body has
+        # its origin at 0, not at the ground's center of mass
         arms = [
             mechanism.reaction_arms[joint] if body else mechanism.joints[joint].reaction_point
             for joint, body in zip(self._tree_joints, second_bodies, strict=True)
@@ -97,6 +97,7 @@ class Reactions:
         arms = data.subtree_com[model.body_rootid[self._children]] - points
         forces[self._tree_joints] = self._signs * (force - drives[:, :3])
         torques[self._tree_joints] = self._signs * (torque + np.cross(arms, force) - drives[:, 3:])
+        # without the welds
         return forces[: self._joint_count], torques[: self._joint_count]
 
     def _joint_points(self) -> Array:
@@ -111,7 +112,7 @@ class Reactions:
         Wrenches are about the joint point, in the world frame. By newton_euler's definition of reactions, the
         drive of one of several hinges or slides does no work on the others: its torque or force is along a
         dual axis d_k, with d_k . a_m = 0 for the axes a_m of the others and d_k . a_k = 1. The force on a
-        slide has no torque about the joint point, where all hinges meet.
+        slide acts at the joint point; a torque cancels its work on hinges whose axes miss this point.
 
         Args:
             points: (k, 3) points of the tree joints, m, world frame.
@@ -123,6 +124,7 @@ class Reactions:
         forces = -model.jnt_stiffness * stretch - model.dof_damping[v_index] * data.qvel[v_index]
         # inertia forces of the rotors (armatures)
         forces -= model.dof_armature[v_index] * data.qacc[v_index]
+        # actuators of control laws come first; later ones apply external wrenches and wind, no drives
         count = self._law_count
         np.add.at(forces, model.actuator_trnid[:count, 0], data.actuator_force[:count])
         # balls

@@ -195,16 +195,17 @@ def _run_library(engines: list[str] | None, output: Path | None) -> int:
     from crosscheck.cli.run_all import outcome_lines, outcomes_table, run_all
     from crosscheck.engines.engine import ENGINES
     from crosscheck.library import SCENES
-    from crosscheck.report.output import check_own
+    from crosscheck.report.output import check_no_other_results
 
     folder = output or OUTPUT
     for name in SCENES if output is None else ():
-        check_own(folder / name, [name])
+        check_no_other_results(folder / name, [name])
     with progress_shown() as progress:
         outcomes = run_all(engines or list(ENGINES), folder, progress)
     click.echo(terminal([outcomes_table(outcomes)]), nl=False)
     for line in outcome_lines(outcomes):
         say(line)
+    # a scene is left out if an optional package that it needs is not installed
     return AGREE if all(outcome.agrees or outcome.left_out for outcome in outcomes) else DISAGREE
 
 
@@ -283,15 +284,16 @@ def _engine_comparison(asked: _Options) -> _Comparison:
     check_no_source([folder / "summary.json"], [asked.model, *(str(log.table) for log in logs.values())])
     options = with_excitation(asked.model, scene_options(asked.settings))
     # not verified here: the comparison has checks of the import, and reports all that fail
-    scene, mapping = load_scene(asked.model, options, verified=False)
-    if allowed and (mapping is None or mapping.simulation is None):
+    scene, import_report = load_scene(asked.model, options, verified=False)
+    # only a scene of a file has an import report, with the simulation of the file in its own engine
+    if allowed and (import_report is None or import_report.simulation is None):
         raise CrosscheckError(
             f"--max-error: {asked.model} has no run of its own to judge; needed: an MJCF or URDF file"
         )
 
     def compute(progress: Progress) -> ComparisonResult:
         judged = judge_logs(asked.model, scene_options(asked.settings), logs, progress)
-        found = crosscheck(scene, engines, progress, asked.model, options, mapping, asked.advice)
+        found = crosscheck(scene, engines, progress, asked.model, options, import_report, asked.advice)
         return replace(found, logs=judged).with_allowed_errors(allowed)
 
     return _Comparison(results_name(asked.model), [engine.name for engine in engines], folder, compute)
@@ -319,16 +321,16 @@ def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]
 
 def _model_comparison(models: tuple[Model, Model], output: Path | None) -> _Comparison:
     """Prepare the comparison of two models; `output` is the folder for the results, None for the default."""
-    from crosscheck.compare.two_models.compare import compare_models, together
-    from crosscheck.report.output import check_own
+    from crosscheck.compare.two_models.compare import compare_models, pair_name
+    from crosscheck.report.output import check_no_other_results
 
     def compute(progress: Progress) -> ComparisonResult:
         return compare_models(*models, progress)
 
-    name = together(models)
+    name = pair_name(models)
     folder = output or OUTPUT / name
     if output is None:
-        check_own(folder, [model.source for model in models])
+        check_no_other_results(folder, [model.source for model in models])
     return _Comparison(name, [model.name for model in models], folder, compute)
 
 

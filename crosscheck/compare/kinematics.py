@@ -21,8 +21,11 @@ from newton_euler.scalars import Array
 def kinematics_checks(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Check]:
     """Compare poses, velocities, loop-closure errors and constraint Jacobians of two engines.
 
-    Tolerances are round-off times the condition number of the constraints. A failing check is attributed to
-    the joint whose constraints are violated.
+    Tolerances are the relative error of the constraints times their condition number. This error is
+    round-off, or `redundancy` (largest singular value of nearly redundant constraints, treated as zero) if
+    that is larger; `noise` also has the round-off of coordinates far from the origin. Relative values are
+    divided by the mechanism's size (lengths) or the largest velocity. A failing check is attributed to the
+    joint whose constraints are violated, or to a body.
 
     Args:
         pair: names of the two engines.

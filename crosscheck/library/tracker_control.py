@@ -29,7 +29,8 @@ POSITION_GAIN, VELOCITY_GAIN = 400.0, 40.0
 Errors are critically damped and decay with exp(-20 t), t in s."""
 
 EFFECTIVE_MASSES = {"slide_12": 2.5, "slide_13": 0.7}
-"""Effective masses at the actuators in the initial pose, by joint, kg.
+"""Effective masses at the actuators in the initial pose, by joint, kg: force of an actuator divided by the
+acceleration of its slider, with a constant force of the other actuator.
 
 PD controllers with gains multiplied by these masses are as fast as computed torque."""
 
@@ -52,7 +53,7 @@ def tracker_computed_torque(
     resolution: Annotated[float, Between(0.0, 0.001, "m"), DIGITAL_ONLY] = 0.0,
     force_limit: Annotated[float, Between(0.0, 1000.0, "N"), DIGITAL_ONLY] = 0.0,
     mass_error: Annotated[
-        float, Between(-0.5, 0.5, "of it"), OnlyWith("controller", "computed_torque")
+        float, Between(-0.5, 0.5, unit="of it"), OnlyWith("controller", "computed_torque")
     ] = 0.0,
 ) -> Scene:
     """Return the tracker under gravity, both sliders on smooth references, 2 s.

@@ -23,7 +23,12 @@ from newton_euler.scalars import Array, unstacked
 
 
 class BodyPose(NamedTuple):
-    """Poses of a body at n times: center of mass (n, 3), m, and orientation (n, 4); None if unknown."""
+    """Poses of a body, or of a logged frame on a body, at n times; None if unknown.
+
+    Attributes:
+        position: (n, 3) m, center of mass of the body, or logged point of the frame.
+        quaternion: (n, 4) orientation, (w, x, y, z).
+    """
 
     position: Array | None
     quaternion: Array | None
@@ -49,8 +54,9 @@ class Sample(NamedTuple):
     Attributes:
         rows: number n of times.
         coordinates: joint coordinates (n,) of the scene.
-        frames: positions (n, 3) and quaternions (n, 4) of body frames.
-        points: points of the bodies that the names of columns state, by name of the frame.
+        frames: logged poses, by name of the frame.
+        points: logged point of each frame, by its name: "center" of mass of the body or origin of the
+            "frame"; "" if the names of the columns do not state a point.
     """
 
     rows: int
@@ -89,7 +95,7 @@ def body_poses(elements: Elements, sample: Sample, default: Origin) -> Poses:
     Args:
         elements: names of the scene and of the model file.
         sample: logged quantities.
-        default: point of positions whose columns do not state a point.
+        default: point of positions whose columns do not state a point, "center" or "frame".
     """
     mechanism, count = elements.mechanism, sample.rows
     ground = mechanism.bodies[0]
@@ -98,7 +104,9 @@ def body_poses(elements: Elements, sample: Sample, default: Origin) -> Poses:
             np.broadcast_to(ground.center_of_mass, (count, 3)), np.broadcast_to(ground.quaternion, (count, 4))
         )
     }
-    # logged poses of frames
+    # logged poses of frames; `frame.point` and `frame.quaternion` are the fixed pose of a frame relative to
+    # the body's center of mass and body frame. A frame with another name than the body belongs to a link that
+    # is a part of the body, so that the link's center of mass is another one
     for name, logged in sample.frames.items():
         frame = elements.frames[name]
         body = mechanism.body_index(frame.body)
@@ -133,6 +141,7 @@ def _pass_on(mechanism: Mechanism, joint: Joint, sample: Sample, poses: Poses) -
     kinds = {motion.kind for motion in joint.motions}
     if ends[0].is_complete == ends[1].is_complete or len(keys) != len(joint.motions) or "ball" in kinds:
         return ends[0].is_complete and ends[1].is_complete
+    # coordinates and constraint equations together must determine the relative pose
     if len(keys) + _constraint_count(mechanism, joint) != 6 or not set(keys) <= sample.coordinates.keys():
         return False
     way, turn = _relative_pose(mechanism, joint, [sample.coordinates[key] for key in keys], sample.rows)
@@ -177,6 +186,8 @@ def _relative_pose(
         second body since the initial pose. In both, the first body has its initial orientation.
     """
     centers = [mechanism.body(name).center_of_mass for name in (joint.first, joint.second)]
+    # Zero coordinates close the `point_gap` that a variation of the joint has between its points on the two
+    # bodies at the initial pose
     here = joint.motion_points[0] if joint.motions else joint.reaction_point
     way = np.tile(here - joint.point_gap - centers[0], (count, 1))
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))

@@ -98,7 +98,7 @@ class _Candidate:
 
     Attributes:
         evaluations: evaluations per second of motion.
-        kind: number of the kind of settings: integrator, softness or gains, and solver.
+        kind: index of the kind of settings: integrator, solver, and softness or gains of loop closures.
         steps: number of time steps between two outputs.
         settings: the settings.
     """
@@ -143,15 +143,16 @@ def tune(
         return Tried(*compared.measured(settings, run), run.stopped, evaluations)
 
     own = tried(simulation.settings)
-    numbers = list(_numbers_of_steps(compared.every))
-    kinds = list(simulation.alternatives(1))
+    steps_of_file = compared.every  # number of the file's time steps between two outputs
+    numbers = list(_numbers_of_steps(steps_of_file))
+    kinds = list(simulation.alternatives(divisor=1))  # with the file's time step
 
     def candidate(kind: int, least: float) -> _Candidate | None:
         """Return settings of a kind with `least` or more steps between outputs; None if there are none."""
         number = next((number for number in numbers if number >= least), None)
         if number is None:
             return None
-        settings = simulation.at_divisor(kinds[kind], number / compared.every)
+        settings = simulation.at_divisor(kinds[kind], divisor=number / steps_of_file)
         return _Candidate(simulation.evaluations(settings), kind, number, settings)
 
     # each kind of settings has one candidate at a time: its longest step that can still reach the target

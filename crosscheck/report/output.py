@@ -138,7 +138,7 @@ def usual_folder(parent: Path, source: str, results: str) -> Path:
         CrosscheckError: if the folder has results of another model.
     """
     folder = parent / results_name(source)
-    check_own(folder, [source], results)
+    check_no_other_results(folder, [source], results)
     return folder
 
 
@@ -147,7 +147,7 @@ def record(source: str, options: Mapping[str, str]) -> bytes:
     return (json.dumps({"source": source, "options": dict(options)}, indent=1) + "\n").encode()
 
 
-def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck") -> None:
+def check_no_other_results(folder: Path, sources: Sequence[str], results: str = "crosscheck") -> None:
     """Raise `CrosscheckError` if a folder has results of other models, or runs without a record of the model.
 
     Args:

@@ -59,8 +59,10 @@ STORE_ID = "tasks"
 tasks thereby does not write into a later store at the same path, or into a store to which runs were added."""
 
 NOT_COMPARED = ("chunk", "versions", "numbers", STORE_ID)
-"""Attributes of a store that may differ from those of the plan. The attributes `samples` and `fingerprint`,
-which are compared, change whenever package versions or the scene's numbers change the runs."""
+"""Attributes of a store that may differ from those of the plan; `numbers` are the numbers of the scene.
+
+The attributes `samples` and `fingerprint`, hashes of the varied parameters' values and of the scene, are
+compared. They change whenever package versions or the scene's numbers change the runs."""
 
 CHOOSE_ANOTHER_FOLDER = "name another folder (--output), or remove this one"
 
@@ -393,13 +395,13 @@ def _difference(stored: Mapping[str, Any], record: Mapping[str, Any]) -> str:
     compared_later = {*record} - {*CONDITION_DIFFERENCES} | {"samples"}
     for name in sorted(_changed(stored, record), key=compared_later.__contains__):
         if name in CONDITION_DIFFERENCES:
-            return CONDITION_DIFFERENCES[name].rstrip(",")
+            return CONDITION_DIFFERENCES[name].rstrip(",")  # the texts are also used within a sentence
         if name == "fingerprint":
             old, new = (json.loads(each.get("numbers", "{}")) for each in (stored, record))
             changes = [_change(number, old, new) for number in _changed(old, new)]
             return f"another scene: {next(iter(changes), 'its start or structure differs')}"
         if name not in NOT_COMPARED:
-            # names of distributions are "vary PARAMETER"
+            # attributes with distributions are named "vary PARAMETER"; reasons are found by the word "vary"
             why = NOT_EXTENSIBLE_REASONS.get((record["sampling"], name.partition(" ")[0]), "")
             return f"another plan: {_change(name, stored, record)}{why}"
     return ""
@@ -463,7 +465,7 @@ def interruptible(path: Path) -> Iterator[None]:
 
 
 def check_finished(folder: Path) -> None:
-    """Raise `CrosscheckError` for a folder with an unfinished sweep: a store, but no JSON file."""
+    """Raise `CrosscheckError` for an unfinished sweep: a folder with a store, but without results (JSON)."""
     if (folder / STORE_NAME).is_dir() and not any(folder.glob("*.json")):
         stored = Store.checked(folder / STORE_NAME).progress()
         raise CrosscheckError(f"{folder} holds an unfinished sweep, {stored}; {REPEAT_COMMAND}")

@@ -24,22 +24,22 @@ class DrivenMechanism(NamedTuple):
 
     Attributes:
         scene: the scene; the driving motions are the last ones of its prescribed motions.
-        functions: for each driven joint coordinate, by key (joint, number), the parameter name of the
-            function of time that drives the coordinate (`newton_euler.equations.parameters`).
+        function_names: for each driven joint coordinate, by key (joint, index of the coordinate), the
+            parameter name of its function of time, such as `motions[0].function`.
     """
 
     scene: Scene
-    functions: Mapping[Key, str]
+    function_names: Mapping[Key, str]
 
     def rows(self, system: Formulation) -> range:
-        """Return the indices of the driving constraints in the residuals `phi`, in the order of `functions`.
+        """Return the indices of the driving constraints in the residuals `phi`, ordered as `function_names`.
 
         Args:
             system: equations of `scene`.
         """
-        # rows of joints, then of couplings, which begin with the prescribed motions
+        # rows of joints, then one row per coupling: prescribed motions first, then screws and gears
         end = system.rows - len(system.couplings) + len(self.scene.motions)
-        return range(end - len(self.functions), end)
+        return range(end - len(self.function_names), end)
 
 
 def driven(
@@ -52,8 +52,8 @@ def driven(
 
     Args:
         scene: the mechanism; its control laws and forces are removed.
-        functions: function of time for each driven coordinate, by key (joint, number), m or rad from the
-            initial pose.
+        functions: function of time for each driven coordinate, by key (joint, index of the coordinate), m or
+            rad from the initial pose.
         motions: prescribed motions of other coordinates; those of the scene if None.
         changes: new values of other fields of the scene, such as `initial_state`.
     """

@@ -68,7 +68,8 @@ class Compound(Joint):
     offsets: DefaultArrayField = field(default=None, kw_only=True)  # type: ignore[assignment]
     ball: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "compound"
-    # "axis" declares each axis, whose parameters are named "axis", "1.axis", "2.axis", ... (see `variables`)
+    # "axis" declares each axis, whose parameters are named "axis", "1.axis", "2.axis", ... (see `variables`).
+    # `allowed`: the constructor checks new values; `moves_loops`: they move the poses in which loops close
     number_fields: ClassVar = Joint.number_fields | {
         "axis": NumberField(shape=None, allowed="constructor", moves_loops=True),
         "offsets": NumberField("m", shape=None, moves_loops=True),
@@ -146,7 +147,8 @@ class Compound(Joint):
         changed = super().varied({name: value for name, value in values.items() if name in POINTS})
 
         # Shift of the second body's point. The slides keep their displacements at the initial pose along new
-        # axes, and new offsets move the axis of the last hinge
+        # axes, and new offsets move the axis of the last hinge. `span` leads from the first body's point to
+        # the second body's point where the coordinates are zero
         shift = np.zeros(3)
         if slides:
             new_slides = np.array(slides)
@@ -168,8 +170,9 @@ class Compound(Joint):
             if name.endswith("axis"):
                 unit_vector(self.name, name, axis)  # raises an error for an invalid axis
         changed = self.varied(values)
-        # The angle of the second of three hinges jumps where the three axes change their handedness
-        if _is_right_handed(changed.hinges) != _is_right_handed(self.described.hinges):
+        # The angle of the second of three hinges jumps where its axis passes through the plane of the others.
+        # `described` is the joint as the user gave it, before any `varied`
+        if _is_on_positive_side(changed.hinges) != _is_on_positive_side(self.described.hinges):
             problem = f"hinges are {changed.hinges.tolist()}, where the angle of the second one jumps"
             raise MechanismError(f"joint {quoted(self.name)}", problem, "axes nearer to the described ones")
         fields: dict[str, Any] = {name: getattr(changed, name) for name in ("slides", "hinges", "offsets")}
@@ -188,7 +191,8 @@ class Compound(Joint):
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
-        # The axis of the last hinge passes through the second body's point; offsets lead to those before it
+        # The axis of the last hinge passes through `reaction_point`, the second body's point; offsets lead to
+        # the axes before it
         last = self.reaction_point
         on_hinges = [last - self.offsets[k:].sum(axis=0) for k in range(len(self.hinges))]
         on_slides = [on_hinges[0] if on_hinges else last] * len(self.slides)
@@ -296,12 +300,13 @@ class Compound(Joint):
             cosines=cosines,
             sine=_scalar(b @ cross(a, c)),
             cosine=_scalar(a @ c) - cosines[0] * cosines[1],
-            side=1.0 if _is_right_handed(self.described.hinges) else -1.0,
+            side=1.0 if _is_on_positive_side(self.described.hinges) else -1.0,
         )
 
 
-def _is_right_handed(hinges: Array) -> bool:
-    """Return True if three hinge axes a, b, c (3, 3) have b . (a x c) >= 0; True for fewer axes."""
+def _is_on_positive_side(hinges: Array) -> bool:
+    """Return True if b . (a x c) >= 0 for three hinge axes a, b, c (3, 3), so that b is on the side of a x c
+    of the plane of a and c; True for fewer axes."""
     if len(hinges) < 3:
         return True
     a, b, c = hinges

@@ -5,8 +5,10 @@ own parser (MuJoCo or Pinocchio) with that model's coordinates q and velocities 
 configurations with closed loops (`samples`), and the motions that the constraints leave free in these
 configurations. It uses the imported scene only for the initial poses of its bodies.
 
-The constraints are the loops and couplings of the file; J is their Jacobian. Lengths are divided by the size
-of the mechanism, and their unit is then called "sizes".
+The constraints are the loops and couplings of the file; J is their Jacobian with respect to dimensionless
+velocities. Lengths are divided by the size of the mechanism, and their unit is then called "sizes". A small
+singular value of J is *in doubt* if it may be due to rounded digits in the file: the constraints may or may
+not hold the motion that belongs to it.
 """
 
 from __future__ import annotations
@@ -168,7 +170,7 @@ class ReferenceModel(ABC):
         A mistake in the import of an element changes its forces in one of a few ways. The element has a list
         of forces for each way. A spring, for example, has two: with the rest length of the file, and with
         another rest length. A list has an array (4, nv) for each sample, with a row for each of the
-        `FORCE_KINDS` (gravity, springs, dampers, actuators).
+        `newton_euler.reading.quantities.FORCE_KINDS` (gravity, springs, dampers, actuators).
         """
 
     @abstractmethod
@@ -283,7 +285,8 @@ class ReferenceModel(ABC):
         for amplitude in SAMPLE_AMPLITUDES:
             tried = (self._displaced(amplitude * 0.7**attempt, rng) for attempt in range(MAX_SAMPLE_TRIES))
             found += self._first_closed(tried, start, rng)
-        # If loops closed nowhere, displace the start a little along its free motions
+        # If loops closed nowhere, displace the start a little along its free motions: columns of `basis`
+        # (nv, d), one for each of the d independent velocities
         if len(found) == 1 and len(start.freedom.independent):
             basis, scale = start.freedom.basis, self.units[start.freedom.independent]
             steps = (basis @ (scale * rng.uniform(-1.0, 1.0, len(scale))) for _ in NEARBY_AMPLITUDES)

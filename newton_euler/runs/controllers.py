@@ -199,7 +199,7 @@ class Encoders:
         self._x = code.packed(*code.system.coordinates(initial_state(scene)))
         # parameters of the code: the current polynomial piece of each spline, at index `_places` of x, and of
         # prescribed motions
-        names = {key: name + PIECE for key, name in mechanism.functions.items()}
+        names = {key: name + PIECE for key, name in mechanism.function_names.items()}
         self._places = {key: code.place(name) for key, name in names.items()}
         self._others = [name for name in code.parameters if name not in names.values()]
 

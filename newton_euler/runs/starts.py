@@ -119,7 +119,7 @@ class Assembly:
     def code(self) -> CompiledEquations:
         """Compiled constraints of the driven mechanism, with the parameters as inputs."""
         scene = self._driven.scene
-        parameters = (*self._unique_names.values(), *self._driven.functions.values())
+        parameters = (*self._unique_names.values(), *self._driven.function_names.values())
         code = CompiledEquations(scene, "relative", parameters=parameters)
         if not self._is_overdetermined(code):
             return code
@@ -213,7 +213,7 @@ class Assembly:
         states = [self._with_all_angles(state) for state in states]
         x[:, : code.size] = coordinates_of(code.system, states)
         for row, state in zip(x, states, strict=True):
-            for key, name in self._driven.functions.items():
+            for key, name in self._driven.function_names.items():
                 row[code.place(name) :][:2] = self._linear_function(state, key).coefficients
         return x
 
@@ -239,7 +239,7 @@ class Assembly:
         self._set_pieces(targets)
         # initial coordinates (order 0) and rates (order 1): coefficients of the driving linear functions
         for name, (key, order) in self.initial.items():
-            column = self.code.place(self._driven.functions[key]) + order
+            column = self.code.place(self._driven.function_names[key]) + order
             targets[:, column] = values[name]
             if order == 0 and key in self._free_angles:  # without full revolutions, which have no effect
                 targets[:, column] -= whole_revolutions(values[name] - begins[:, column])
@@ -257,7 +257,8 @@ class Assembly:
         for name, (key, order) in self.initial.items():
             if order == 0 and key in self._free_angles:
                 # the angle itself, and the function that drives the angle
-                angle, function = self.code.system.angles[key], self.code.place(self._driven.functions[key])
+                angle = self.code.system.angles[key]
+                function = self.code.place(self._driven.function_names[key])
                 turned = whole_revolutions(values[name] - x[:, angle])
                 x[:, angle] += turned
                 x[:, function] += turned
@@ -290,7 +291,7 @@ class Assembly:
         for name, place in places(code.scene, self._unique_names.values()).items():
             count = max(1, math.prod(code.parameters[name]))
             units[code.place(name) :][:count] = size if place.field.unit == "m" else 1.0
-        for key, name in self._driven.functions.items():
+        for key, name in self._driven.function_names.items():
             units[code.place(name)] = size if self.scene.mechanism.is_slide(*key) else 1.0
             units[code.place(name) + 1] = np.inf  # a change of a rate does not move the configuration
         longest = np.max(np.abs(targets - begins) / units, axis=1)

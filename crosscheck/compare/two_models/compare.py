@@ -141,7 +141,7 @@ class TwoModelComparison(ComparisonResult):
         return super().summary() | {"models": models}
 
 
-def together(models: tuple[Model, Model]) -> str:
+def pair_name(models: tuple[Model, Model]) -> str:
     """Return the name of a pair of models for files: "a_against_b"."""
     return "_against_".join(model.name for model in models)[:100]
 
@@ -186,7 +186,7 @@ def compare_models(first: Model, second: Model, progress: Progress) -> TwoModelC
         notes.insert(0, f"{NOT_COMPLETED}: {stops_text(stops)}")
     others = tuple(unsimulated(first, second, aligned))
     scene = replace(
-        aligned.first, name=together((first, second)), description="newton_euler's equations of each"
+        aligned.first, name=pair_name((first, second)), description="newton_euler's equations of each"
     )
     return TwoModelComparison(
         source=first.source,

@@ -2,7 +2,8 @@
 
 A function such as `mass("rod", 1e-3)` does not change a scene. It returns an `Injection`: a function that
 takes a scene and returns the scene with the fault. Vectors of bodies and joints are in the world frame at the
-initial pose, except where a body frame is mentioned.
+initial pose, except where a body frame is mentioned. A joint has a `point` on its first body and
+`point_on_second`, also called `reaction_point`, on its second body.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def mass(body: str, size: float) -> Injection:
 
 
 def center_of_mass(body: str, shift: Array) -> Injection:
-    """Shift the center of mass of a body by `shift` (3,), m, in the body frame."""
+    """Shift the center of mass of a body by `shift` (3,), m."""
     return change_bodies({body: lambda b: {"center_of_mass": b.center_of_mass + shift}})
 
 

@@ -1,6 +1,6 @@
 """Linear-quadratic regulators: feedback of all independent coordinates from the linear model of a scene.
 
-A key (joint, number) names a joint coordinate.
+A key (joint, k) names coordinate k of a joint, from 0.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ def lqr(
     actuators: Sequence[str | Key] | None = None,
     targets: Mapping[str | Key, float | TimeFunction] | None = None,
 ) -> tuple[StateFeedback, ...]:
-    """Design control laws u = u_0 - K (x - r) that minimize the integral of x^T Q x + u^T R u about a state.
+    """Design control laws u = u_0 - K (x - r) that are optimal for small motions about a state at rest.
 
-    K = R^-1 B^T P with the solution P of A^T P + P A - P B R^-1 B^T P + Q = 0. A and B belong to the linear
-    model about the state (`linearize`). x are deviations of independent coordinates and of their rates, and
-    u_0 are the forces that hold the mechanism at the state (`statics`).
+    x are independent coordinates, then their rates. u_0 are the forces that hold the mechanism at the state
+    (`statics`). Let e and f be the deviations of x and u from their values at the state. K minimizes the
+    integral of e^T Q e + f^T R f for the linear model de/dt = A e + B f about the state (`linearize`):
+    K = R^-1 B^T P with the solution P of A^T P + P A - P B R^-1 B^T P + Q = 0.
 
     Args:
         scene: the mechanism with its forces; its control laws are left out.
@@ -107,7 +108,8 @@ def lqr(
             key: (float(p_gain), float(d_gain)) for key, p_gain, d_gain in zip(keys, k_p, k_d, strict=True)
         }
         others: dict[str | Key, float | TimeFunction] = dict(references)
-        target = others.pop((joint, k), 0.0)  # the actuator may move another coordinate than those of x
+        # a driven coordinate outside x has no gain, so that its target has no effect
+        target = others.pop((joint, k), 0.0)
         law = StateFeedback(joint, law_gains, target, coordinate=k, feedforward=float(force), targets=others)
         feedback.append(law)
     return tuple(feedback)
