@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from crosscheck.engines.engine import native_method
+from crosscheck.engines.engine import native_options
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
@@ -40,13 +40,13 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
         mapping: import report: how each element of the file was imported.
         run: run of the scene, with velocities.
     """
-    report = mapping.after(SampledMotion(scene, run))
+    report = mapping.after(SampledMotion(scene, run))  # judged for the motion of the run
     for factor in CLOSER_OUTPUTS:
         if not report.unsettled:  # elements for which the outputs are too far apart
             break
         closer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset({"velocities"}))
         try:
-            finer = simulate(closer, **native_method(closer, refined=False))
+            finer = simulate(closer, **native_options(closer, refined=False))
         except StoppedError as error:
             if error.partial is None or len(error.partial.time) < len(run.time):
                 break
@@ -57,13 +57,13 @@ def watched(scene: Scene, mapping: ImportReport, run: Trajectory) -> ImportRepor
     return report
 
 
-def watched_in_own_run(scene: Scene, mapping: ImportReport) -> ImportReport:
-    """Simulate a scene in newton_euler and return the import report of `watched` for this run.
+def watched_in_new_run(scene: Scene, mapping: ImportReport) -> ImportReport:
+    """Simulate a scene in newton_euler and return the import report of `watched` for the new run.
 
     Without a run, all elements that can act count as acting from the start.
     """
     try:
-        run = simulate(scene, **native_method(scene, refined=False))
+        run = simulate(scene, **native_options(scene, refined=False))
     except StoppedError as error:
         if error.partial is None:
             return mapping.unwatched()

@@ -127,7 +127,7 @@ class Engine:
     refined_in_full: Callable[[Scene], Trajectory] | None = None
 
 
-def native_method(scene: Scene, refined: bool) -> dict[str, Any]:
+def native_options(scene: Scene, refined: bool) -> dict[str, Any]:
     """Choose the options of `newton_euler.simulate` for a scene: integrator, tolerances and number of steps.
 
     Args:
@@ -138,8 +138,8 @@ def native_method(scene: Scene, refined: bool) -> dict[str, Any]:
     return {"most_steps": NATIVE_MAX_STEPS} | (_radau(refined) if is_stiff else _dop853(refined))
 
 
-def python_methods(scene: Scene, refined: bool) -> list[dict[str, Any]]:
-    """Choose the same options as `native_method` for runs whose equations are evaluated in Python.
+def python_options(scene: Scene, refined: bool) -> list[dict[str, Any]]:
+    """Choose the same options as `native_options` for runs whose equations are evaluated in Python.
 
     Returns:
         Options to try in order: later ones if a run with the earlier ones stops.
@@ -179,7 +179,7 @@ def native_run(scene: Scene) -> Trajectory:
     """Simulate a scene in newton_euler with default settings; the last run is cached for other uses."""
     from newton_euler import simulate
 
-    return simulate(scene, **native_method(scene, refined=False))
+    return simulate(scene, **native_options(scene, refined=False))
 
 
 @lru_cache(maxsize=1)
@@ -187,7 +187,7 @@ def native_refined(scene: Scene) -> Trajectory:
     """Simulate a scene in newton_euler at refined tolerances; the last run is cached."""
     from newton_euler import simulate
 
-    return simulate(scene, **native_method(scene, refined=True))
+    return simulate(scene, **native_options(scene, refined=True))
 
 
 def _newton_euler_exact(scene: Scene) -> Trajectory:
@@ -333,7 +333,7 @@ def _mujoco_soft(scene: Scene) -> Evaluation:
 
 def _pinocchio_run(scene: Scene) -> Trajectory:
     """Simulate a scene in Pinocchio with default settings."""
-    return _pinocchio(scene, python_methods(scene, refined=False))
+    return _pinocchio(scene, python_options(scene, refined=False))
 
 
 def _pinocchio(scene: Scene, methods: Sequence[dict[str, Any]]) -> Trajectory:
@@ -348,7 +348,7 @@ def _pinocchio(scene: Scene, methods: Sequence[dict[str, Any]]) -> Trajectory:
 
 def _pinocchio_refined(scene: Scene, in_full: bool = False) -> Trajectory:
     """Simulate a scene in Pinocchio at refined tolerances, or at looser ones if that run stops."""
-    methods = python_methods(scene, refined=True)
+    methods = python_options(scene, refined=True)
     looser = {name: LOOSER_TOLERANCE_FACTOR * methods[-1][name] for name in ("rtol", "atol")}
     return _pinocchio(scene if in_full else _without_forces(scene), [*methods, methods[-1] | looser])
 

@@ -100,7 +100,8 @@ class Target(NamedTuple):
         kind: "time", "coordinate", "rate", "force", "input", or a key of `COMPONENTS_OF`.
         element: name of the joint, body or actuator; "" for the time.
         component: index of the component of a vector or quaternion.
-        point: point of the body that the name of the column states, see `LogOptions.position`.
+        point: point of the body that the name of the column states; "" if the name states none, so that
+            `LogOptions.position` decides.
     """
 
     kind: str
@@ -144,7 +145,7 @@ class Elements:
             self.coordinates[label] = key, 0.0
         self.frames: dict[str, FileFrame] = {
             name: FileFrame(name, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-            for name in mechanism.body_names[1:]
+            for name in mechanism.body_names[1:]  # without the ground
         }
         self.inputs: tuple[str, ...] = ()
         if names is not None:
@@ -198,7 +199,8 @@ def stated(text: str, name: str, elements: Elements) -> FoundColumn | None:
 
     Args:
         text: kind, element and component, separated by dots, with an optional unit in brackets.
-        name: name of the column that has the quantity.
+        name: name of the column that has the quantity: `text` itself, unless the user assigns the text to
+            the column.
         elements: names of joints, bodies and actuators.
     """
     core, unit, _ = split_unit(text, words=False)
@@ -213,7 +215,7 @@ def stated(text: str, name: str, elements: Elements) -> FoundColumn | None:
         return FoundColumn(name, Target(kind, rest), unit, 0)
     element, _, letter = rest.rpartition(".")
     if kind in COMPONENTS_OF and element in elements.frames and letter and letter in COMPONENTS_OF[kind]:
-        # as in tables of trajectories, positions are those of centers of mass
+        # columns named as in tables of trajectories have centers of mass; a text of the user states no point
         point: Origin = "center" if kind == "position" and text == name else ""
         return FoundColumn(name, Target(kind, element, COMPONENTS_OF[kind].index(letter), point), unit, 0)
     return None

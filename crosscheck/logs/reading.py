@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.engines.engine import native_method
+from crosscheck.engines.engine import native_options
 from crosscheck.logs.columns import LogData, read_columns
 from crosscheck.logs.inputs import started_at, with_inputs
 from crosscheck.logs.names import Elements, Origin
@@ -237,7 +237,7 @@ def _output_period(times: Array) -> float:
 def _reference(scene: Scene) -> Trajectory:
     """Simulate the reference at default tolerances; a run that stops early counts up to its end."""
     try:
-        return simulate(scene, **native_method(scene, refined=False))
+        return simulate(scene, **native_options(scene, refined=False))
     except StoppedError as error:
         if error.partial is None or len(error.partial.time) < 3:
             raise

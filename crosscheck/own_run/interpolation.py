@@ -18,7 +18,12 @@ SAME_TIME = 1e-5
 def interpolated(run: Trajectory, times: Array) -> Trajectory:
     """Return a run with velocities at other times, s, by cubic polynomials of poses and their rates.
 
-    Times within `SAME_TIME` of an output take the numbers of the output.
+    Energies and velocities are interpolated linearly; work and joint angles are left out. If all times are
+    output times within `SAME_TIME`, the result has the numbers of these outputs instead.
+
+    Args:
+        run: a run from 0 s with evenly spaced outputs.
+        times: (n,) within the run.
     """
     last = len(run.time) - 1
     spacing = float(run.time[1] - run.time[0])
@@ -60,7 +65,7 @@ def quaternion_rates(quaternion: Array, omega: Array) -> Array:
 
 
 def at_outputs(run: Trajectory, outputs: Array) -> Trajectory:
-    """Return a run at chosen outputs."""
+    """Return a run at the outputs of these indices; arrays of names stay unchanged."""
     chosen: dict[str, Any] = {
         name: values[outputs] for name, values in run.arrays().items() if values.dtype.kind == "f"
     }

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.compare.activity import acted, watched_in_own_run, what_acted
+from crosscheck.compare.activity import acted, watched_in_new_run, what_acted
 from crosscheck.compare.check import Check
 from crosscheck.compare.outcome import Outcome
 from crosscheck.regress.baseline import Baseline, StoredQuantity, UpdateRecord
@@ -202,7 +202,7 @@ def compare(
     start = time.perf_counter()
     measured_scene = regress_scene(scene)  # with the outputs that the quantities need
     # the import report after a run, which shows the elements that act and are not simulated
-    watched = watched_in_own_run(scene, mapping) if mapping else None
+    watched = watched_in_new_run(scene, mapping) if mapping else None
     checks = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping, watched) or [])
     diverges = None
     simulation = mapping.simulation if mapping else None

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crosscheck.compare.activity import watched_in_own_run
+from crosscheck.compare.activity import watched_in_new_run
 from crosscheck.library import SCENES
 from crosscheck.library.model_files import is_model_file
 from crosscheck.library.options import titled
@@ -166,7 +166,7 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
     if MAIN_FORMULATION in left_out:
         raise CrosscheckError(f"scene {scene.name!r} cannot be measured: {left_out[MAIN_FORMULATION]}")
     # the import report after a run, which shows the elements that act and are not simulated
-    watched = watched_in_own_run(guarded.scene, mapping) if mapping else None
+    watched = watched_in_new_run(guarded.scene, mapping) if mapping else None
     return Baseline(
         scene=scene.name,
         options=guarded.options,

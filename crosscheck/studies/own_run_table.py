@@ -1,8 +1,9 @@
 """Table of the runs of public model files with their own settings; `crosscheck.studies.models` writes it.
 
-In: the summary that `crosscheck run` writes, with the judgement of the file's own run. Out: rows of a
-Markdown table: error, causes, and remedies (changed settings and their errors). A script repeats the judged
-run and each remedy with MuJoCo alone, and the row has these errors, too.
+In: the summary that `crosscheck run` writes. Its entry `own_run` judges the file's own run, in MuJoCo with
+the settings of the file, by the error against a reference solution of newton_euler. Out: rows of a Markdown
+table: error, causes, and remedies (changed settings and their errors). A script repeats the judged run and
+each remedy with MuJoCo alone, and the row has these errors, too.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class OwnRunResult(BaseModel):
         cause: the largest causes and their errors.
         remedies: changes of the file with their errors and run times.
         repeated: errors of the run of the file and of the remedies that MuJoCo alone finds; "" if the script
-            ended early.
+            ended early, or the summary has no start of the run.
         repeats: whether these errors are those of the judgement.
     """
 
@@ -87,10 +88,13 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
     own_run: dict[str, Any] | None = json.loads(summary.read_text(encoding="utf-8"))["own_run"]
     if own_run is None:
         return None
+    # the judged run omits contacts, limits and friction that act; the run "as it stands" has them
     stopped = own_run["stopped"] or own_run["stopped_as_it_stands"]
     error = RunError(**own_run["error"])
     remedies = [MeasuredRemedy(**each | {"error": RunError(**each["error"])}) for each in own_run["remedies"]]
     errors = [error, *(remedy.error for remedy in remedies)]
+    # all errors are given like that of the judged run, by positions or by rotations; if this run stopped,
+    # like that of the last remedy
     by_position = errors[-1].stated_by_position if own_run["stopped"] else error.stated_by_position
     repeated = _repeat(path, summary, script) if own_run["run_inputs"].get("qpos") is not None else []
     loops = LoopError(**own_run["loop_error"])
@@ -143,7 +147,7 @@ def _size(found: Mapping[str, float], by_position: bool) -> str:
 
 
 def _without(own_run: Mapping[str, Any]) -> str:
-    """Format what the judged run leaves out."""
+    """Format elements that the judged run leaves out, and the chaotic time that the comparison leaves out."""
     words = []
     if events := own_run["events"]:
         others = f" and {len(events) - 1} more" if events[1:] else ""
@@ -155,6 +159,7 @@ def _without(own_run: Mapping[str, Any]) -> str:
 
 def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
     """Format the largest causes, and the mode that is too fast for the step."""
+    # "brings_back": True if the stopped run completes without the error of this property of the settings
     causes = [(each["name"], RunError(**each["error"]), each["brings_back"]) for each in own_run["causes"]]
     if own_run["stopped"]:
         words = [name for name, _, brings_back in causes if brings_back]
@@ -162,8 +167,9 @@ def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
         largest = causes[0][1].relative_by(by_position) if causes else 0.0
         listed = [each for each in causes if each[1].relative_by(by_position) > MIN_CAUSE * largest]
         words = [f"{name} {size(error, by_position)}" for name, error, _ in listed]
-    mode = own_run["stability"]
     words = words[:MAX_CAUSES]
+    # the mode of the linearized model that limits the time step, with its rate, 1/s
+    mode = own_run["stability"]
     if mode and mode["elements"] and mode["timestep"] * mode["rate"] >= FAST_MODE:
         words.append(f"{mode['elements'][0]['name']} makes a mode of {1e3 / mode['rate']:.2g} ms")
     return "; ".join(words)

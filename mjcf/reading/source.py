@@ -6,7 +6,8 @@ runs MuJoCo's compiler with limits of time and memory, and checks the numbers of
 `copy_model` copies or compiles a model in memory, and checks its numbers.
 
 The limits are in the table of `newton_euler.limits`, such as "file_size"; users change them by `--set`.
-`exceeded(name, value)` returns a message, or "" if the value is within the limit.
+`exceeded(name, value)` returns a message, or "" if the value is within the limit. `too_small(name)` returns
+advice to raise a limit.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ READING_COPIES = 3
 """Largest number of copies of a compiled model that exist at a time during its import."""
 
 ACTUATED_READING_COPIES = 5
-"""Largest number of copies for a model with actuators, which is imported again with random controls."""
+"""Largest number of copies for a model with actuators, which is imported again with random controls to
+verify the actuators."""
 
 UNKNOWN_ERROR = "unknown exception"
 """Message of MuJoCo for an error without a reason."""
@@ -107,7 +109,8 @@ class SourceError(source_file.SourceError, MjcfError):
 
 
 KeySizes: TypeAlias = dict[int, dict[str, int]]
-"""Number of values of each field of a keyframe, by number of the keyframe in the file."""
+"""Number of values of each field of a keyframe, by number of the keyframe in the file. The import reports
+keyframes that have fewer values than the compiled model."""
 
 
 def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
@@ -262,7 +265,7 @@ def _peak_memory() -> float:
 
 def _check_counts(path: str, model: Any) -> None:
     """Raise `SourceError` if a number of elements or iterations exceeds its limit."""
-    # by name of the limit
+    # by name of the limit; `nactuator` is a name of MuJoCo 4, in which `nu` counts controls
     counts = {"bodies": model.nbody, "velocities": model.nv, "closures": model.neq, "forces": model.nactuator}
     for name, count in counts.items():
         if problem := exceeded(name, count):

@@ -1,9 +1,10 @@
 """Compile programs (pruned expression graphs) to native functions y = f(x), through LLVM, cached on disk.
 
-`NativeFunction` is the result. `NativeModule` compiles LLVM's text form by llvmlite, or loads the machine
-code from the cache. The text is written directly, because a compiler for general Python, such as Numba, takes
-about twenty times longer for long straight-line code. The cache key contains the text or what it depends on,
-the versions of all tools, and the processor.
+Programs are *traced*: Python evaluates f once with symbols, which record the operations as a graph.
+`NativeFunction` is the compiled function. `NativeModule` compiles LLVM's text form by llvmlite, or loads the
+machine code from the cache. The text is written directly, because a compiler for general Python, such as
+Numba, takes about twenty times longer for long straight-line code. The cache key contains the text or what it
+depends on, the versions of all tools, and the processor.
 
 Code can take several inputs at once, one in each *lane* (element) of the processor's vector registers.
 """
@@ -204,6 +205,7 @@ class NativeFunction:
             else:
                 body = emit_rolled(program, "f", lanes)
             description = program.inputs, len(program.outputs), lanes, program.operation_count, layout
+            # with the functions that the body calls, such as sines and cosines in lanes
             llvm_text = with_callees(body, lanes) + _constant(DESCRIPTION_NAME, json.dumps(description))
             return llvm_text, CODE_LEVEL if straight else ROLLED_CODE_LEVEL
 

@@ -50,7 +50,7 @@ def integrate(
         nonlocal evaluations, last_good
         evaluations += 1
         q, v = y[: system.nq], y[system.nq :]
-        now = at_time(system, t)
+        now = at_time(system, t)  # prescribed motions, control laws and forces may depend on the time
         try:
             rates = np.concatenate([now.rate(q, v), now.acceleration(q, v)])
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
@@ -93,7 +93,8 @@ def integrate(
 def _with_causes(system: System, time: float, y: Array, reason: str) -> str:
     """Append the fastest joint and the largest force at a state y (nq + nv,) and time, s, to a reason."""
     state = system.state(y[: system.nq], y[system.nq :])
-    return with_likely_causes(system.scene, state, reason, surroundings(system.scene, state, time))
+    force_inputs = surroundings(system.scene, state, time)  # quantities on which the forces depend
+    return with_likely_causes(system.scene, state, reason, force_inputs)
 
 
 Derivative = Callable[[float, Array], Array]
@@ -157,4 +158,4 @@ def _semi_implicit_euler(system: System, derivative: Derivative, t: float, y: Ar
     """
     q = y[: system.nq]
     v = y[system.nq :] + h * derivative(t, y)[system.nq :]
-    return np.concatenate([q + h * system.rate(q, v), v])
+    return np.concatenate([q + h * system.rate(q, v), v])  # dq/dt does not depend on the time

@@ -12,7 +12,7 @@ qdot and angular velocity omega_i = W_i qdot. Its accelerations at qddot = 0 are
     M = sum m V^T V + W^T I W
     f = sum V^T m (g - a0) - W^T (I alpha0 + omega x I omega) + applied forces
     J = Phi_r V + Phi_theta W                                   of the joints that close loops
-    gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0
+    gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0             `drift` computes Phi_r a0 + Phi_theta alpha0
 
 with gravity g, multipliers lambda, and the residuals Phi of the constraints. Phi_r and Phi_theta are their
 derivatives for displacements and small rotations of the bodies, and gamma_Phi is the right side of
@@ -21,7 +21,8 @@ chapter 13; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, section 8.1, 
 Each element of v has an axis. Recursions over the axes of the tree compute M, f, and the factor of M
 (`newton_euler.equations.articulated`).
 
-Couplings (gears) and prescribed motions are further rows of J. Armatures (rotor inertias) add to M.
+Couplings (gears) and prescribed motions are further rows of J. Armatures (rotor inertias) add to M. Joint
+coordinates and rotors have accelerations j qddot - gamma, with a Jacobian row j and a number gamma for each.
 """
 
 from __future__ import annotations
@@ -290,7 +291,7 @@ class Relative(TreeKinematics):
         links, rotors = self.links(q, v), self._rotors(q, v)
         jacobian, right = self._constraints(links, q, v)
         factor = axis_tree(links).factorize(self.axis_inertias(links), rotors, rows.mass_scales)
-        # L^-1 f, with f = joint forces minus the projected wrenches of the bodies
+        # L^-1 f, with M = L D L^T and f = joint forces minus the projected wrenches of the bodies
         reduced_force = factor.lower(self._joint_forces(q, v), self.axis_wrenches(links, q, v))
         return Equations(factor, reduced_force, jacobian, right, rows, refine=False)
 
@@ -310,14 +311,15 @@ class Relative(TreeKinematics):
 
         Args:
             q: (nq,) coordinates.
-            servos: the chosen joint coordinates.
+            servos: the chosen joint coordinates, constraint rows, and reference magnitudes of their pivots.
             rates: (d,) their rates, m/s or rad/s.
 
         Returns:
             v (nv,), and the pivot ratio, which is not positive at a singular configuration.
         """
         # the same equations as for accelerations, with velocities as unknowns and without forces:
-        # M v = J^T lambda, J v = -Phi_t, and the rows of the chosen coordinates times v = rates
+        # M v = J^T lambda, J v = -Phi_t (partial derivative of Phi with respect to time), and the rows of the
+        # chosen coordinates times v = rates
         at_rest = np.zeros(self.nv)
         equations = self.sparse_equations(q, at_rest, servos.rows)
         coordinate_rows, _ = self.sparse_coordinates(q, at_rest, servos.coordinates)

@@ -10,7 +10,8 @@ its elimination. The pivot ratio measures the distance to a singular configurati
 dependent: 1 far away, and 0 or less where the rates cannot be trusted.
 
 A compiled integrator makes one run after another. It can also make several runs at once, each in one *lane*
-of the processor's vector registers (`newton_euler.codegen.translate`).
+of the processor's vector registers (`newton_euler.codegen.translate`). A `Vector` then has separate elements
+for each lane; a `Shared` vector is the same for all lanes.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -90,7 +91,8 @@ with the same indices."""
 class Equations(Record):
     """The equations of motion and the constraints of a scene, as functions that integrators call.
 
-    The functions take a state with time and parameters, (inputs,). They write into their second argument.
+    A `Callback` takes two vectors. It reads the first one, a state with time and parameters (inputs,) except
+    for `pause`, and writes the second one.
 
     Attributes:
         n: length of a state (q, v).
@@ -104,8 +106,8 @@ class Equations(Record):
         projecting: 1 if states are projected onto the constraints after each step, else 0.
         tolerance: dimensionless constraint residual below which a state is not projected.
         open_tolerance: largest dimensionless residual that a constraint may have after projection.
-        lanes: number of states of one run that `position` and `velocity` take at once; 1 if the lanes make
-            different runs.
+        lanes: number of states that `position` and `velocity` take at once. If the integrator makes one run,
+            the lanes project several output states of this run. If the lanes make different runs, it is 1.
         position: writes (n + 2, lanes): the state after one Newton step towards the constraints, the squared
             residual before the step, and the pivot ratio of the Newton step.
         velocity: writes (n + 2, lanes): the state with its velocities projected, the squared residual of the
@@ -114,11 +116,12 @@ class Equations(Record):
             pivot ratios.
         exchange: redundant constraint rows, which a run may exchange for each other.
         projection_work: (inputs + n + 3, lanes) scratch of the projection.
-        pause: writes a value other than 0 into its second argument if the user wants to stop.
+        pause: reads the counts, and writes a value of `Count.STOP_REQUEST` if the user wants to stop.
         marks: (n,) `ANGLE`, `QUATERNION` or `QUATERNION_WITH_RATES`, and 0 for other elements of a state.
-        groups: number of groups of coordinates and velocities that constraints connect.
-        members: indices into (q, v) of each group, as `newton_euler.compiled.constraint_groups.group_places`
-            writes them.
+        groups: number of groups of coordinates and velocities that constraints connect. The change by a
+            projection is measured in each group.
+        members: for each group, the number of its coordinates, their indices in (q, v), the number of its
+            velocities, and their indices.
         counts: (COUNTS,) counts of the current run, see `Count`.
     """
 

@@ -187,7 +187,7 @@ def unit_vector(joint: str, name: str, value: object) -> Array:
 
 @description
 class Joint(Variable):
-    """Base class of all joints.
+    """Base class of all joints, which are frozen dataclasses and compared by identity.
 
     Attributes:
         name: unique in its mechanism.
@@ -213,7 +213,7 @@ class Joint(Variable):
     actuated: bool = field(default=False, kw_only=True)
 
     kind: ClassVar[str]
-    # Parameters of a run that are numbers of the joint. `moves_loops`: a change moves the poses in which
+    # Numbers of the joint that may vary from run to run. `moves_loops`: a change moves the poses in which
     # loops are closed. `opens_joints`: a change violates the joint's constraints at the initial pose
     number_fields: ClassVar = {
         "point": replace(POINT, moves_loops=True),
@@ -420,6 +420,8 @@ class AxisJoint(Joint):
 
     axis: ArrayField = field(kw_only=True)
     axis_names: ClassVar[tuple[str, ...]] = ("axis",)
+    # `shape` is None because `unit_vector` checks the axis. `allowed`: an axis may vary as long as `pair`
+    # varies continuously
     number_fields: ClassVar = Joint.number_fields | {
         "axis": NumberField(shape=None, allowed="axis", moves_loops=True)
     }

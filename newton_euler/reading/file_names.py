@@ -42,7 +42,10 @@ class FileFrame(NamedTuple):
 
 
 class FileInput(NamedTuple):
-    """Actuator of a model file whose control becomes forces of control laws in the scene.
+    """Actuator of a model file whose force depends on the present control by constant gains.
+
+    Actuators with activation dynamics, whose force depends on earlier controls, have no such record. Control
+    laws of the scene exert the actuator's force.
 
     Attributes:
         start: control input at the start, in the unit of the file.
@@ -60,7 +63,7 @@ class FileNames:
     Attributes:
         coordinates: hinges and slides.
         frames: frames of bodies.
-        inputs: actuators whose control can vary in time.
+        inputs: actuators that can follow controls from a log.
     """
 
     coordinates: dict[str, FileCoordinate] = field(default_factory=dict)

@@ -82,11 +82,12 @@ def statics(
 def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key, ...]:
     """Choose as many of these joint coordinates as are independent at a state; return them in their order."""
     count = mobility(scene).degrees_of_freedom
+    # `measuring` adds a control law of zero force for each key, so that the equations have this coordinate
     system = Relative(measuring(scene, keys))
     q, _ = system.coordinates(state)
     # derivatives of the coordinates along the motions that leave loops closed
     rows = coordinate_rows(system, q, keys) @ tangents(system, q)
-    chosen = independent_rows(rows, [], range(len(keys)), count)
+    chosen = independent_rows(rows, chosen=[], candidates=range(len(keys)), count=count)
     return tuple(keys[k] for k in sorted(chosen))
 
 
@@ -103,7 +104,8 @@ def _check_at_rest(compiled: InverseDynamics, given: States, solved: SolvedState
     inertia = np.array([np.linalg.norm(body.inertia, 2) for body in mechanism.bodies])
     linear = np.linalg.norm(solved.linear_acceleration, axis=-1)
     angular = np.linalg.norm(solved.angular_acceleration, axis=-1)
-    # unbalanced force on each body (n, b), N: mass times acceleration
+    # unbalanced force on each body (n, b), N: mass times acceleration; torques act at a lever of the
+    # mechanism's characteristic length, m
     unbalanced = mass * linear + inertia * angular / size
     forces = _forces_on_bodies(compiled, solved)
     for row in np.flatnonzero(np.any(unbalanced > MAX_UNBALANCED * _scale(mechanism, forces), axis=1)):
@@ -131,6 +133,7 @@ def _forces_on_bodies(compiled: InverseDynamics, solved: SolvedStates) -> Array:
     for key, force in zip(compiled.servos.actuators, solved.actuator_force.T, strict=True):
         lever = 1.0 if mechanism.is_slide(*key) else size
         at_joints[:, mechanism.joint_index(key[0])] += np.abs(force) / lever
+    # `equations` of a joint have the indices of its two bodies
     for joint, equations in enumerate(mechanism.equations):
         on_bodies[:, [equations.first, equations.second]] += at_joints[:, [joint]]
     return on_bodies
@@ -138,6 +141,7 @@ def _forces_on_bodies(compiled: InverseDynamics, solved: SolvedStates) -> Array:
 
 def _applied_forces(scene: Scene, state: State) -> Array:
     """Add up the magnitudes, N, of springs, wrenches and wind at each body (b,)."""
+    # `surroundings`: poses, velocities and joint coordinates on which forces depend
     mechanism, force_inputs = scene.mechanism, surroundings(scene, state)
     on_bodies = np.zeros(len(mechanism.bodies))
     for force in scene.forces:
