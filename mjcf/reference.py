@@ -3,7 +3,8 @@
 `newton_euler.reading` compares masses, motions, constraints and forces of an imported scene with those of a
 `ReferenceModel`. `MjcfReference` computes these quantities by MuJoCo's own functions. The module shares only
 the compiled model and the names of elements with the reader, `mjcf.reading`, so that both cannot make the
-same mistake. Elements that the import report leaves out are switched off in the compiled model.
+same mistake. The import report has an entry for each element, or for one topic of it, such as "armature".
+Elements and topics that the report leaves out are switched off in the compiled model.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ class MjcfReference(ReferenceModel):
         names = ["ground"]
         for k in self._roots:
             names.append(unique_name(model.body(k).name, f"body_{k}", names))
-        # two halves of a body that an export has cut at a loop have the name of the scene's body
+        # an export of scenes cuts a body in two to open a loop; both halves get the name of the scene's body
         self.names = whole_body_names(names[1:], scene.mechanism.body_names)
 
     def _set_units(self, scene: Scene) -> None:
@@ -339,7 +340,7 @@ class MjcfReference(ReferenceModel):
         self._evaluate(q, v)
         limits = []
         for element, kind, k, watch in self._force_limits:
-            if kind == "actuator":
+            if kind == "actuator":  # `actuator_outadr`: index of the force of its first output
                 force, (low, high) = (
                     data.actuator_force[model.actuator_outadr[k]],
                     model.actuator_forcerange[k],

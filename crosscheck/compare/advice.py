@@ -80,7 +80,8 @@ def redundancy_advice(scene: Scene) -> Iterator[Advice]:
     redundant = _count_redundant(scene.mechanism, states)
     if redundant == 0:
         return
-    # Joints that may be changed: those with constraints and without couplings, unreferenced ones first
+    # Joints that may be changed, unreferenced ones first: those with constraints, of which no gear, screw or
+    # prescribed motion (a coupling) uses a coordinate
     referenced = _referenced_joints(scene)
     coupled = {joint for coupling in couplings(scene) for joint, _ in coupling.factors}
     joints = zip(scene.mechanism.joints, scene.mechanism.equations, strict=True)
@@ -142,7 +143,7 @@ def _changes(
         referenced: names of joints whose coordinates must be kept, since other elements refer to them.
         states: states at which redundant constraints are counted.
     """
-    # A mechanism with the same number of independent constraints has the same motions
+    # Changes only remove constraints: if as many independent ones remain, the motions are the same
     rank = _count_constraints(mechanism) - redundant
     joints = {joint.name: joint for joint in mechanism.joints}
     for name in names:

@@ -1,7 +1,8 @@
 """Options of library scenes: names, allowed values, defaults and units, from the scene functions'
 annotations.
 
-An argument of a scene function is an option. Its annotation lists the allowed values:
+A scene is a mechanism with its forces, initial state and outputs. Each argument of a function that makes a
+scene is an option. Its annotation lists the allowed values:
 
 - `Literal["a", "b"]`: one of several texts;
 - `Annotated[int, range(1, 10), "kg"]`: a whole number, with its unit;
@@ -103,7 +104,7 @@ class Option:
         return f"choose from: {', '.join(self.values)}"
 
     def read(self, value: str | float) -> str | int | float | None:
-        """Convert a value to the type of the option, numbers also from text; None if the value is not
+        """Convert a value to the type of the option, numbers also from decimal text; None if the value is not
         allowed."""
         if isinstance(self.values, Text):
             return value if isinstance(value, str) else None
@@ -114,6 +115,7 @@ class Option:
                 return None
             return found if self.values.least <= found <= self.values.most else None
         if isinstance(self.values, range):
+            # no option allows numbers of more than 18 digits
             number = int(value) if re.fullmatch(r"-?[0-9]{1,18}", str(value)) else None
             return number if number in self.values else None
         return str(value) if value in self.values else None

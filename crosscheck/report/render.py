@@ -47,7 +47,7 @@ MAX_UNWRAPPED_HEADING = 12
 """Width, characters, up to which the heading of a column of numbers is never wrapped."""
 
 STYLES = {"": "", "holds": "green", "improved": "bold green", "doubtful": "yellow", "fails": "bold red"}
-"""Terminal style of a cell or a sentence by its verdict."""
+"""Terminal style of a cell or a sentence by its verdict; "improved" is a cost or error below the baseline."""
 
 MARKDOWN_SYNTAX = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
 """Characters that are syntax in Markdown; underscores within a word are not."""

@@ -109,7 +109,7 @@ class Expressions(FunctionText):
         self.tables: dict[str, str] = {}
         self.calls: list[Call] = []
         self._fields: dict[tuple[str, str], Value] = {}  # by names of record and field
-        self._entry: list[str] = []  # instructions that load fields of records on entry
+        self._field_loads: list[str] = []  # instructions that load fields of records on entry
 
     # Conditions
 
@@ -245,7 +245,7 @@ class Expressions(FunctionText):
             # each field of a record takes 8 bytes, in the order of the class
             place, kind = list(record.type.kinds).index(name), record.type.kinds[name]
             operand, machine = f"%{node.value.id}.{name}", machine_type(kind)
-            self._entry += [
+            self._field_loads += [
                 f"  {operand}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
                 f"  {operand} = load {machine}, ptr {operand}.at",
             ]

@@ -93,7 +93,7 @@ class FunctionText:
         self._variables: dict[str, Value] = {}  # address of a number, or the vector or callback, by name
         self._count = 0  # number of temporary names and labels so far
         self._divergence = 0  # depth of branches and loops in which lanes may be off
-        self._open = True  # False after a jump, until the next label
+        self._reachable = True  # False after a jump, until the next label
         self._block_label = "entry"  # label of the present block
 
     def _new(self, instruction: str) -> str:
@@ -121,20 +121,20 @@ class FunctionText:
     def _begin(self, label: str) -> None:
         """Begin a block of instructions at a label."""
         self._lines.append(f"{label}:")
-        self._open, self._block_label = True, label
+        self._reachable, self._block_label = True, label
 
     def _jump(self, label: str) -> bool:
         """Jump to a label unless the block has ended already; return True if the jump was written."""
-        was_open = self._open
-        if was_open:
+        was_reachable = self._reachable
+        if was_reachable:
             self._emit(f"br label %{label}")
-        self._open = False
-        return was_open
+        self._reachable = False
+        return was_reachable
 
     def _branch(self, test: str, yes: str, no: str) -> None:
         """Jump to the label `yes` if a condition holds, else to the label `no`."""
         self._emit(f"br i1 {test}, label %{yes}, label %{no}")
-        self._open = False
+        self._reachable = False
 
     # Lanes
 

@@ -88,7 +88,8 @@ class Translator(Expressions):
             arguments.append(f"{self._mask} %on.in")
             self._slots.append(f"  %on = alloca {self._mask}")
             self._turn("%on.in")
-        # LLVM type or kind of an argument by the letter of its form
+        # LLVM type or kind of an argument by the letter of its form: v double, w integer of each lane, u
+        # integer of all lanes, l vector, s `Shared` vector; capital if each lane begins at another index
         types = {"v": self._doubles, "w": self._wholes, "u": "i64", "l": "ptr", "s": "shared"}
         for (name, kind), form in zip(
             self.signature.arguments.items(), self._translated_call.forms, strict=True
@@ -110,19 +111,20 @@ class Translator(Expressions):
         (end,) = self._labels("end")
         self._exits.append(end)
         self._block(definition.body)
-        if self._open and result != "void" and not self._turned_off:
+        if self._reachable and result != "void" and not self._turned_off:
             raise self._error(definition, "ends without a return")
         self._jump(end)
         self._begin(end)
         returned = "" if result == "void" else self._new(f"load {result}, ptr %result")
         self._emit(f"ret {result} {returned}")
         head = f"define internal {result} @{self._translated_call.name}({', '.join(arguments)}) {{"
-        return "\n".join([head, "entry:", *self._slots, *self._entry, *self._lines, "}"])
+        # on entry, allocate the variables and load the fields of records
+        return "\n".join([head, "entry:", *self._slots, *self._field_loads, *self._lines, "}"])
 
     def _block(self, statements: list[ast.stmt]) -> None:
         """Translate statements, each by the method for its syntax node."""
         for statement in statements:
-            if not self._open:
+            if not self._reachable:
                 raise self._error(statement, "is never reached")
             method = getattr(self, f"_on_{type(statement).__name__.lower()}", None)
             if method is None:
@@ -183,7 +185,7 @@ class Translator(Expressions):
             self._varying_if(test, statement)
         else:
             self._uniform_if(test, statement)
-        if self._open and self._turned_off > before:
+        if self._reachable and self._turned_off > before:
             self._continue_if_any()
 
     def _uniform_if(self, test: Value, statement: ast.If) -> None:
@@ -435,6 +437,7 @@ def _translation(call: Call, lanes: int) -> tuple[str, Translator]:
     """Return the LLVM text of a function, and its translator.
 
     The function is translated again until no more variables and loops are found that differ between lanes.
+    Earlier texts are discarded; they may be invalid, because a loop found in them has no variables for masks.
     """
     found = Found(set(), set())
     while True:

@@ -2,9 +2,9 @@
 
 The independent part of a row is the length of its component orthogonal to the selected rows. A row counts as
 dependent if its independent part is below a tolerance, and also `MIN_GAP_RATIO` times below that of the
-weakest selected row. The forms of the equations, other engines and the readers of model files all use this
-decision. A sparse row is a dictionary from column to number; there may be thousands of rows. The rows have
-length about 1, so that all limits are absolute.
+weakest selected row. Equations in joint coordinates, equations in body poses, comparisons with other engines
+and readers of model files all decide in this way. A sparse row is a dictionary from column to number; there
+may be thousands of rows. The rows have length about 1, so that all limits are absolute.
 """
 
 from __future__ import annotations
@@ -78,7 +78,8 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     lengths = [length(row) for row in rows]
     noise = max((each for each in lengths if each <= ROW_ROUND_OFF), default=0.0)
     rows = [row if each > ROW_ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
-    # rows that are certainly independent, in one sparse factorization
+    # rows that are certainly independent, far above the tolerance, in one sparse factorization, which drops
+    # rows with pivots below `drop`
     products = gram(rows, rows)
     order = [i for i in minimum_degree(products) if rows[i]]
     certain = max(CERTAIN_PIVOT, (MIN_GAP_RATIO * tolerance) ** 2)

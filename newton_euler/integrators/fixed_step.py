@@ -5,9 +5,11 @@ outputs is divided into equal steps of at most the requested size. After each st
 the constraints, unless the run does without projection.
 
 A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
-time and parameters* is one vector with the state, the time, flags of constraint rows, and parameters of the
-scene (`newton_euler.integrators.stepper`). Each evaluation of the rates also gives the *pivot ratio*: the
-distance to a singular configuration, where constraints become dependent; 1 far away, 0 in it.
+time and parameters* is one vector with the state, the time, flags of constraint rows (1 for a redundant row
+that is left out, 0 for a row in use), and parameters of the scene (`newton_euler.integrators.stepper`).
+
+Each evaluation of the rates also gives the *pivot ratio*: the distance to a singular configuration, where
+constraints become dependent; 1 far away, 0 in it.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
 Python.
@@ -134,7 +136,9 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
             change[i] += weight * k[row * s + i]
             at[i] = now[i] + reach * k[row * s + i]
         at[n] = now[n] + reach
-    # near a singular configuration: check the start of the run, or whether the stages contradict each other
+    # near a singular configuration the stages must not contradict each other. A step that begins below
+    # UNSAFE_PIVOT_RATIO is exempt if the run projects, or if the step is the first. A first step at or below
+    # DENSE_PIVOT_RATIO begins in the singular configuration itself; the run must be allowed to start there
     if pivot_ratio < NEAR_PIVOT_RATIO:
         first = 1 if system.counts[Count.STEPS] == 0.0 else 0
         if k[n] >= UNSAFE_PIVOT_RATIO or (system.projecting == 0 and first == 0):
@@ -147,6 +151,7 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
     for i in range(n):
         now[i] += change[i]
     now[n] = end
+    # angles within a revolution, unit quaternions, projection; 0: by sparse, not dense equations
     return finish_step(system, 0, now, change)
 
 
@@ -157,9 +162,9 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
     Arguments and result are those of `step_rk4`. Near a singular configuration no check is needed: a method
     of order 1 has fewer digits than round-off destroys there.
 
-    If velocities are rates of Euler parameters, each step keeps the angular velocity that they represent.
-    Unchanged rates would no longer be tangential to the unit sphere and would grow by half of their square
-    times h^2 in a step. `newton_euler.integrators.options.FIXED` describes the error of this method for
+    If velocities are rates of Euler parameters, the rates are adapted to the new Euler parameters, so that
+    the angular velocity stays the same. Unchanged rates would no longer be tangential to the unit sphere, and
+    their norm would grow. `newton_euler.integrators.options.FIXED` describes the error of this method for
     gyroscopic torques.
     """
     n = system.n
@@ -181,7 +186,8 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
     for i in range(nq):
         start[i] = now[i]
         now[i] += h * k[i]
-    # norms of Euler parameters, revolutions of angles, and projection
+    # unit norms of Euler parameters, whose rates in `now` belong to those in `start`; revolutions of angles;
+    # projection, with 1 of the velocities too
     now[n] = end
     normalize_quaternions(system, now, start)
     unwind_angles(system, now, k)
@@ -227,7 +233,8 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
         status = step_euler(system, method, h, end, span)
     if status != Status.DONE:
         return status
-    # exchange redundant constraint rows if necessary; write the output after the last of the equal steps
+    # exchange a constraint row that is left out for one in use if necessary; write the output after the last
+    # of the equal steps
     if exchange_rows(system.exchange, now) == 1:
         copy_flags(system.exchange, now, method.at)
     counts[Count.STEPS] += 1.0

@@ -12,7 +12,9 @@ theta have world-frame components. The Jacobian blocks of a constraint Phi(r_i, 
     delta Phi = Phi_ri delta r_i + Phi_ti delta theta_i + Phi_rj delta r_j + Phi_tj delta theta_j.
 
 With respect to Euler parameters p, the Jacobian is Phi_p = 2 Phi_t G, because delta theta = 2 G delta p
-(`matrix_g`). gamma is the part of -d2 Phi / dt2 without accelerations: Phi_q qddot = gamma, eq. (5).
+(`newton_euler.model.euler_parameters.matrix_g`). Phi_q is the matrix of the four blocks, qdot and qddot the
+linear and angular velocities and accelerations of both bodies. gamma is the part of -d2 Phi / dt2 without
+accelerations: Phi_q qddot = gamma, eq. (5).
 
 Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
 Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A. The constraints are also in

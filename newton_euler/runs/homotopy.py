@@ -19,17 +19,18 @@ from newton_euler.integrators.stepper import Equations
 class HomotopyRecord(Record):
     """Paths of several runs from the parameters of the scene to the parameters of the runs.
 
-    Vectors of length `inputs` hold a state (q, v), the time, flags and parameters.
+    Vectors of length `inputs` hold a state (q, v), the time, flags that select constraint rows, and
+    parameters.
 
     Attributes:
-        count: number n of runs.
+        count: number of runs.
         may_open: 1 if loops may be open at intermediate steps, because given joint coordinates are redundant
             and agree only at the end; else 0.
-        steps: (n,) numbers of steps.
-        begins: (n, inputs) closed states with the parameters at the beginning.
-        ends: (n, inputs) parameters at the end; the closed states at the end are written there.
+        steps: (count,) numbers of steps.
+        begins: (count, inputs) closed states with the parameters at the beginning.
+        ends: (count, inputs) parameters at the end; the closed states at the end are written there.
         x: (inputs,) scratch.
-        statuses: (n,) written: status of the last projection of each run.
+        statuses: (count,) written: status of the last projection of each run.
     """
 
     count: int
@@ -49,7 +50,7 @@ def assemble_all(system: Equations, paths: HomotopyRecord) -> None:
         system: equations of the constraints.
         paths: the paths and the results.
     """
-    n = system.n
+    n = system.n  # length of a state
     inputs = system.inputs
     x = paths.x
     for run in range(paths.count):
@@ -67,12 +68,14 @@ def assemble_all(system: Equations, paths: HomotopyRecord) -> None:
                 x[i] = end[i]
                 if last == 0:
                     x[i] = begin[i] + (end[i] - begin[i]) * (float(step + 1) / float(steps))
-            # close the loops; the second argument is 1 to project velocities, too: only in the last step
+            # close the loops, if there are any (`projecting` is 1); the second argument is 1 to project
+            # velocities, too: only in the last step
             if system.projecting == 1:
                 status = project(system, last, x)
             if status != Status.DONE and (status != Status.OPEN or paths.may_open == 0):
                 break
-        # project again: velocities that are much smaller than at the first projection become accurate
+        # project again: the round-off of the first projection is relative to the velocities before it, which
+        # may be much larger than those after it
         if status == Status.DONE and system.projecting == 1:
             status = project(system, 1, x)
         for i in range(n):

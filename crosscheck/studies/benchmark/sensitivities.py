@@ -60,7 +60,7 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost
         The cost of the run without sensitivities, then of each run with sensitivities. Runs that come near a
         singular configuration are omitted.
     """
-    # Parameters of each run
+    # Parameters of each run; the poses of bodies are the only outputs
     scene, options = poses_only(scene), tangent_options({})
     masses = tuple(f"{body.name}.mass" for body in scene.mechanism.bodies[1:])
     points = [name for name in parameter_names(scene) if name.endswith(".point")]
@@ -73,8 +73,8 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost
     # Runs with sensitivities: compile, and run once
     for kind, names in wanted:
         progress(f"compiling derivatives, parameters: {len(names)}")
-        code = tangent_code(scene, names, formulation=None)
-        run = TangentRun(code, options, ["output"])
+        code = tangent_code(scene, names, formulation=None)  # in the scene's default coordinates
+        run = TangentRun(code, options, programs=["output"])  # derivatives of the outputs
         try:
             # initial state for the scene's own parameter values, and its derivatives
             start = Starts(code, names)(own_numbers(scene, names))
@@ -82,6 +82,7 @@ def time_sensitivities(scene: Scene, progress: Progress) -> list[SensitivityCost
         except SensitivityError:  # the run comes near a singular configuration
             continue
         calls.append(_cpu_timer(partial(_run_with_sensitivities, run, *start)))
+        # operations of the program that runs try first
         described.append((len(names), kind, code.function(code.rates[0]).operation_count))
     # Time all runs alternately
     calls[0]()

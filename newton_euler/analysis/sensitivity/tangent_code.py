@@ -62,7 +62,8 @@ class TangentCode(CompiledScene):
     """A compiled scene with derivatives along a direction of (q, v, parameters).
 
     Inputs of programs whose names end with `ALONG` are x and a direction of the same length. Several
-    directions are evaluated at once in the lanes (elements) of vector registers.
+    directions are evaluated at once in the lanes (elements) of vector registers. A method `_trace_NAME`
+    returns the results of the program NAME.
     """
 
     has_single_direction = False
@@ -94,6 +95,7 @@ class TangentCode(CompiledScene):
         if not name.endswith(ALONG):
             return super()._traced(name, in_lanes)
         program = self.program(name)
+        # programs for the rates become code without loops, unless they would take too long to compile
         straight = name in self.rates and program.operation_count < MIN_ROLLED_SIZE_IN_LANES
         # rates of a single direction are needed for one state at a time
         many = name not in self.rates or not self.has_single_direction
@@ -141,6 +143,8 @@ class TangentCode(CompiledScene):
         q, v, graph = x[: system.nq], x[system.nq : self.size], x[-1].graph
         rows = used_by(system)
         if not refined:
+            # without reference magnitudes, each pivot is compared with its diagonal element: the ratio then
+            # shows the digits that the elimination loses
             rows = RowsInUse(rows.numbers, flags=rows.flags)
         equations = system.sparse_equations(q, v, rows)
         equations = equations._replace(refine=equations.refine and refined)
@@ -186,11 +190,12 @@ class TangentCode(CompiledScene):
         for place in system.quaternions:  # changes of a unit quaternion are perpendicular to it
             moved[place] -= q[place] * (q[place] @ moved[place])
         phi, jacobian = system.phi_and_jacobian(q)
-        rows, units = dimensionless_rows(system, jacobian, self.rows.numbers), system.velocity_units
+        used = self.rows.numbers  # constraint rows from which all others follow
+        rows, units = dimensionless_rows(system, jacobian, used), system.velocity_units
 
         def step(residuals: Sequence[Scalar]) -> Array:
             """Compute the shortest step (nv,) for the derivatives of residuals (k,) along the direction."""
-            right = np.array(differentiated(residuals, x, moved)) / system.phi_units[self.rows.numbers]
+            right = np.array(differentiated(residuals, x, moved)) / system.phi_units[used]
             least, pivot_ratio = least_squares(rows, right, used_by(system))
             # the factor falls from 1 to 0 with the fourth power of small pivot ratios
             ratio = minimum(pivot_ratio * (1.0 / UNSAFE_PIVOT_RATIO), 1.0)
@@ -198,11 +203,10 @@ class TangentCode(CompiledScene):
             return np.array([factor * units[k] * least.get(k, 0.0) for k in range(system.nv)])
 
         # coordinates
-        used = self.rows.numbers
         change = system.rate(q, step(phi[used].tolist()))
-        change[system.work] = 0.0  # the work of forces is no coordinate
+        change[system.work] = 0.0  # entry of q with the work of forces, which is no coordinate
         moved[on_q] -= change
-        # velocities; `phi_rate` lacks the last rows of phi, the norms of quaternions
+        # velocities; `phi_rate` has the first `system.rows` rows of phi, but not the norms of quaternions
         rate = system.phi_rate(q, v)
         norm_rates = {i: sum(e * v[k] for k, e in jacobian[i].items()) for i in used if i >= system.rows}
         moved[on_v] -= step([norm_rates[i] if i in norm_rates else rate[i] for i in used])
