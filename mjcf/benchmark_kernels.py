@@ -4,7 +4,7 @@ crosscheck's benchmarks measure MuJoCo's speed with these kernels, on scenes (me
 laws and initial state). They store poses at output times only. Features that no scene uses are switched off.
 The warm start of the solver is switched off as well, because one Newton step solves equality constraints,
 which are linear in the accelerations. Constraints are as stiff as the step allows, with a time constant of
-two steps.
+two steps. A `SoftMuJoCo` is a scene compiled for MuJoCo, with soft constraints.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def compiled(scene: Scene) -> SoftMuJoCo:
             "and benchmark kernels call no Python"
         )
     system = SoftMuJoCo(scene)
+    # `evaluated`: control laws that no actuator of MuJoCo is equivalent to
     for law_or_load in (*system.evaluated.values(), *wind_loads(scene)):
         raise MjcfError(
             f"{law_or_load.element}: MuJoCo has no such actuator, and benchmark kernels call no Python"
@@ -143,6 +144,7 @@ class Stepper:
         """Run the scene and fill `position` and `quaternion`."""
         model, data = self._system.model, self._system.data
         rows = zip(self.position, self.quaternion, strict=True)
+        # `following` updates the controls of PD laws that depend on time, in each evaluation
         with collected_warnings(), self._system.following():
             for count, interval in self._intervals:
                 step = interval / self._number
@@ -303,6 +305,7 @@ def _scene_poses(system: SoftMuJoCo, position: Array, quaternion: Array) -> tupl
     finite = np.all(np.isfinite(position), axis=(1, 2)) & np.all(np.isfinite(quaternion), axis=(1, 2))
     if not np.all(finite):
         raise DivergenceError(float(system.scene.times[np.argmin(finite)]), "its motion is not finite")
+    # MuJoCo's ids of the scene's bodies; the ids after them are halves of bodies cut to open loops
     bodies = system.body_id[: len(system.mechanism.bodies)]
     position, quaternion = position[:, bodies], quaternion[:, bodies]
     position[:, 0], quaternion[:, 0] = ground.center_of_mass, ground.quaternion

@@ -99,7 +99,7 @@ def check_functions(
         terms, knots = terms + _count_terms(motion.function), knots + len(motion.function.knots)
         cycles = float(np.maximum(cycles, _max_cycles(motion.function, duration, per_cycle)))
     for acting in forces:
-        for attribute in acting.functions:
+        for attribute in acting.functions:  # names of the attributes that may be functions of time
             for function in functions_of(getattr(acting, attribute)):
                 terms, knots = terms + _count_terms(function), knots + len(function.knots)
                 cycles = float(np.maximum(cycles, _max_cycles(function, duration, math.inf)))
@@ -125,6 +125,7 @@ def _count_terms(function: TimeFunction) -> int:
     if isinstance(function, Polynomial):
         return len(function.coefficients)
     if isinstance(function, Sine | Spline | Steps):
+        # `piece_size`: numbers of one piece, its start and coefficients; 0 for a sine
         return max(1, function.piece_size)
     assert_never(function)
 

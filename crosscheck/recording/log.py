@@ -18,7 +18,8 @@ paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a num
     /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`; also `target` and
                                  `ENGINE_tolerance`
     /verdict                     the verdict and the tables of the crosscheck, as text
-    /worst                       the check closest to failing of each level of checks, as text at its time
+    /worst                       the check closest to failing of each level (group of checks, from the model
+                                 to whole runs), as text at its time
 
 Poses and arrows are stored in single precision, scalars in double precision. Rerun's quaternions have the
 order (x, y, z, w); `crosscheck.recording.shapes.xyzw` converts them.
@@ -137,6 +138,7 @@ def log_run(
     output_times = {engine: run.time for engine, run in trajectories.items()}
     drawn, ghosts = dict(trajectories), engines[1:]
     if own_run is not None and engines:
+        # the first engine's run, displaced by the error of the own run
         drawn[YOUR_SETTINGS] = displaced(first, own_run)
         ghosts = [*ghosts, YOUR_SETTINGS]
         color = rgb(palette([YOUR_SETTINGS])[YOUR_SETTINGS])
@@ -353,6 +355,7 @@ def _log_tilt(
         run: run with the poses of the body.
         directions: unit vectors (n, 3), world frame, by name.
     """
+    # platforms are bodies with three or more joints; the tilt of the last one is plotted
     body, size = platforms(mechanism)[-1], mechanism.size
     position, quaternion = run.position[:, body], run.quaternion[:, body]
     upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternion.shape)
@@ -429,6 +432,9 @@ def _log_plot(
     styles: dict[str, Style],
 ) -> None:
     """Record the lines of a plot: a line per engine, its tolerance, and the target of a controller.
+
+    If `plot.is_judged`, the lines are differences or constraint violations, by which engines are judged.
+    Otherwise the lines are a quantity of the motion, and coincide if the engines agree.
 
     Args:
         recording: recording to write to.

@@ -2,6 +2,10 @@
 
 `crosscheck tune` searches the cheapest settings (time step, integrator, solver) of a model file's engine with
 which the error of a run is below a target. The error is relative to the extent of the motion.
+
+If the motion is chaotic or unstable, the comparison with the reference solution ends early, at
+`Tuning.until`. `Tuning.events` are elements of the file that act in the run and that the reference does not
+simulate, such as contacts.
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ def report(name: str, tuning: Tuning) -> Report:
         parts.append(Lines("paste into the model", found.fragment.splitlines()))
     title = f"{name}: settings of {tuning.engine} for an error of {percent(tuning.target)} of the motion"
     judged = Cell("", "holds" if found else "fails")
+    # the report is short: its summary, which the terminal always shows, has all parts
     return Report(title, _verdict(tuning), judged, parts, summary=parts)
 
 
@@ -46,11 +51,11 @@ def _settings(tried: Tried) -> str:
 
 
 def _error(tried: Tried) -> str:
-    """Format the error of a run, as a length or an angle and as a part of the motion."""
+    """Format the error of a run as a part of the motion, and as a length, or an angle if that dominates."""
     error = tried.error
     if tried.stopped:
         return "diverged"
-    return f"{size(error, error.stated_by_position)}, {percent(error.relative)} of the motion"
+    return f"{size(error, by_position=error.stated_by_position)}, {percent(error.relative)} of the motion"
 
 
 def _cost(tried: Tried, of_file: Tried) -> str:
@@ -68,6 +73,7 @@ def _table(tuning: Tuning) -> Table:
         verdict: Verdict = "holds" if tried.reaches(tuning.target) else ""
         error = "diverged" if tried.stopped else percent(tried.error.relative).removesuffix(" %")
         evaluations = f"{tried.evaluations / tuning.own.evaluations:.3g}"
+        # relative to the settings of the file; None if the run was not timed
         run_time = "" if tried.run_time is None else f"{tried.run_time:.2g}"
         return [settings, Cell(error, verdict), evaluations, run_time]
 

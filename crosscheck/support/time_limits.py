@@ -47,15 +47,16 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
     Raises:
         TooLongError: if the limit is exceeded. Native code that ignores interrupts completes first.
     """
-    begin, exceeded_at = time.process_time(), []
+    begin, is_exceeded = time.process_time(), False
 
     def check(number: int, frame: object) -> None:
         """Handle the signal of the timer: show the time used, or interrupt the block."""
+        nonlocal is_exceeded
         used = time.process_time() - begin
         if used < seconds:
             progress(used)
             return
-        exceeded_at.append(used)
+        is_exceeded = True
         # repeated at the next check: an interrupt that is raised while an object is freed gets lost
         signal.raise_signal(signal.SIGINT)
 
@@ -71,7 +72,7 @@ def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: 
             signal.signal(signal.SIGPROF, previous_timer)
             signal.signal(signal.SIGINT, previous_interrupt)
     except (KeyboardInterrupt, SystemError):  # CPython 3.11 raises SystemError if interrupted in `ast.parse`
-        if exceeded_at:
+        if is_exceeded:
             raise TooLongError(f"not finished after {number_text(seconds)} s of processor time") from None
         raise
 
@@ -107,7 +108,8 @@ def limited(what: str, advice: str, progress: Callable[[str], None], name: str =
             yield
     except TooLongError:
         used = f"given up after {number_text(allowed)} s of processor time"
-        raise TooLongError(f"{what}: {used}; {advice}; {too_small(name)}") from None
+        how_to_raise = too_small(name)  # such as "to allow more: --set time=2400"
+        raise TooLongError(f"{what}: {used}; {advice}; {how_to_raise}") from None
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 """Find the equalities of an MJCF file whose softness the top-level `<default>` does not set.
 
 An equality takes `solref` and `solimp` from its own attributes, else from the default class that it names,
-else from the top-level `<default>`. Advice to change the top-level `<default>` does not reach equalities of
-the first two kinds.
+else from the top-level `<default>`. Settings that `crosscheck tune` proposes as a top-level `<default>` have
+no effect on equalities of the first two kinds; a comment in the proposal names these equalities.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def equalities_with_own_softness(path: str) -> tuple[str, ...]:
 
     while pending_files:
         file = pending_files[0]
-        text = read_text(file, "file_size", SourceError)  # the name of the limit on its size
+        text = read_text(file, limit="file_size", error=SourceError)
         any_root = None  # included files have any root element
         scan(file, text, any_root, check_element, SourceError)
         pending_files.pop(0)

@@ -1,4 +1,4 @@
-"""Cache on disk for machine code, and for choices of constraint rows that are expensive to compute.
+"""Cache on disk for machine code, and for the selection of independent constraint rows, which is slow.
 
 `read_cache` and `write_cache` store bytes under a key, which `cache_key` makes from all that the bytes depend
 on.
@@ -11,8 +11,8 @@ Robustness: a file holds the SHA-256 of its key and content, then the content. A
 counts as missing. A file is written under a temporary name and then renamed, so that no process reads half a
 file. If a file cannot be read or written, the code is compiled again; a run never fails for it.
 
-Size: the cache is kept below `LIMIT` by removing the files that have not been used for the longest time. The
-modification time of a file is the time of its last use.
+Size: the cache is kept below `MAX_CACHE_BYTES` by removing the files that have not been used for the longest
+time. The modification time of a file is the time of its last use.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from newton_euler.folders import make_folder
 CACHE_VARIABLE = "NEWTON_EULER_CACHE"
 """Environment variable with the path of the cache directory; an empty value turns the cache off."""
 
-LIMIT = 256 * 2**20
-"""Largest size of the cache, bytes. It may be exceeded until the next check."""
+MAX_CACHE_BYTES = 256 * 2**20
+"""Largest size of the cache. It may be exceeded until the next check."""
 
 _REDUCED_FRACTION = 0.75
-"""Size of the cache after a reduction, as a fraction of `LIMIT`."""
+"""Size of the cache after a reduction, as a fraction of `MAX_CACHE_BYTES`."""
 
 _WRITES_PER_CHECK = 64
 """Average number of writes between two checks of the size of the cache."""
@@ -69,9 +69,9 @@ _DIGEST_SIZE = 32
 """Length of a SHA-256 digest, bytes."""
 
 
-def _digest(key: str, code: bytes) -> bytes:
+def _digest(key: str, content: bytes) -> bytes:
     """Return the SHA-256 of a key and a content, with which the file of an entry begins."""
-    return hashlib.sha256(key.encode() + code).digest()
+    return hashlib.sha256(key.encode() + content).digest()
 
 
 def cache_key(*parts: object) -> str:
@@ -104,7 +104,7 @@ def cache_directory() -> Path | None:
 
 
 def _trusted_path(name: str, needed: str) -> Path:
-    """Return the path of a directory that can be trusted, or that does not exist yet.
+    """Return the path of a directory that can be trusted, does not exist yet, or cannot be accessed.
 
     Args:
         name: path of the directory.
@@ -121,7 +121,7 @@ def _trusted_path(name: str, needed: str) -> Path:
             problem = _reason_for_distrust(status) or _untrusted_owner(os.lstat(name))
             if not problem:
                 return Path(name)
-    except (FileNotFoundError, PermissionError):
+    except (FileNotFoundError, PermissionError):  # no code can be read there
         return Path(name)
     except OSError as error:
         problem = str(error.strerror)
@@ -154,29 +154,29 @@ def read_cache(key: str) -> bytes | None:
             status = os.fstat(handle)
             if not stat.S_ISREG(status.st_mode) or _reason_for_distrust(status):
                 return None
-            content = stream.read()
+            stored = stream.read()
     except OSError:
         return None
     if time.time() - status.st_mtime > _USE_TIME_RESOLUTION:
         with suppress(OSError):  # the disk is read-only, or another process has removed the file
             os.utime(path)
-    digest, code = content[:_DIGEST_SIZE], content[_DIGEST_SIZE:]
-    return code if _digest(key, code) == digest else None
+    digest, content = stored[:_DIGEST_SIZE], stored[_DIGEST_SIZE:]
+    return content if _digest(key, content) == digest else None
 
 
-def write_cache(key: str, code: bytes) -> None:
+def write_cache(key: str, content: bytes) -> None:
     """Store the content of an entry under a key; do nothing if the disk does not permit writing."""
     directory = cache_directory()
     if directory is None:
         return
     with suppress(OSError):  # the disk is full or read-only: the next run compiles again
         make_folder(directory, PRIVATE)
-        if int(key, 16) % _WRITES_PER_CHECK == 0:  # keys are random numbers
+        if int(key, 16) % _WRITES_PER_CHECK == 0:  # hashes are evenly distributed
             _reduce(directory)
         handle, name = tempfile.mkstemp(dir=directory, prefix=_TEMPORARY_PREFIX)
         try:
             with os.fdopen(handle, "wb") as stream:
-                stream.write(_digest(key, code) + code)
+                stream.write(_digest(key, content) + content)
             Path(name).replace(directory / (key + _SUFFIX))
         except BaseException:
             Path(name).unlink(missing_ok=True)
@@ -199,9 +199,9 @@ def _reduce(directory: Path) -> None:
             elif entry.name.startswith(_TEMPORARY_PREFIX) and now - status.st_mtime > _ABANDONED_AFTER:
                 os.unlink(entry.path)
     # remove the oldest entries
-    if total > LIMIT:
+    if total > MAX_CACHE_BYTES:
         for _, size, path in sorted(entries):
-            if total <= _REDUCED_FRACTION * LIMIT:
+            if total <= _REDUCED_FRACTION * MAX_CACHE_BYTES:
                 break
             with suppress(OSError):
                 os.unlink(path)

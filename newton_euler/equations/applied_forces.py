@@ -29,12 +29,15 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
         time: s.
     """
     mechanism, frames = scene.mechanism, state.frames()
+    # joint coordinates (joint name, index) that forces act on, and those that control laws read (`sensed`);
+    # the rotation of a ball joint has no coordinate
     acting = {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}
     measured = {}
     for key in acting.union(scene.sensed):
         x, rate = mechanism.measure(key, frames)
         measured[key] = x + state.revolutions(key, x), rate
-    return Surroundings(mechanism, [body.pose for body in mechanism.bodies], frames, measured, time)
+    initial_poses = [body.pose for body in mechanism.bodies]
+    return Surroundings(mechanism, initial_poses, frames, measured, time)
 
 
 def applied_wrenches(scene: Scene, at: Surroundings) -> list[Array]:
@@ -99,7 +102,10 @@ def with_likely_causes(scene: Scene, state: State, reason: str, at: Surroundings
 
 
 def _force_name(force: Element) -> str:
-    """Name a force for a message; of a spring with a damper, name the parts of nonzero strength."""
+    """Name a force for a message; of a spring with a damper, name the parts of nonzero strength.
+
+    `force.element` is the kind and the place or name of the force, such as "spring of joint 'hinge'".
+    """
     if not isinstance(force, Spring):
         return force.element
     return force.element.replace("spring", " and ".join(force.active_parts) or "spring", 1)

@@ -6,6 +6,12 @@ Science, Technology and Engineering Systems Journal 5(5), 2020, doi:10.25046/aj0
 that the joint removes five of the six relative degrees of freedom. The coordinates of a joint are its hinge
 angles, rad, and displacements of slides, m, in the order of `Joint.motions`. The mapping `JOINT_KINDS` has
 all classes by the names that scene files use.
+
+The numbers of a joint may vary from run to run. `varied` copies a joint with other numbers, without checks;
+`rebuilt` constructs it again, with the checks of the constructor. `number_fields` declares unit and allowed
+values of each number (`newton_euler.model.fields`). There, `shape=None` leaves the check to the constructor,
+`moves_loops` means that a change moves the poses in which loops are closed, and `opens_joints` means that a
+change violates the joint's constraints at the initial pose.
 """
 
 from __future__ import annotations
@@ -243,7 +249,7 @@ class Planar(AxisJoint):
                 jump.
         """
         changed = super().rebuilt(values)
-        continuous_pair = perpendicular_pair(changed.axis, self.axis)
+        continuous_pair = perpendicular_pair(changed.axis, described=self.axis)
         if not np.array_equal(continuous_pair, changed.pair):
             problem = f"axis is {changed.axis.tolist()}, where the slides of the plane jump"
             raise MechanismError(f"joint {quoted(self.name)}", problem, "an axis nearer to the described one")
@@ -256,7 +262,7 @@ class Planar(AxisJoint):
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         parallel = self._parallel(self.axis, self.pair, first, second)
-        return (*parallel, self._displacement(self.axis, 0.0, first, second))
+        return (*parallel, self._displacement(self.axis, offset=0.0, first=first, second=second))
 
 
 @description
@@ -289,6 +295,10 @@ class Rod(Joint):
     Its reaction is a force along the rod; tension pulls the second body towards the first. A rod has no
     coordinates, so that it can only close a loop of a spanning tree.
 
+    Attributes:
+        point, point_on_second: (3,) m, ends of the rod in the first and second body, world at the initial
+            pose.
+
     Examples:
         >>> Rod("joint", "ground", "body", [0.0, 0.0, 0.0], point_on_second=[0.0, 0.0, 0.5]).only_closes
         True
@@ -313,9 +323,9 @@ class Rod(Joint):
 
     @cached_property
     def length(self) -> float:
-        """Length of the rod, m: the distance of its points as described; a variation of the points does not
-        change it."""
-        return math.dist(self.reaction_point, self.point)
+        """Length of the rod, m: the distance of its points when it was constructed. Copies by `varied` keep
+        the length, whatever their points."""
+        return math.dist(self.point_on_second, self.point)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         # The copy stores the length, which it would else compute from its own points
@@ -323,7 +333,7 @@ class Rod(Joint):
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
         others = {name: value for name, value in values.items() if name != "length"}
-        changed, ends = super().rebuilt(others), self.reaction_point - self.point
+        changed, ends = super().rebuilt(others), self.point_on_second - self.point
         if "length" not in values:
             return changed
         # Another length moves the second body's point along the rod
@@ -332,7 +342,7 @@ class Rod(Joint):
         return replace(changed, point_on_second=changed.point + ends)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        s_i, s_j = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        s_i, s_j = first.point_to_body(self.point), second.point_to_body(self.point_on_second)
         return (Distance(s_i, s_j, self.length),)
 
 

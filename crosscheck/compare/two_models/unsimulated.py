@@ -3,6 +3,10 @@
 Examples are contacts, joint limits, ranges of actuators, and dry friction. In: two models with their import
 reports, and their alignment. Out: one sentence for each element that only one file has, or that has different
 numbers in the two files.
+
+In an import report, the fate of an element is "exactly" (imported without change), "left out" (not simulated)
+or "inactive" (not simulated, and a run shows that it would not have acted). An entry `moves_nothing` if its
+element cannot move anything, such as a camera or an element that the file itself switches off (`is_off`).
 """
 
 from __future__ import annotations
@@ -197,6 +201,7 @@ def _in_first_convention(
     partner = aligned.coordinates.get(key)
     if partner is None or partner.key != other:
         return values
+    # the coordinate in both models at the start of the first model; `sense` is -1 for opposite signs
     here, there = aligned.at_start[key]
     converted = here + partner.sense * (values - _zero(bounds[1], two) - there)
     return np.sort(converted + _zero(bounds[0], one))
@@ -213,6 +218,9 @@ def _bounds(model: Model, given: FileNumbers) -> Bounds | None:
 
 def _zero(bounds: Bounds, given: FileNumbers) -> float:
     """Return the value of a coordinate in the initial pose, as the file counts it, m or rad.
+
+    The scene's coordinate x is zero in the initial pose, and `bounds` are low <= constant + x <= high. The
+    midpoints of both pairs of limits correspond, so that the file's value is constant plus their difference.
 
     Args:
         bounds: limits that are monitored in runs, in the coordinate of the scene. They may be narrower than
@@ -276,6 +284,7 @@ def _unsimulated_entries(
         if not same_format and entry.topic == CONTACTS:
             element = ""
         if (entry.fate != "exactly" or entry.moves_nothing) and (same_format or not entry.moves_nothing):
+            # without a leading number of elements, as in "12 geoms that can touch"
             key = (re.sub(r"^\d+ ", "", element), entry.topic, entry.fate, str(entry.moves_nothing))
             found.setdefault(key, entry)
     return found

@@ -1,8 +1,9 @@
 """Report of the benchmark of whole runs: the time that each engine needs to reach an error, m and rad.
 
 The error of a run is the largest distance, m, or angle, rad, between the poses of the bodies in the run and
-in a reference motion. A setting is a method of an engine with its step or tolerance. The input is a
-`Benchmark`, the measured times and errors of all settings; the output are tables, a plot and JSON.
+in a reference motion. The uncertainty of the reference is its largest difference from runs of other
+equations of motion and tolerances. A setting is a method of an engine with its step or tolerance. The input
+is a `Benchmark`, the measured times and errors of all settings; the output are tables, a plot and JSON.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ METHOD_NOTE = (
     "times: one thread, median of alternating repeats, spread of quartiles, without loading and first run; "
     "until the poses of all bodies at all outputs are known in the engine's own form"
 )
-"""Sentence of the report about the method of measurement."""
+"""Sentence of the report about the method of measurement. Poses in an engine's own form are for example the
+rotation matrices of Pinocchio; their conversion to quaternions is not timed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,7 @@ def _settings(result: Benchmark) -> Table:
     unknown = result.reference.uncertainty
     rows: Rows = []
     for engine in ENGINES:
-        rows.append(engine)
+        rows.append(engine)  # a text instead of cells is a heading
         for m in result.pareto_optimal(engine):
             errors = [e if e > unknown else unknown for e in (m.error_position, m.error_angle)]
             signs = ["" if e > unknown else "<= " for e in (m.error_position, m.error_angle)]
@@ -207,7 +209,10 @@ def data(result: Benchmark) -> dict[str, Any]:
 
 @own_style()
 def picture(result: Benchmark) -> bytes:
-    """Plot run time (s) over error (m and rad), with a line through the Pareto-optimal settings, as PNG."""
+    """Plot run time (s) over error (m and rad), with a line through the Pareto-optimal settings, as PNG.
+
+    `own_style` replaces the user's matplotlib style by the default style.
+    """
     from matplotlib.figure import Figure
 
     drawn = Figure(figsize=(9.0, 5.0), layout="constrained")

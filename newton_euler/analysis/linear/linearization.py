@@ -15,7 +15,9 @@ have keys (joint, number).
 The partial derivatives are exact: the equations are traced and differentiated in compiled code, with one
 evaluation for each direction. The model holds at every state with closed loops, also in motion. The rotation
 of a ball joint has no coordinates. Small rotations dtheta of the joint's second body about its axes replace
-them, with the angular velocity omega: d/dt dtheta = domega - omega x dtheta.
+them, with the angular velocity omega: d/dt dtheta = domega - omega x dtheta. An independent coordinate is a
+`Freedom`. If it is not a joint coordinate, it has no key, and its rate is component `v_index` of v. If it
+belongs to a ball joint, `ball_start` is the index in v of the first component of omega; otherwise -1.
 """
 
 from __future__ import annotations
@@ -175,8 +177,8 @@ def _resolved_inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str
             check_dynamic(scene, [str(name)], "input of a linear model")
             resolved.append(unambiguous(scene, str(name)))
         except UnknownNameError as error:
-            near = nearest(name, (*scene.mechanism.joint_names, *error.valid))
-            raise UnknownNameError("input", name, near, proposed=True) from error
+            similar_names = nearest(name, (*scene.mechanism.joint_names, *error.valid))
+            raise UnknownNameError("input", name, similar_names, proposed=True) from error
     return resolved
 
 
@@ -234,6 +236,7 @@ class Linearization:
         names = tuple(label(freedom.name) for freedom in self.freedoms)
         depends_on = self.scene, names, self.measured, inputs, self.used, initial_motions
         count = 2 * self._count + 1
+        # neutral: fields of these objects that do not change the code; many: evaluate several inputs at once
         return native_program(
             "linearization", count, self._trace, *depends_on, neutral=NOT_COMPILED_FIELDS, many=True
         )
@@ -253,7 +256,8 @@ class Linearization:
         # accelerations of the independent coordinates
         q, v, given = np.split(x, [nq, nq + nv])
         system = at_time(Relative(with_values(self.scene, self._values(given))), time)
-        share_model_control(system, self.system)
+        # control laws with inverse dynamics choose constraint rows by numbers; `system` has only symbols
+        share_model_control(system, floats=self.system)
         solution = system.sparse_solution(q, v, self.rows)
         keys = [freedom.key for freedom in self.freedoms if freedom.key]
         rows, gamma = system.sparse_coordinates(q, v, keys)
@@ -298,6 +302,8 @@ class Linearization:
 
     def tangent(self, q: Array) -> tuple[Array, Array]:
         """Compute [J; J_z]^-1 (nv, k + d), and T (nv, d), its last columns, at q (nq,).
+
+        k is the number of constraint rows in use.
 
         Raises:
             SingularityError: naming a coordinate that does not determine the motion.
@@ -440,7 +446,7 @@ class Linearization:
         Args:
             q: (nq,) configuration.
             tangent: (nv, d) T.
-            twists: (6 b, d) Jacobian of the velocities of all bodies.
+            twists: (6 b, d) Jacobian of the velocities of all b bodies, ground first.
             names: names of joint coordinates, freedoms or bodies.
         """
         mechanism = self.scene.mechanism

@@ -274,7 +274,7 @@ def written(cache: Path, number: int) -> str:
 
 
 def test_the_cache_keeps_what_was_used_last_below_its_limit(cache, monkeypatch):
-    monkeypatch.setattr(newton_euler.codegen.cache, "LIMIT", 100_000)
+    monkeypatch.setattr(newton_euler.codegen.cache, "MAX_CACHE_BYTES", 100_000)
     cache.mkdir()
     (cache / "notes.txt").write_bytes(bytes(200_000))  # somebody's own
     keys = []
@@ -292,7 +292,7 @@ def test_the_cache_keeps_what_was_used_last_below_its_limit(cache, monkeypatch):
 def test_a_directory_that_somebody_else_uses_too(cache, tmp_path, monkeypatch):
     """Old files with names like the cache's own, and links to large ones, which count for nothing."""
     monkeypatch.setattr(newton_euler.codegen.cache, "_WRITES_PER_CHECK", 1)
-    monkeypatch.setattr(newton_euler.codegen.cache, "LIMIT", 10_000)
+    monkeypatch.setattr(newton_euler.codegen.cache, "MAX_CACHE_BYTES", 10_000)
     cache.mkdir()
     large = tmp_path / "large"
     large.write_bytes(bytes(20_000))
