@@ -121,7 +121,7 @@ class CheckedModel:
                 options=dict(found.options),
                 scene=scene,
                 path=path,
-                mapping=found.mapping,  # the import report
+                import_report=found.mapping,
             )
         if self.reason is not None:
             update_baselines([guarded], self.reason, progress=_no_progress)
@@ -129,7 +129,7 @@ class CheckedModel:
             pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE_OPTION} REASON stores it", pytrace=False)
         else:
             with _errors_as_failures():
-                comparison = compare(guarded.scene, guarded.baseline(), _no_progress, guarded.mapping)
+                comparison = compare(guarded.scene, guarded.baseline(), _no_progress, guarded.import_report)
             if comparison.moved:
                 pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
 

@@ -51,12 +51,12 @@ def simulate(
     """
     from urdf.dynamics import PinocchioSystem
 
-    gain = baumgarte_alpha(stabilization, alpha)
+    alpha = baumgarte_alpha(stabilization, alpha)  # 0 without Baumgarte stabilization
     options = replace(Options.of(integrator, control), projection=stabilization == "projection")
-    if options.rest:
+    if options.rest:  # threshold of rates below which a mechanism counts as at rest and is not integrated
         raise OptionError("rest", options.rest, "0: Pinocchio's runs do not skip steps at rest")
-    settings: dict[str, Any] = {"stabilization": stabilization}
+    settings: dict[str, Any] = {"stabilization": stabilization}  # to be stored in the trajectory
     if stabilization == "baumgarte":
-        settings["alpha"] = gain
-    system = PinocchioSystem(scene, gain)
+        settings["alpha"] = alpha
+    system = PinocchioSystem(scene, alpha)
     return run(system, "pinocchio", options, settings)

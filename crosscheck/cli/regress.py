@@ -80,10 +80,13 @@ def regress_command(
             say(f"wrote {each.path}: {len(found.quantities)} quantities{more}")
             for group, why in found.left_out.items():
                 say(f"  {group} left out: {why}")
-        return AGREE
+        return AGREE  # exit status 0
+    # `recordings`: files that show a scene and its baseline side by side, by name of each scene that moved
     with progress_shown() as progress:
         compared, recordings, written = check_baselines(guarded, output, progress, left_out, allow_reduced)
-    parts = verbose_parts(report(compared, recordings, left_out))[1:]  # without the verdicts, which follow
+    # with --verbose all parts of the report, except for the first, the verdicts, which follow; else tables of
+    # the changes
+    parts = verbose_parts(report(compared, recordings, left_out))[1:]
     click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
         say(comparison.verdict)
@@ -127,7 +130,7 @@ def _load_guarded(
                 raise
             left_out[source] = str(error)
             continue
-        warn_about_import(source, one.mapping, one.scene)
+        warn_about_import(source, one.import_report, one.scene)
         for other in found:
             if other.scene.name == one.scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {one.scene.name!r}")

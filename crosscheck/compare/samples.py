@@ -6,7 +6,8 @@ motion of an engine, in one formulation, that is, choice of coordinates) at thes
 accelerations, reactions, and the equations projected onto the velocities that the constraints allow. The
 comparison of two engines uses the samples of both. All attributes are computed when they are first used.
 
-"Size" is the size of the mechanism, m. Shapes: b bodies (body 0 is the ground), j joints, n states, d degrees
+"Size" is the characteristic length of the mechanism, m: the largest distance of joint points and centers of
+mass from their mean. Shapes: b bodies (body 0 is the ground), j joints, n states, d degrees
 of freedom, nv velocities of a system.
 """
 
@@ -143,7 +144,7 @@ class States:
         return energy_scale(self.scene, list(self.all))
 
     def name(self, index: int) -> str:
-        """Name the state with an index, for messages."""
+        """Name the state with an index, for messages; the first one counts as the initial state."""
         return "the initial state" if index == 0 else f"random state {index}"
 
 
@@ -152,7 +153,7 @@ class Samples:
     """Equations of motion of one engine at a number of states.
 
     Attributes:
-        system: the equations, with rigid constraints.
+        system: the equations, with rigid constraints also for MuJoCo, whose runs have soft constraints.
         states: the states.
     """
 
@@ -223,7 +224,7 @@ class Samples:
         """
         all_rates = []  # (2, b, 3) at each state: linear and angular accelerations
         for (q, v), state, vdot in zip(self.coordinates, self.motions, self.accelerations, strict=True):
-            # A time step in which bodies move by at most `RATE_STEP`
+            # A time step in which bodies move by at most `RATE_STEP`, also at the usual rate of random states
             size = self.states.scene.mechanism.size
             speeds = [np.abs(state.linear_velocity).max() / size, np.abs(state.angular_velocity).max()]
             step = RATE_STEP / max(RANDOM_RATE, *speeds)
@@ -440,7 +441,7 @@ class Scales:
 
     @cached_property
     def velocity(self) -> float:
-        """Unit of velocities, m/s; at least the mechanism's size times `RANDOM_RATE`."""
+        """Unit of velocities, m/s; at least the size times `RANDOM_RATE`, the rate of random states, 1/s."""
         rates = [self._norms("linear_velocity"), self.size * self._norms("angular_velocity")]
         return float(np.max(rates, initial=self.size * RANDOM_RATE))
 

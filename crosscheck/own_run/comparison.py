@@ -84,7 +84,7 @@ class Comparison:
             until: time, s, at which the comparison ends, None for the whole run. Without `method`, it is
                 found from the reference instead, as the time at which the motion becomes chaotic.
         """
-        step = simulation.timestep(simulation.settings)
+        step = simulation.settings.timestep
         scene = simulation.scene
         # a multiple of four, so that RK4 at four times the step (the same number of evaluations) has the same
         # outputs
@@ -116,7 +116,7 @@ class Comparison:
             reduced: True to switch off all elements that the reference does not simulate.
             simulation: simulation of a changed model; that of the file if None.
         """
-        ratio = self.simulation.timestep(self.simulation.settings) / self.simulation.timestep(settings)
+        ratio = self.simulation.settings.timestep / settings.timestep
         every = max(1, round(self.every * ratio))
         steps = self.steps // self.every * every
         return (simulation or self.simulation).run(settings, steps, every, reduced)

@@ -260,7 +260,7 @@ def _stability(compared: Comparison, run: FileRun) -> tuple[Stability | None, tu
     motions = simulation.small_motions(run, outputs)
     if motions is None:
         return None, ()
-    step = simulation.timestep(simulation.settings)
+    step = simulation.settings.timestep
     mode = ModeAtFault(motions, simulation.settings, timestep=step, duration=step * compared.steps)
     if mode.found.is_stable:
         return mode.found, ()

@@ -188,7 +188,10 @@ class Comparison:
 
 
 def compare(
-    scene: Scene, baseline: Baseline, progress: Callable[[str], None], mapping: ImportReport | None = None
+    scene: Scene,
+    baseline: Baseline,
+    progress: Callable[[str], None],
+    import_report: ImportReport | None = None,
 ) -> Comparison:
     """Measure the quantities of a baseline again and compare them.
 
@@ -196,16 +199,16 @@ def compare(
         scene: the scene as it was loaded.
         baseline: stored quantities, and the settings with which to measure them.
         progress: function that receives the name of the scene and of each group before its measurement.
-        mapping: import report: how each element of the model file was imported; None for a scene that was not
+        import_report: how each element of the model file was imported; None for a scene that was not
             read from a model file.
     """
     start = time.perf_counter()
     measured_scene = regress_scene(scene)  # with the outputs that the quantities need
-    # the import report after a run, which shows the elements that act and are not simulated
-    watched = watched_in_new_run(scene, mapping) if mapping else None
-    checks = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping, watched) or [])
+    # the import report after a run of newton_euler, which shows the elements that act and are not simulated
+    watched = watched_in_new_run(scene, import_report) if import_report else None
+    checks = check_unsimulated(baseline.unsimulated or [], unsimulated(import_report, watched) or [])
     diverges = None
-    simulation = mapping.simulation if mapping else None
+    simulation = import_report.simulation if import_report else None  # the model file in its own engine
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
         measured = measure_group(group, measured_scene, baseline.plan, simulation)
@@ -224,20 +227,22 @@ def compare(
     )
 
 
-def unsimulated(mapping: ImportReport | None, watched: ImportReport | None) -> list[str] | None:
+def unsimulated(import_report: ImportReport | None, watched: ImportReport | None) -> list[str] | None:
     """List the elements of a model file that can move bodies and are not simulated exactly, one line each.
 
     Args:
-        mapping: import report: how each element of the file was imported; None without a model file.
+        import_report: how each element of the file was imported; None without a model file.
         watched: the same report after a run, which shows which of the elements act.
 
     Returns:
         A line for each element that is not imported exactly, then a line for each element that acts; None
         without a model file.
     """
-    if mapping is None or watched is None:
+    if import_report is None or watched is None:
         return None
-    lines = [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.moves_nothing]
+    lines = [
+        str(entry) for entry in import_report.entries if entry.fate != "exactly" and not entry.moves_nothing
+    ]
     return lines + [f"acts, and is not simulated: {what_acted(entry)}" for entry in watched.acting]
 
 

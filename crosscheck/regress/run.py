@@ -67,7 +67,7 @@ class GuardedScene:
         options: options that the scene was loaded with.
         scene: the scene as it was loaded.
         path: baseline file.
-        mapping: import report: how each element of a model file was imported; None for a scene that was not
+        import_report: how each element of a model file was imported; None for a scene that was not
             read from a model file.
     """
 
@@ -75,7 +75,7 @@ class GuardedScene:
     options: dict[str, str]
     scene: Scene
     path: Path
-    mapping: ImportReport | None = None
+    import_report: ImportReport | None = None
 
     def baseline(self) -> Baseline:
         """Read the baseline.
@@ -128,8 +128,8 @@ def guard_scene(source: str, options: dict[str, str], baseline: Path | None = No
     path = baseline or usual_path(source)
     # model files are excited (initial velocities, inputs of actuators) unless an option says otherwise
     options = with_excitation(source, stored_options(source, path, options))
-    scene, mapping = load_scene(source, options)
-    return GuardedScene(source, options, scene, path, mapping)
+    scene, import_report = load_scene(source, options)
+    return GuardedScene(source, options, scene, path, import_report)
 
 
 def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Baseline:
@@ -149,8 +149,8 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
         plan = make_plan(scene)
     except NewtonEulerError as error:
         raise CrosscheckError(f"scene {scene.name!r} cannot be run: {error}") from error
-    mapping = guarded.mapping
-    simulation = mapping.simulation if mapping else None
+    import_report = guarded.import_report
+    simulation = import_report.simulation if import_report else None
     if simulation is not None:  # the file also runs in its own engine; runs are compared until a horizon, s
         plan = plan.model_copy(update={"own_run_until": horizon(simulation)})
     quantities, left_out = list[StoredQuantity](), dict[GroupName, str]()
@@ -166,11 +166,11 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
     if MAIN_FORMULATION in left_out:
         raise CrosscheckError(f"scene {scene.name!r} cannot be measured: {left_out[MAIN_FORMULATION]}")
     # the import report after a run, which shows the elements that act and are not simulated
-    watched = watched_in_new_run(guarded.scene, mapping) if mapping else None
+    watched = watched_in_new_run(guarded.scene, import_report) if import_report else None
     return Baseline(
         scene=scene.name,
         options=guarded.options,
-        unsimulated=unsimulated(mapping, watched),
+        unsimulated=unsimulated(import_report, watched),
         history=[*history, UpdateRecord.now(reason)],
         plan=plan,
         left_out=left_out,
@@ -240,7 +240,7 @@ def check_baselines(
     # compare, and record the scene and its baseline side by side if a quantity moved out of its tolerance
     comparisons, recordings, contents = [], dict[str, Path](), dict[Path, bytes]()
     for each, baseline in zip(guarded, baselines, strict=True):
-        comparison = compare(each.scene, baseline, progress, each.mapping)
+        comparison = compare(each.scene, baseline, progress, each.import_report)
         comparisons.append(comparison)
         if comparison.moved and (runs := both_runs(each.scene, baseline)):
             progress(f"{each.scene.name}: recording")

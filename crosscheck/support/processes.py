@@ -70,6 +70,7 @@ def run_in_processes(
     # "spawn" starts fresh processes: a forked one would inherit locks that threads of libraries hold
     context = multiprocessing.get_context("spawn")
     results = dict[int, Result | ProcessLostError]()
+    # SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does, so that `finally` ends the processes
     with signals_as_interrupts(), safe_path():
         workers = min(processes, len(tasks)) or 1
         pool = ProcessPool(workers, initializer=_end_with_parent, context=context)

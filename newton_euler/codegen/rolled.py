@@ -1,11 +1,15 @@
 """Write large programs as loops over repeated pieces (loop rolling), to keep code and compile time small.
 
-A program is a pruned expression graph, a list of operations. The same sequences of operations repeat for
-every joint, body and loop of a kind. `cut` divides the program into pieces. Whether it cuts at a place
-depends only on the operations around that place, so repeated sequences are cut alike (content-defined
-chunking). Pieces of equal structure become one LLVM function. Tables hold the values and constants that each
-instance of a piece takes. The operations and their order are the same as in straight-line code, so that
-results are equal bit by bit if the straight-line code fuses no multiplications and additions.
+A program is a pruned expression graph, a list of nodes (op, a, b): the name of an operation and the indices
+of the nodes of its operands, b = -1 if there is only one. Leaves have no operands: a constant has its value
+as a, an input its index.
+
+The same sequences of operations repeat for every joint, body and loop of a kind. `cut` divides the program
+into pieces. Whether it cuts at a place depends only on the operations around that place, so repeated
+sequences are cut alike (content-defined chunking). Pieces of equal structure become one LLVM function. Tables
+hold the values and constants that each instance of a piece takes. The operations and their order are the same
+as in straight-line code, so that results are equal bit by bit if the straight-line code fuses no
+multiplications and additions.
 
 Values that a piece uses from other pieces are in one array, which begins with the inputs. If there is no
 memory for this array, all results are NaN, which callers treat as a failure.
@@ -199,7 +203,17 @@ def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[
 
 
 def emit_rolled(program: Program, name: str, lanes: int = 1) -> str:
-    """Write a program as a loop over its pieces; an `Emitter` (see `newton_euler.codegen.emit`)."""
+    """Write a program as a loop over its pieces.
+
+    The result is the LLVM text of a function void name(double *x, double *y, int64_t on), which writes the
+    outputs at the inputs x to y (`newton_euler.codegen.emit.Emitter`).
+
+    Args:
+        program: program to write.
+        name: name of the LLVM function.
+        lanes: number of inputs that a call takes at once, as vectors. The function writes the outputs of lane
+            i if bit i of `on` is 1; code of one lane ignores `on`.
+    """
     pieces, order = roll(program)
     # lay out the array of values: inputs, stored results of all instances, constants among the outputs
     place = {k: int(a) for k, (op, a, _) in enumerate(program.nodes) if op == "input"}  # by node
@@ -290,6 +304,7 @@ def _emit_piece(piece: Piece, name: str, place: dict[int, int], lanes: int) -> s
             return constant(first.data[int(number)], lanes)
         if key not in known:
             if kind == "data":
+                # the same in all lanes
                 known[key] = out.load_shared(f"%d{number}", "%data", int(number))
             elif not others:
                 known[key] = out.load(f"%v{number}", "%v", place[first.values[int(number)]])

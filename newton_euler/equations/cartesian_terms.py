@@ -50,7 +50,11 @@ class Rotors(NamedTuple):
 
 
 class CartesianTerms(Formulation):
-    """Matrices and vectors of equation (21) of a scene with n moving bodies.
+    """Matrices and vectors of the equations of motion, eq. (21), of a scene with n moving bodies.
+
+    With Lagrange multipliers lambda and without stabilization, the equations are
+
+        M qddot - B^T lambda = g - b,   P qddot = -c,   Phi_q qddot = gamma
 
     The state is q (7 n,) and v = qdot (7 n,): (r, p) of each moving body, world frame, and their rates. The
     residuals `phi` are Phi(q) of joints and couplings, then 1/2 (p^T p - 1) of each body.
@@ -76,7 +80,7 @@ class CartesianTerms(Formulation):
             alpha,
             poses,
             equations=mechanism.equations,
-            constrained=mechanism.equations,
+            constrained=mechanism.equations,  # the joints with Lagrange multipliers: all of them
             nq=7 * n,
             nv=7 * n,
         )
@@ -226,7 +230,7 @@ class CartesianTerms(Formulation):
 
         For each moving body: force f_i, world frame, N, and torque n'_i, body frame, N m.
         """
-        # gravity and forces on bodies
+        # gravity and forces on bodies, which depend on `surroundings`: frames, joint coordinates and time
         frames = self.frames(q, qdot)
         applied = applied_wrenches(self.scene, self.surroundings(q, qdot))
         wrenches = [

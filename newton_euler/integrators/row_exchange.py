@@ -1,14 +1,15 @@
 """Exchange redundant constraint rows between two steps of a run, so that the rows in use stay independent.
 
 A constraint row is one scalar constraint equation. If constraints are redundant, each row that is left out is
-a linear combination of the rows in use. The coefficients, called *shares*, may depend on the configuration
-(`newton_euler.equations.row_choice`). A compiled function computes the shares after each step. If a share
-becomes large, Python exchanges the row that is left out for the row in use with this share. For this purpose
-Python changes the flags of both rows: 1 for a row that is left out, 0 for a row in use. The flags follow the
-state and the time in the vector x.
+a linear combination of the rows in use, with coefficients called *shares*. If the shares depend on the
+configuration, the rows are *exchangeable* (`newton_euler.equations.row_choice`).
+
+A compiled function computes the shares after each step. If a share becomes large, Python exchanges the row
+that is left out for the row in use with this share. For this purpose Python changes the flags of both rows: 1
+for a row that is left out, 0 for a row in use. The flags follow the state and the time in the vector x.
 
 Functions marked `native` are compiled to machine code by `newton_euler.codegen`; they also run as plain
-Python.
+Python. A `Record` is a dataclass that such a function takes as one argument.
 """
 
 from __future__ import annotations

@@ -31,8 +31,8 @@ from newton_euler.model.motions import TimeFunction, terms
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.scalars import Array, Scalar
 
-# Declarations of attributes: the unit at a slide, the unit about a hinge, and the effect (if any) that is
-# proportional to the attribute
+# Declarations of attributes: the unit at a slide, the unit about a hinge, and as `strength` the effect (if
+# any) that is proportional to the attribute. For shape=None the constructor checks the values
 TARGET = NumberField("m", unit_about="rad", may_be_function=True)
 FEEDFORWARD = NumberField("N", unit_about="N m", may_be_function=True, strength="actuator")
 
@@ -142,7 +142,10 @@ class DeclaredLaw(ControlLaw):
         return force + model.get(self.key, 0.0) if self.uses_model else force
 
     def at_joint(self, at: Surroundings) -> Scalar:
-        """Compute the force (N or N m) at a state; `at.model` computes the forces from the model."""
+        """Compute the force (N or N m) from the time and joint coordinates of a state.
+
+        `at.model` computes the forces that the model demands.
+        """
         model = at.model() if self.uses_model else NO_FORCES
         return self.towards(self.references(at.time), at.measured, at.time, model)
 
@@ -343,6 +346,7 @@ class ComputedTorque(DeclaredLaw):
         "stiffness": NumberField("1/s^2", strength="actuator"),
         "damping": NumberField("1/s", strength="actuator"),
     }
+    # why an attribute cannot vary in parameter studies, by its name
     constant: ClassVar = DeclaredLaw.constant | {"model": "what a controller knows, the same in all runs"}
     uses_model = True
 
@@ -449,8 +453,8 @@ class TimeDependentPD:
         """Compute the time-dependent part w (n,), N or N m, of the laws `law_indices` at a time in s.
 
         Args:
-            laws: all control laws of the scene. Functions that jump are replaced by their smooth pieces
-                between the two jumps around the time, see `Function.on_piece`.
+            laws: all control laws of the scene. In place of each function that jumps, the caller passes its
+                smooth piece around the time (`newton_euler.model.variable.Function.on_piece`).
             time: s.
         """
         angle = self._frequency * time + self._phase

@@ -33,8 +33,8 @@ SettingsT = TypeVar("SettingsT", bound=Settings)
 """Type of an engine's settings (time step, integrator, solver); one class for each engine."""
 
 TIME_STEP, INTEGRATOR = "time step", "integrator"
-"""Names of causes of errors (`Cause.name`) that a mode of the model that is too fast for the time step can
-explain."""
+"""Names of causes of errors (`Cause.name`) that may be due to an unstable mode: an oscillation of the model
+that is too fast for the time step."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +126,6 @@ class FileSimulation(ABC, Generic[SettingsT]):
     scene: Scene
     settings: SettingsT
 
-    def timestep(self, settings: SettingsT) -> float:
-        """Return the time step of settings, s."""
-        return settings.timestep
-
     def evaluations(self, settings: SettingsT) -> float:
         """Return the number of evaluations of the equations of motion per second of simulated time."""
         return evaluations_per_step(settings.integrator) / settings.timestep
@@ -184,7 +180,9 @@ class FileSimulation(ABC, Generic[SettingsT]):
         """Return the same settings with the file's time step divided by `divisor`."""
 
     def small_motions(self, run: FileRun, outputs: Sequence[int]) -> SmallMotions[SettingsT] | None:
-        """Return small motions about states of a run; None for an engine without this analysis.
+        """Return linearizations about states of a run, which show whether the time step is stable.
+
+        The result is None for an engine without this analysis.
 
         Args:
             run: run of the file without the elements that the scene does not have.
@@ -192,5 +190,11 @@ class FileSimulation(ABC, Generic[SettingsT]):
         """
 
     def changed(self, change: ModelChange) -> FileSimulation[SettingsT]:
-        """Return the simulation of a changed model; only for an engine with `small_motions`."""
+        """Return the simulation of the file after a change of the engine's model, such as more armature.
+
+        Only an engine with `small_motions` has this method.
+
+        Args:
+            change: function that changes the engine's model in place.
+        """
         raise NotImplementedError(f"{self.engine}: changes of the model")

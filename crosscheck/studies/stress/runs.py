@@ -1,8 +1,9 @@
 """Helpers of all stress tests: engine settings, error measures of runs, and two exact reference motions.
 
 A stress test measures the errors of engines (newton_euler, MuJoCo, Pinocchio) in demanding runs. A setting is
-an engine with options of its simulation function. The reference motions, each computed independently of the
-engines, are those of a parallelogram linkage and of a free symmetric top.
+an engine with options of its simulation function. A case is one test of one engine at one setting. The
+reference motions, each computed independently of the engines, are those of a parallelogram linkage and of a
+free symmetric top.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from newton_euler.runs.simulate import simulate
 from newton_euler.scalars import Array
 
 STANDARD_GRAVITY = 9.81
-"""Acceleration of gravity, m/s^2, in the scenes of the stress tests."""
+"""Acceleration of gravity, m/s^2, in the scenes of the stress tests: standard gravity, 9.80665, rounded."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,8 @@ class Setting:
     """An engine, and options of its simulation function.
 
     Attributes:
-        engine: name of the engine, a key of `SIMULATE`. Cases that simulate nothing may have other names.
+        engine: name of the engine, a key of `SIMULATE`. In cases without a simulation, such as invalid
+            inputs, engine and options are only labels.
         options: keyword arguments of the simulation function, such as the integrator and its step.
     """
 

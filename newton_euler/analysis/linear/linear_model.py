@@ -24,7 +24,7 @@ restoring force has the eigenvalue 0 twice."""
 
 STILL_RATE = 1e-9
 """Rate of a coordinate below which the rate is round-off: divided by the unit of the coordinate and by the
-eigenvalue magnitude, 1/s, of the fastest mode."""
+eigenvalue magnitude of the fastest mode (by 1/s if the magnitude is smaller)."""
 
 
 def label(name: str | Key) -> str:
@@ -43,7 +43,7 @@ class Modes:
         eigenvalues: (m,) 1/s.
         shapes: (m, d) amplitudes of the coordinates, complex, in the scale of `twists`.
         twists: (m, b, 6) displacement of the centers of mass, m, and small rotation, rad, of all bodies,
-            world frame; the largest component is 1 rad, or one size of the mechanism, and real.
+            world frame; the largest component is 1 rad, or `LinearModel.size`, and real.
 
     Examples:
         >>> modes = linearize(load("stewart")).modes()
@@ -87,8 +87,9 @@ class LinearModel:
         state: state of the linearization.
         coordinates: (d,) names of the coordinates; x has these and then their rates.
         inputs, outputs: names of the entries of u and y.
-        units: (d,) units of the coordinates: the size of the mechanism for slides, m, else 1.
-        size: size of the mechanism, m.
+        units: (d,) units of the coordinates: `size` for slides, m, else 1.
+        size: characteristic length of the mechanism, m: the largest distance of joint points and centers of
+            mass from their mean.
         A, B, C, D: (2 d, 2 d), (2 d, m), (p, 2 d) and (p, m).
         f: (2 d,) rates of coordinates and their accelerations at the state itself; zero at an equilibrium.
         twists: (b, 6, d) Jacobian of linear and angular velocities of all bodies with respect to the rates of
@@ -142,7 +143,8 @@ class LinearModel:
         rigid_shapes = directions[stiffness <= RIGID_MODE**2 * fastest**2]
         eigenvalues = np.concatenate([np.zeros(len(rigid_shapes)), values[order]]).astype(complex)
         shapes = np.concatenate([rigid_shapes, vectors[:d, order].T]).astype(complex) * self.units
-        # scale each mode: the largest displacement of a body is 1 rad or 1 size, and real
+        # scale each mode: the largest displacement of a body is 1 rad or `size`, and real; rounded, so that
+        # round-off does not choose between equal displacements
         twists = np.einsum("bid,md->mbi", self.twists, shapes)
         scales = np.repeat([self.size, 1.0], 3)
         for shape, twist in zip(shapes, twists, strict=True):
@@ -166,7 +168,7 @@ class LinearModel:
         Raises:
             MissingPackageError: if the package control is not installed.
         """
-        control = optional_package("control", "control")
+        control = optional_package("control", extra="control")
 
         def signal_names(names: tuple[str | Key, ...]) -> list[str]:
             """Replace the characters that the package does not allow."""

@@ -41,7 +41,7 @@ def mode(tmp_path, text):
     settings = simulation.settings
     motions = simulation.small_motions(simulation.run(settings, 1, 1, True), [0])
     assert motions is not None
-    return ModeAtFault(motions, settings, simulation.timestep(settings), DURATION)
+    return ModeAtFault(motions, settings, settings.timestep, DURATION)
 
 
 def slide(tmp_path, integrator="Euler", stiffness=0.0, damping=0.0, more=""):
