@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +44,9 @@ SMALLEST_SCALE = 1e-6
 MAX_LSODA_STEPS = 1000
 """Largest number of steps of LSODA per output interval."""
 
+SMALL_VELOCITY = 1e-9
+"""Change of velocities, m/s and rad/s, that makes a state different without changing the work of a call."""
+
 Rates = Callable[[float, Array], Array]
 """Function of time t and state y that returns ydot."""
 
@@ -52,7 +56,8 @@ class Equations(NamedTuple):
 
     Attributes:
         system: Pinocchio's system of the scene.
-        acceleration: function without arguments that computes accelerations at the initial state.
+        acceleration: function without arguments that computes accelerations at, or almost at, the initial
+            state.
         rates: function of t and y that returns ydot (nq + nv,), always in the same array.
         start: (nq + nv,) initial y.
         nq: number of coordinates q in y.
@@ -170,8 +175,10 @@ def _equations_by_system(system: PinocchioSystem) -> Equations:
         ydot[nq:] = map.v_to_pinocchio(system_at_t.acceleration(q, v))
         return ydot
 
+    # `PinocchioSystem` keeps its latest solution, so that two states in turn are evaluated at every call
+    states = cycle([(q, v), (q, v + SMALL_VELOCITY)])
     start = np.concatenate([map.q_to_pinocchio(q), map.v_to_pinocchio(v)])
-    return Equations(system, partial(system.acceleration, q, v), rates_at, start, nq)
+    return Equations(system, lambda: system.acceleration(*next(states)), rates_at, start, nq)
 
 
 def _unsupported_elements(scene: Scene) -> list[str]:

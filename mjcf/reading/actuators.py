@@ -489,8 +489,14 @@ class Actuators:
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
         body = self._bodies.names[int(model.site_bodyid[site])]
         turns_with_body = reference < 0  # no reference site
-        if force.by_length or force.by_rate or body == GROUND:
-            self._report.left_out(element, "its force on a site depends on the place of the site")
+        if body == GROUND:
+            self._report.left_out(
+                element, "its site is on the ground, which no force moves", moves_nothing=True
+            )
+            return False
+        if force.by_length or force.by_rate:
+            what = "position" if force.by_length else "velocity"
+            self._report.left_out(element, f"its force depends on the {what} of its site")
             return False
         if not turns_with_body and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
             self._report.left_out(element, "its force on a site has the direction of another moving body")

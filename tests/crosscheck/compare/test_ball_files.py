@@ -203,6 +203,20 @@ def test_lcaba_has_no_place_for_springs_of_balls() -> None:
     assert quick == pytest.approx(exact, rel=1e-9, abs=1e-9)  # what the regularization leaves
 
 
+def test_a_benchmark_solves_the_equations_at_every_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Although the system keeps its latest solution, which equations by elimination need again."""
+    calls = []
+    solve = PinocchioSystem._solve_by_elimination
+    monkeypatch.setattr(
+        PinocchioSystem, "_solve_by_elimination", lambda *args: calls.append(args) or solve(*args)
+    )
+    equations = equations_of(load("tracker_on_boat"), 0.0, None)
+    before = len(calls)
+    wanted = equations.acceleration()
+    assert equations.acceleration() == pytest.approx(wanted, rel=1e-6)
+    assert len(calls) - before == 2
+
+
 def test_numbers_of_a_spring_vary_in_a_batch() -> None:
     scene = replace(sphere(BallSpring("ball", 1.0)), duration=1.0)
     values = {
