@@ -86,6 +86,22 @@ def test_twins_that_differ(tmp_path: Path) -> None:
     assert sides(tmp_path, place="0.05 -0.02 -0.1") == []  # one part on both sides, moved
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("mass", "found"), [("0.5", []), ("0.6", ["twins-differ"])])
+def test_twins_may_be_mirrored_along_any_axis(axis: int, mass: str, found: list[str], tmp_path: Path) -> None:
+    legs = ""
+    for name, sign, kg in (("left", 1.0, mass), ("right", -1.0, "0.5")):
+        place, center = np.zeros(3), np.array([0.05, 0.02, -0.1])
+        place[axis] = 0.1 * sign
+        center[axis] *= sign
+        at, com = (" ".join(map(str, vector)) for vector in (place, center))
+        inertial = f'<inertial pos="{com}" mass="{kg}" diaginertia="{GOOD}"/>'
+        legs += f'<body name="{name}_leg" pos="{at}"><joint axis="0 1 0"/>{inertial}</body>'
+    path = tmp_path / "legs.xml"
+    path.write_text(f"<mujoco><worldbody>{legs}</worldbody></mujoco>")
+    assert [finding.name for finding in read_mjcf(path).report.findings] == found
+
+
 @pytest.mark.parametrize(
     ("name", "twin"),
     [
