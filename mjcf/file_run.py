@@ -350,7 +350,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
                 # a time step with equal cost per second of motion
                 cost = evaluations_per_step(name) / evaluations_per_step(of_file.integrator)
                 other = replace(of_file, integrator=name, timestep=of_file.timestep * cost)
-                yield Cause(INTEGRATOR, without=other)
+                yield Cause(INTEGRATOR, without=other, is_choice=True)
         yield Cause("solver iterations", without=replace(of_file, **CONVERGED_SOLVER))
 
     def softness(self, settings: MujocoSettings) -> tuple[MujocoSettings, ...]:

@@ -188,12 +188,13 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
         base = self.settings
         if self._has_dampers and base.integrator != RK4:
             base = replace(base, damping=IMPLICIT_DAMPING)
-            yield Cause("explicit damping", without=base)
+            yield Cause("explicit damping", without=base, is_choice=True)
         if self._reference.closures:
             converged = replace(base, **CONVERGED)
             yield Cause("proximal iterations", without=converged, against=base)
             for factor in GAIN_FACTORS:
-                yield Cause("Baumgarte stabilization", without=_closing(converged, factor), against=converged)
+                closing = _closing(converged, factor)
+                yield Cause("Baumgarte stabilization", without=closing, against=converged, is_choice=True)
             base = _closing(converged, CLOSING_FACTORS.get(converged.integrator, 1.0))
         first_divisor, *_ = FINE_STEP_DIVISORS
         for divisor in FINE_STEP_DIVISORS:
@@ -208,9 +209,9 @@ class PinocchioFile(FileSimulation[PinocchioSettings]):
                 other = replace(base, integrator=name, timestep=base.timestep * cost)
                 other = replace(other, damping=self._dampings(name)[-1])
                 if not self._reference.closures:
-                    yield Cause("integrator", without=other, against=base)
+                    yield Cause("integrator", without=other, against=base, is_choice=True)
                 for factor in GAIN_FACTORS if self._reference.closures else ():
-                    yield Cause("integrator", without=_closing(other, factor), against=base)
+                    yield Cause("integrator", without=_closing(other, factor), against=base, is_choice=True)
 
     def alternatives(self, divisor: int) -> Iterator[PinocchioSettings]:
         """Yield other settings that may reduce the error, with the user's time step divided by `divisor`.

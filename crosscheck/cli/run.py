@@ -234,7 +234,7 @@ def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int
         save: path of the recording; None for the default.
         allow_reduced: whether agreement on a reduced model counts as agreement.
     """
-    from crosscheck.compare.two_models.compare import TwoModelComparison
+    from crosscheck.compare.result import EngineComparison
     from crosscheck.loading.load import non_default_options
     from crosscheck.recording.mesh_budget import meshes_left_out
     from crosscheck.report.output import write
@@ -257,11 +257,13 @@ def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int
     # print, with commands for further steps
     look = f"look  {next_step('view', recording)}"
     more = ["-v", next_step("report", folder)]
-    if not isinstance(result, TwoModelComparison):
+    if isinstance(result, EngineComparison):
         if without_meshes := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
             look = f"{without_meshes}\n{look}"
         options = non_default_options(result.options)
         settings = [word for key, value in options.items() for word in ("--set", f"{key}={value}")]
+        if result.own_run and result.own_run.remedies:
+            more.append(next_step("tune", result.source, *settings))
         more.append(next_step("bench", result.source, *settings))
     show(found, look, f"more  {'; '.join(more)}")
     return result.outcome.exit_status(allow_reduced)

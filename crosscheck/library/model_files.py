@@ -89,7 +89,7 @@ COMMON = {
         "NUMBER, 0 takes all constraints literally", "1e-4", plain_number, "a number"
     ),
     "excitation": Option(
-        "on|off, moving joints and driven actuators; on in run, regress, sweep, bench",
+        "on|off, moving joints and driven actuators; on in run, tune, regress, sweep, bench and tests",
         "off",
         _switch,
         "on or off",

@@ -201,6 +201,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         remedies=(),
         run=run,
         reference=compared.reference_at(run.time),
+        scale=compared.motion_scale,
         name=name,
         start=compared.start,
         scene=compared.scene,

@@ -20,6 +20,10 @@ STATES = 8
 """Number of states of the run at which the fastest mode is sought."""
 
 
+CANCELLATION = 1.25
+"""Smallest ratio of the error by one cause and the error of the run at which errors count as cancelling."""
+
+
 @dataclass(frozen=True)
 class MeasuredCause:
     """One property of the settings and the error that it causes alone.
@@ -50,7 +54,7 @@ class Judgement:
         until: time, s, at which the comparison ends because the motion is chaotic or unstable; None if the
             comparison ends with the run.
         causes: error by property of the settings, largest first; empty for an accurate run.
-        harmless: tested properties without which the run is no closer to the reference.
+        harmless: tested properties without which no run is closer to the reference.
         remedies: settings with a smaller error, cheapest first; empty for an accurate run.
         stability: stability limit of the time step, and the mode of the linearized model that sets the limit.
             Only if the run diverged, or the time step or the integrator is the largest cause of its error.
@@ -60,6 +64,7 @@ class Judgement:
         are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
         stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
             judged run without them completes; "" otherwise.
+        scale: extent of the reference's motion, by which errors are divided.
         run_inputs: start, controls, changed numbers and output times of the judged run. With these,
             the engine alone can repeat the run, see `FileSimulation.run_inputs`.
     """
@@ -75,12 +80,20 @@ class Judgement:
     remedies: tuple[MeasuredRemedy, ...]
     run: Trajectory
     reference: Trajectory
+    scale: MotionScale
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
     stopped_as_it_stands: str = ""
     run_inputs: Mapping[str, Any] = field(default_factory=dict)
     are_assumed: bool = False
     harmless: tuple[str, ...] = ()
+
+    @property
+    def errors_cancel(self) -> bool:
+        """True if the largest cause alone has a clearly larger error than the run has."""
+        by_position = self.error.stated_by_position
+        largest = max((cause.error.relative_by(by_position) for cause in self.causes), default=0.0)
+        return not self.stopped and largest > CANCELLATION * self.error.relative_by(by_position)
 
     @property
     def band(self) -> Band:
@@ -157,6 +170,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         remedies=remedies,
         run=run.trajectory,
         reference=compared.reference,
+        scale=compared.scale,
         stability=stability,
         changes=changes,
         stopped_as_it_stands="" if run.stopped else as_it_stands,
@@ -211,7 +225,8 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
     """Measure the error of each property of the settings: how far a run without that error is from the run.
 
     Several changes of one property, such as other integrators, count by the one that is closest to the
-    reference. A change that brings the run no closer to the reference shows no error of the property.
+    reference. Another choice that brings the run no closer to the reference shows no error of the property.
+    More exact settings always show one: if they bring the run no closer, the errors of two properties cancel.
 
     Args:
         compared: the file with its reference.
@@ -230,7 +245,8 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
         if removed.stopped:
             continue
         remaining = compared.error(removed).relative
-        if remaining >= compared.error(kept).relative and not kept.stopped:
+        is_closer = remaining < compared.error(kept).relative or bool(kept.stopped)
+        if cause.is_choice and not is_closer:
             continue
         if cause.name not in best or remaining < best[cause.name][0]:
             measured = MeasuredCause(cause.name, compared.apart(kept, removed), bool(kept.stopped))

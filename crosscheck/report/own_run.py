@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from crosscheck.own_run.allowed import AllowedError, in_unit, length
-from crosscheck.own_run.errors import Band, RunError
+from crosscheck.own_run.errors import MAX_ANGLE_SCALE, Band, RunError
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
 from crosscheck.own_run.judge import Judgement
 from crosscheck.own_run.remedies import MeasuredRemedy
@@ -57,8 +57,7 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
     # a file without settings of a run, such as a URDF, is judged with usual settings, which are assumed
     yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
     yield f"  run     {judgement.settings} ({judgement.engine})"
-    if excitation:
-        yield f"  motion  {excitation}; {OWN_MOTION}"
+    yield f"  motion  {'; '.join(_motion(judgement, excitation))}"
     if judgement.stopped:
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
@@ -75,6 +74,8 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
         yield f"  note    with what acts in the file, the run stops: {judgement.stopped_as_it_stands}"
     if causes := _causes(judgement):
         yield f"  cause   {'; '.join(causes)}"
+        if judgement.errors_cancel:
+            yield "          these errors partly cancel: the removal of one alone can make the run worse"
     if judgement.stability is not None:
         for k, line in enumerate(_stability(judgement.stability)):
             yield f"  {'mode' if k == 0 else '':<7} {line}"
@@ -83,6 +84,16 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
     fixes += [_model_change(change) for change in judgement.changes]
     for k, fix in enumerate(fixes):
         yield f"  {'fix' if k == 0 else '':<7} {fix}"
+
+
+def _motion(judgement: Judgement, excitation: str) -> Iterator[str]:
+    """Yield what starts and drives the judged motion, and its extent; see `own_run_lines` for arguments."""
+    scale = judgement.scale
+    capped = "more than " if scale.angle >= MAX_ANGLE_SCALE else ""
+    yield excitation or "the start and the constant controls of the file"
+    yield f"bodies move by up to {length(scale.length)} and {capped}{angle(scale.angle)}"
+    if excitation:
+        yield OWN_MOTION
 
 
 def unsimulated_text(events: Sequence[Event]) -> str:
@@ -116,12 +127,12 @@ def _causes(judgement: Judgement) -> list[str]:
     by_position = judgement.error.stated_by_position
     # causes are sorted, the largest first; `part` is the error of positions or of rotations,
     # relative to the motion
-    causes = [each for each in judgement.causes if each.error.relative_by(by_position) > 0.0]
-    if not causes:
+    errors = {each.name: each.error.relative_by(by_position) for each in judgement.causes}
+    largest = max(errors.values(), default=0.0)
+    if not largest:
         return []
-    least = MIN_CAUSE * causes[0].error.relative_by(by_position)
-    listed = [each for each in causes if each.error.relative_by(by_position) >= least]
-    small = [each.name for each in causes if each not in listed] + list(judgement.harmless)
+    listed = [each for each in judgement.causes if errors[each.name] >= MIN_CAUSE * largest]
+    small = [name for name, error in errors.items() if error < MIN_CAUSE * largest] + [*judgement.harmless]
     words = [f"{each.name}: {size(each.error, by_position)}" for each in listed]
     return words + ([f"little or nothing: {', '.join(small)}"] if small else [])
 
@@ -182,18 +193,21 @@ def headline(judgement: Judgement) -> str:
     if judgement.stopped_as_it_stands:
         return "DIVERGED with what acts in the file and not in the reference"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
-    return f"{word} {sizes(error)}, {percent(error.relative)} of the motion"
+    shares = dict.fromkeys(percent(error.relative_by(by_position)) for by_position in _stated(error))
+    return f"{word} {sizes(error)}, {' and '.join(shares)} of the motion"
 
 
 def sizes(error: RunError) -> str:
-    """Format the error of positions, of rotations, or both.
+    """Format the error of positions, of rotations, or both, see `_stated`."""
+    return " and ".join(size(error, by_position) for by_position in _stated(error))
+
+
+def _stated(error: RunError) -> list[bool]:
+    """Return True for the error of positions, False for that of rotations, or both.
 
     The smaller one, relative to the motion, is left out if it is less than a tenth of the larger one.
     """
-    shown = [
-        by_position for by_position in (True, False) if error.relative_by(by_position) >= 0.1 * error.relative
-    ]
-    return " and ".join(size(error, by_position) for by_position in shown)
+    return [each for each in (True, False) if error.relative_by(each) >= 0.1 * error.relative]
 
 
 def size(error: RunError, by_position: bool) -> str:

@@ -80,7 +80,9 @@ def _table(tuning: Tuning) -> Table:
     columns = [Column("settings"), *number_columns("error, %", "evaluations", "run time")]
     rows: Rows = [row(f"yours: {tuning.settings}", tuning.own)]
     rows += [row(_settings(tried), tried) for tried in tuning.tradeoff]
-    return Table("settings with smaller errors at higher costs; costs are relative to yours", columns, rows)
+    return Table(
+        "your settings, then others from cheap to accurate; costs are relative to yours", columns, rows
+    )
 
 
 def _notes(tuning: Tuning) -> Iterator[str]:

@@ -96,11 +96,14 @@ class Cause(Generic[SettingsT]):
         name: the property, such as `TIME_STEP`.
         without: the settings `against`, changed so that the error of the property disappears.
         against: settings with the error of the property; None for the settings of the file.
+        is_choice: True if `without` is another choice, such as another integrator, which may also be worse;
+            False if it is more exact, such as a smaller time step.
     """
 
     name: str
     without: SettingsT
     against: SettingsT | None = None
+    is_choice: bool = False
 
 
 def evaluations_per_step(integrator: str) -> int:
