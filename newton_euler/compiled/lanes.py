@@ -30,13 +30,13 @@ from newton_euler.compiled.run import (
     table_of,
 )
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.options import Options
+from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import COUNTS, LEAVE_LANE, STOP_ALL_RUNS, Count, Table
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-LANE_METHODS = frozenset({"DOP853", "RK4", "Euler"})
+LANE_METHODS = frozenset({"DOP853", *FIXED})
 """Integrators that run in lanes. Radau does not: its linear solver chooses different pivots in each run."""
 
 MAX_TABLE_BYTES = 4_000_000

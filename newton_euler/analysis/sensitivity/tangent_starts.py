@@ -15,6 +15,7 @@ import numpy as np
 from newton_euler.analysis.sensitivity.tangent_run import NEAR_SINGULAR
 from newton_euler.equations.parameters import places
 from newton_euler.errors import MechanismError, SensitivityError
+from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.scene import Scene
 from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.simulate import CompiledScene
@@ -39,7 +40,9 @@ Near a singular configuration, the errors of order 4 and 6 grow with the fourth 
 step divided by the distance.
 """
 
-DIRECTION_ATTRIBUTES = frozenset({"axis", "axis_on_first", "axis_on_second", "quaternion"})
+DIRECTION_ATTRIBUTES = frozenset(
+    {"axis", "quaternion", *(name for kind in JOINT_KINDS.values() for name in kind.axis_names)}
+)
 """Attributes of elements that are directions or orientations, without a unit."""
 
 MIN_COMPARED = 1e-3

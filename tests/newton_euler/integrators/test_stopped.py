@@ -23,8 +23,9 @@ from crosscheck.library.scene_file import write_scene
 from crosscheck.studies.faults import injection
 from crosscheck.support import time_limits as limit
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
+from newton_euler.compiled.failures import STABILITY_LIMITS
 from newton_euler.equations.relative import Relative
-from newton_euler.integrators.options import Options
+from newton_euler.integrators.options import FIXED, Options
 from newton_euler.limits import ENVIRONMENT_VARIABLE
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint_kinds import Prismatic
@@ -89,7 +90,7 @@ def test_what_was_computed_is_kept(engine):
     assert found.time[-1] <= error.time <= scene.times[rows] + 2e-3
     assert {len(array) for name, array in found.arrays().items() if "names" not in name} == {rows}
     assert np.isfinite(found.linear_velocity).all()
-    if "RK4" in engine or "Euler" in engine or engine == "mujoco":  # the same steps up to there
+    if engine == "mujoco" or any(name in engine for name in FIXED):  # the same steps up to there
         early = ENGINES[engine](runaway(duration=found.time[-1]))
         assert np.allclose(found.linear_velocity, early.linear_velocity, rtol=1e-12, atol=0.0)
     else:
@@ -312,3 +313,7 @@ def test_pinocchio_stops_before_the_first_output():
     with pytest.raises(IntegrationError, match=r"t = 0 s: .*not finite") as caught:
         urdf.simulate(scene)
     assert caught.value.partial is None
+
+
+def test_every_integrator_with_fixed_steps_has_a_limit_of_stability() -> None:
+    assert STABILITY_LIMITS.keys() == set(FIXED)
