@@ -160,7 +160,7 @@ def axes_of(joint: Any) -> Array:
 
 def ends_of(scene: Scene, joint: Any, axes: Array, mark: Mark) -> list[Any]:
     """Add markers at both ends of a joint."""
-    ends = (joint.first, joint.point), (joint.second, joint.reaction_point)
+    ends = (joint.first, joint.point), (joint.second, joint.point_on_second)
     return [mark(scene.mechanism.body_index(name), point, axes) for name, point in ends]
 
 

@@ -48,7 +48,7 @@ class Reactions:
         # joint points from the centers of mass of the second bodies, in body frames; MuJoCo's world body has
         # its origin at 0, not at the ground's center of mass
         arms = [
-            mechanism.reaction_arms[joint] if body else mechanism.joints[joint].reaction_point
+            mechanism.reaction_arms[joint] if body else mechanism.joints[joint].point_on_second
             for joint, body in zip(self._tree_joints, second_bodies, strict=True)
         ]
         self._arms = np.reshape(arms, (-1, 3, 1))

@@ -216,8 +216,8 @@ def _add_world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: 
                 add_geom(element, shape, color, body.pose, body.quaternion)
     add_sites(elements, scene)
     for rod in rods(welded):
-        # `point` is the rod's end on the first body, `reaction_point` on the second
-        for body_name, point in ((rod.first, rod.point), (rod.second, rod.reaction_point)):
+        # `point` is the rod's end on the first body, `point_on_second` on the second
+        for body_name, point in ((rod.first, rod.point), (rod.second, rod.point_on_second)):
             add_site(elements, welded.mechanism, f"rod {rod.name} on {body_name}", body_name, point)
 
 
@@ -416,10 +416,9 @@ def _add_loop_closures(equality: ET.Element, welded: WeldedMechanism) -> None:
             anchor = rotation(q1).T @ (joint.point - p1)
             ET.SubElement(equality, "connect", attributes, anchor=numbers(anchor))
         else:
-            # `reaction_point` is the joint point that is fixed in the second body
-            anchor = rotation(q2).T @ (joint.reaction_point - p2)
+            anchor = rotation(q2).T @ (joint.point_on_second - p2)
             # the position in `relpose` is the anchor in body 1, not the position of body 2
-            anchor_in_first = rotation(q1).T @ (joint.reaction_point - p1)
+            anchor_in_first = rotation(q1).T @ (joint.point_on_second - p1)
             relpose = np.concatenate([anchor_in_first, product(conjugate(q1), q2)])
             ET.SubElement(equality, "weld", attributes, anchor=numbers(anchor), relpose=numbers(relpose))
 

@@ -234,8 +234,9 @@ def finite_array(element: str, name: str, value: object, shape: tuple[int, ...])
     return array
 
 
-def set_arrays(thing: object, element: str, **shapes: tuple[int, ...]) -> None:
-    """Convert attributes of a frozen object to read-only arrays, or to floats for the shape ().
+def set_finite_arrays(thing: object, element: str, **shapes: tuple[int, ...]) -> None:
+    """Convert attributes of a frozen object to read-only arrays of finite floats, or to finite floats for the
+    shape ().
 
     Args:
         thing: the object.

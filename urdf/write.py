@@ -102,7 +102,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     origins = [np.zeros(3)] * len(mechanism.bodies)
     for tree_joint in tree.joints:
         points = tree_joint.points
-        origins[tree_joint.child] = points[-1] if points else tree.joint(tree_joint.joint).reaction_point
+        origins[tree_joint.child] = points[-1] if points else tree.joint(tree_joint.joint).point_on_second
     # links of bodies
     for index, body in enumerate(mechanism.bodies):
         link = SubElement(robot, "link", name=body.name)
@@ -213,8 +213,8 @@ def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
     ends_of_closures = []
     for index in welded.tree.cuts:  # joints that close loops
         joint, equations = welded.mechanism.joints[index], welded.tree.equations(index)
-        # `point` is the joint's point on the first body, `reaction_point` on the second
-        ends = ((equations.first, joint.point), (equations.second, joint.reaction_point))
+        # `point` is the joint's point on the first body, `point_on_second` on the second
+        ends = ((equations.first, joint.point), (equations.second, joint.point_on_second))
         names = welded.mechanism.body_names
         ends_of_closures.append([(f"{joint.name}_on_{names[body]}", body, point) for body, point in ends])
     return ends_of_closures

@@ -14,11 +14,11 @@ from crosscheck.cli.shared import (
     load_with_warnings,
     next_step,
     progress_shown,
+    refuse_excitation,
     result_paths,
     scene_options,
     setting_options,
     show,
-    without_excitation,
 )
 from crosscheck.report.render import as_json
 
@@ -60,7 +60,7 @@ def identify_command(
 
     # The option `excitation` adds motion to models at rest; for a measured motion it is refused
     why = "measured is the scene as it stands"
-    options = without_excitation(scene_options(settings), why)
+    options = refuse_excitation(scene_options(settings), why)
     loaded = load_with_warnings(scene, options)
     [path] = result_paths(
         output, parent="output/identify", kind="fit", names=["identify.json"], sources=[scene, *measured]

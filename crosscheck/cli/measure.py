@@ -1,8 +1,11 @@
 """`crosscheck bench`, `controllers`, `loads`, `modes`, `workspace`, `stress`, `faults`, `figures`, `report`.
 
 Each command parses its options, calls a function of another package, and prints the result. Excitation means
-start velocities and sines for actuators, added to a model file that is otherwise at rest. An import report
-lists how each element of a model file was imported; it is None for a scene that comes from no model file.
+start velocities and sines for actuators, added to a model file that is otherwise at rest; a command that does
+not excite raises an error for `--set excitation=on`. An import report lists how each element of a model file
+was imported; it is None for a scene that comes from no model file. A default folder may have earlier results:
+a command recognizes them by the kind of its results, such as "load table", and raises an error if they are of
+another model.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from crosscheck.cli.shared import (
     load_with_warnings,
     next_step,
     progress_shown,
+    refuse_excitation,
     result_paths,
     say,
     scene_options,
@@ -29,7 +33,6 @@ from crosscheck.cli.shared import (
     show,
     verbose_option,
     warn_about_import,
-    without_excitation,
 )
 from crosscheck.report.render import as_json, terminal
 from crosscheck.support.errors import CrosscheckError
@@ -113,7 +116,7 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str
     from crosscheck.design.controllers import compared
     from crosscheck.engines.engine import ENGINES
 
-    options = without_excitation(scene_options(settings), why="controllers are those of the scene")
+    options = refuse_excitation(scene_options(settings), why="controllers are those of the scene")
     with progress_shown() as progress:
         tables = compared(scene, options, engines or list(ENGINES), progress)
     click.echo(terminal(tables), nl=False)
@@ -163,12 +166,12 @@ def loads_command(
         loaded, import_report = models[name] = load_scene(scene, options)
         if len(models) == 1:
             warn_about_import(scene, import_report, loaded)
-    folder = output or usual_folder(Path("output/loads"), scene, "load table")
+    folder = output or usual_folder(Path("output/loads"), scene, results="load table")
     with progress_shown() as progress:
-        found, written, acting = loads(scene, models, at_rest, folder, progress)
+        found, written, unsimulated = loads(scene, models, at_rest, folder, progress)
     look = f"look  {next_step('view', written[-1])}"
     show(found, "wrote " + ", ".join(map(str, written)), look, f"more  {next_step('report', folder)}")
-    return REDUCED if acting and not allow_reduced else AGREE
+    return REDUCED if unsimulated and not allow_reduced else AGREE
 
 
 @cli.command("modes")
@@ -205,16 +208,16 @@ def modes_command(
     from newton_euler.analysis.linear.linearization import linearize
     from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
 
-    options = without_excitation(scene_options(settings), why="modes are those of the scene as it stands")
+    options = refuse_excitation(scene_options(settings), why="modes are those of the scene as it stands")
     loaded = load_with_warnings(scene, options)
-    path = save or usual_folder(Path("output/modes"), scene, "modal analysis") / "modes.rrd"
+    path = save or usual_folder(Path("output/modes"), scene, results="modal analysis") / "modes.rrd"
     # in the default folder, modes.json records which model the recording is of
     origin = {} if save else {path.with_name("modes.json"): record(scene, options)}
     check_no_source([path, *origin], [scene])
     check_writable(path, *origin)
     with progress_shown() as progress:
         progress("linearizing")
-        if not at_start:
+        if not at_start:  # no initial velocities, prescribed motions held at their values at time 0
             loaded = at_rest(loaded)
         state = None if at_start else equilibrium(loaded)
         model = linearize(loaded, state, closed_loop=not open_loop)
@@ -242,23 +245,26 @@ def modes_command(
 def workspace_command(
     scene: str, settings: tuple[str, ...], ranges: tuple[str, ...], axis: str | None, output: Path | None
 ) -> int:
-    """Map the workspace: reachable poses, singularities and the joints that bound the range.
+    """Map the workspace: reachable poses, singular poses and clearances between bodies.
 
     SCENE is the name of a library scene or a model file (see run).
     """
     from crosscheck.design import workspace
 
-    options = without_excitation(scene_options(settings), why="a workspace is that of the scene as it stands")
+    options = refuse_excitation(scene_options(settings), why="a workspace is that of the scene as it stands")
     loaded = load_with_warnings(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
-    paths = result_paths(output, "output/workspace", "workspace", workspace.WORKSPACE_FILES, [scene])
+    paths = result_paths(
+        output, "output/workspace", kind="workspace", names=workspace.WORKSPACE_FILES, sources=[scene]
+    )
     with progress_shown() as progress:
         found = workspace.measure(loaded, grid, pointing, progress)
         progress("writing")
         written = workspace.write(found, paths[0].parent, scene, options)
     click.echo(terminal([workspace.table(found)]), nl=False)
-    say(*filter(None, [workspace.statement(found)]), "wrote " + ", ".join(str(path) for path in written))
+    warning = workspace.unusable_warning(found)  # empty if bodies do not collide at some reachable point
+    say(*filter(None, [warning]), "wrote " + ", ".join(str(path) for path in written))
     return AGREE
 
 
@@ -341,11 +347,13 @@ def faults_command(
 
     options = scene_options(settings)
     if reading:
-        options = without_excitation(options, why="what is read is verified as the file stands")
+        options = refuse_excitation(options, why="what is read is verified as the file stands")
     loaded, import_report = load_scene(scene, options)
     if reading and import_report is None:
         raise CrosscheckError(f"{scene} is read from no model file; --reading needs an MJCF or a URDF")
-    [path] = result_paths(output, "output/faults", "fault search", ["faults.json"], [scene])
+    [path] = result_paths(
+        output, "output/faults", kind="fault search", names=["faults.json"], sources=[scene]
+    )
     start = time.perf_counter()
     with progress_shown() as progress:
         if reading and import_report is not None:

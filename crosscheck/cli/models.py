@@ -13,11 +13,11 @@ from crosscheck.cli.shared import (
     cli,
     is_verbose,
     load_with_warnings,
+    refuse_excitation,
     say,
     scene_options,
     setting_options,
     verbose_option,
-    without_excitation,
 )
 from crosscheck.report.render import printable
 from crosscheck.support.errors import CrosscheckError
@@ -139,7 +139,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
     check_target(target)
     options = scene_options(settings)
     if target.suffix == ".urdf":  # refuse the option excitation=on, which adds inputs and initial velocities
-        without_excitation(options, why="a URDF holds no control and no start")
+        refuse_excitation(options, why="a URDF holds no control and no start")
     loop_files = [options["loops"]] if "loops" in options else []  # the file of a URDF's loop closures
     check_no_source(files_written(target), [source, *loop_files])
     check_writable(target)

@@ -138,7 +138,7 @@ def engines_option(command: Callable[..., int]) -> Callable[..., int]:
     return click.option("--engines", metavar="NAMES", callback=names, help=text)(command)
 
 
-def without_excitation(options: dict[str, str], why: str) -> dict[str, str]:
+def refuse_excitation(options: dict[str, str], why: str) -> dict[str, str]:
     """Return the options of a command that does not excite the scene; raise if they switch excitation on.
 
     Excitation adds start velocities and sines for actuators to a model file, because a model at rest tests

@@ -154,8 +154,7 @@ def _displaced(joint: Joint, distance: float) -> Joint:
     if isinstance(joint, Screw):
         fields["pitch"] = CHANGE_FACTOR * joint.pitch
     point = joint.point + distance * SKEW
-    # `reaction_point` is the joint's point on its second body
-    point_on_second = point + turn @ (joint.reaction_point - joint.point)
+    point_on_second = point + turn @ (joint.point_on_second - joint.point)
     return replace(joint, point=point, point_on_second=point_on_second, **fields)
 
 

@@ -90,7 +90,7 @@ class JointLoads:
         """Compute the part (n, 6) of the reaction that the displaced joint cannot support at n times, N."""
         mechanism = self._system.mechanism
         number = mechanism.joint_index(displaced.joint.name)
-        point = mechanism.joints[number].reaction_point
+        point = mechanism.joints[number].point_on_second
         # From the center of mass of the second body to its joint point, body frame; `point` and `pose` are in
         # the world at the initial pose
         arm = mechanism.bodies[displaced.second].pose.point_to_body(point)

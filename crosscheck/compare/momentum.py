@@ -94,7 +94,7 @@ def _reaction_wrenches(mechanism: Mechanism, evaluation: Evaluation) -> Array:
         second = frames[equations.second]
         pose = mechanism.bodies[equations.second].pose
         # Reactions act on the second body at the joint point, and on the first body with the opposite sign
-        arm = pose.point_to_body(equations.joint.reaction_point)
+        arm = pose.point_to_body(equations.joint.point_on_second)
         point = second.position + second.rotation @ arm
         for body, sign in ((equations.first, -1.0), (equations.second, 1.0)):
             frame = frames[body]

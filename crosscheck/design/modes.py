@@ -2,7 +2,7 @@
 
 A mode is an eigenvector of the equations of motion, linearized about a state, usually an equilibrium. A mode
 with eigenvalue s = a + i w moves like exp(a t) cos(w t). Its frequency is w / (2 pi), its damping ratio
--a / |s|. `crosscheck.recording.modes` animates the modes.
+-a / |s|, or 0 if s is 0. `crosscheck.recording.modes` animates the modes.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
     columns = text_columns("coordinate", "value", "unit")
     pose_table = Table("pose, from the initial one", columns, [list(row) for row in rows])
     parts: list[Part] = [pose_table, _eigenvalues(modes)]
-    no_judgment = Cell("")
+    no_judgment = Cell("")  # other reports have a colored word here, such as AGREE
+    # the terminal shows `parts` with --verbose only, and always the summary
     return Report(title, verdict, no_judgment, parts, summary=[table(scene.mechanism, modes)])
 
 
@@ -57,11 +58,12 @@ def pose(scene: Scene, model: LinearModel) -> list[tuple[str, str, str]]:
     """List the independent joint coordinates of the model's state: name, displacement from the initial pose,
     and unit.
 
-    Ball joints are left out, since an orientation is not a coordinate.
+    Ball joints are left out, since an orientation is not a coordinate, and bodies that only rods hold.
     """
     mechanism, found = scene.mechanism, []
     for name in model.coordinates:
-        # other names are those of the components of the orientation of a ball joint
+        # A name is a pair (joint, index) for a joint with several coordinates, else a string: the name of a
+        # joint, or of another velocity, such as a component of the rotation of a ball joint
         if isinstance(name, str) and name not in mechanism.joint_names:
             continue
         key = mechanism.coordinate(name)
@@ -103,10 +105,11 @@ def _eigenvalues(modes: Modes) -> Table:
 
 
 def table(mechanism: Mechanism, modes: Modes) -> Table:
-    """Tabulate modes, the slowest first: frequency, damping ratio, time constant and largest movement."""
+    """Tabulate modes in the order of `Modes`, the slowest first: frequency, damping ratio, time constant and
+    largest movement."""
     rows: Rows = []
     columns = zip(modes.frequencies, modes.damping_ratios, modes.eigenvalues.real, modes.twists, strict=True)
-    for number, (frequency, damping, rate, twist) in enumerate(columns, start=1):
+    for number, (frequency, damping, rate, displacement) in enumerate(columns, start=1):
         # the time constant is 1 / |rate|: the rate is that of growth or decay, 1/s
         oscillates, is_damped = frequency > 0.0, abs(damping) > DAMPING_ROUND_OFF
         frequency_text = f"{frequency:.6g}"
@@ -118,22 +121,23 @@ def table(mechanism: Mechanism, modes: Modes) -> Table:
                 frequency_text,
                 f"{damping:.3g}" if is_damped else "0",
                 f"{abs(1.0 / rate):.4g}{', grows' if rate > 0.0 else ''}" if is_damped else "-",
-                largest_movement(mechanism, twist),
+                largest_movement(mechanism, displacement),
             ]
         )
     return Table("", MODE_COLUMNS, rows)
 
 
-def largest_movement(mechanism: Mechanism, twist: Array) -> str:
+def largest_movement(mechanism: Mechanism, displacement: Array) -> str:
     """Name the body that moves most in a mode, and the direction of its largest movement.
 
     Args:
         mechanism: the mechanism, with b bodies.
-        twist: (b, 6) translation, m, and rotation, rad, of each body, world frame; complex amplitudes.
+        displacement: (b, 6) translation of the center of mass, m, and rotation, rad, of each body along and
+            about the axes of the world; complex amplitudes.
     """
     # translations in units of the mechanism's size, and rotations in rad; rounded, so that round-off does not
     # decide between equal movements
-    movements = np.abs(twist) / np.repeat([mechanism.size, 1.0], 3)
+    movements = np.abs(displacement) / np.repeat([mechanism.size, 1.0], 3)
     body, k = np.unravel_index(np.argmax(movements.round(6)), movements.shape)
     kind = "shift along" if k < 3 else "rotation about"
     return f"{mechanism.body_names[body]}: {kind} {'xyz'[k % 3]}"

@@ -143,7 +143,7 @@ def table(found: WorkspaceMap) -> Table:
     return Table("", columns, rows)
 
 
-def statement(found: WorkspaceMap) -> str:
+def unusable_warning(found: WorkspaceMap) -> str:
     """Report in a sentence that no point is reachable, or that bodies collide at all of them; else ""."""
     if not len(found.clearance):
         points = f"none of {found.space.reachable.size} points is reachable on the branch of the initial pose"

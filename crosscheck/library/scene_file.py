@@ -229,7 +229,7 @@ def _body(body: Body) -> dict[str, Any]:
 def _joint(joint: Joint) -> dict[str, Any]:
     """Convert a joint to the content of its entry, without fields that have their default values."""
     found = {"name": joint.name} | content(joint)
-    if np.array_equal(joint.point, joint.reaction_point):  # the second body's point, by default `point`
+    if np.array_equal(joint.point, joint.point_on_second):  # the second body's point, by default `point`
         del found["point_on_second"]
     # `offsets` from each hinge axis of a compound joint to the next one, by default zero
     offsets, actuated = found.pop("offsets", []), found.pop("actuated")

@@ -188,7 +188,7 @@ def _relative_pose(
     centers = [mechanism.body(name).center_of_mass for name in (joint.first, joint.second)]
     # Zero coordinates close the `point_gap` that a variation of the joint has between its points on the two
     # bodies at the initial pose
-    here = joint.motion_points[0] if joint.motions else joint.reaction_point
+    here = joint.motion_points[0] if joint.motions else joint.point_on_second
     way = np.tile(here - joint.point_gap - centers[0], (count, 1))
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     for motion, point, x in zip(joint.motions, joint.motion_points, coordinates, strict=True):

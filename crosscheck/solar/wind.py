@@ -1,4 +1,4 @@
-"""Wind speeds over a day, from a number or a CSV; the panel of a solar tracker lies flat in strong wind."""
+"""Wind speeds over a day, from a number or a CSV, to find when the panel of a solar tracker must lie flat."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ def wind_over_day(given: str, seconds: Array) -> Array:
     Args:
         given: a number, or the path of a CSV with the columns `time`, s since midnight, and `speed`, m/s.
             Speeds between rows are interpolated linearly.
-        seconds: (n,) s since midnight.
+        seconds: (n,) s since midnight, ascending, from the beginning to the end of the day.
 
     Raises:
-        CrosscheckError: for a negative number, other columns, and times that do not cover the day.
-        SourceError: naming the file and line, for a file that cannot be read, cells that are not numbers,
-            negative speeds, and times that do not ascend.
+        CrosscheckError: for a negative number, other columns, and times that do not cover `seconds`.
+        SourceError: naming the file and line, for a file that cannot be read or is too large, cells that are
+            not numbers, negative speeds, and times that do not ascend.
     """
     try:
         speed = plain_number(given)
     except ValueError:
         return _read(given, seconds)
-    if not 0.0 <= speed < np.inf:
+    if speed < 0.0:
         raise CrosscheckError(f"--wind is {given}; needed: a number of m/s, 0 or more, or the path of a CSV")
     return np.full(len(seconds), speed)
 
 
 def _read(path: str, seconds: Array) -> Array:
-    """Read wind speeds (n,), m/s, from a CSV and interpolate them at times (n,), s; errors as of
+    """Read wind speeds (n,), m/s, from a CSV and interpolate them at times (n,), s; raises the same errors as
     `wind_over_day`."""
     rows = csv_rows(path, read_text(path, limit="csv_size"))
     header = [cell.lower() for cell in rows[0].cells] if rows else []

@@ -1,10 +1,14 @@
 """Dense linear algebra over floats: ranks, least-squares solutions and solvers of the equations of motion.
 
-Ranks are decided on dimensionless matrices. Rows in meters and velocities in m/s are divided by the
-mechanism's size. Entries of a constraint Jacobian are then of order 1, whatever the size of the mechanism,
-and round-off is clearly smaller. Before these functions are called, rows that are almost redundant have been
-replaced by zeros (`newton_euler.equations.redundancy`). The rank of the other rows is then clear, and drops
-in singular configurations only.
+Ranks are decided on matrices without units of length and mass, called dimensionless here; seconds remain. A
+row or an unknown in meters is divided by the mechanism's size, m; a row or an unknown in radians is not
+divided. Entries of a constraint Jacobian are then of order 1, whatever the size of the mechanism, and
+round-off is clearly smaller.
+
+Callers replace rows that are almost redundant by zeros: rows that would follow from others if the axes and
+points of the model were exact (`newton_euler.equations.redundancy`). Exactly redundant rows remain, and the
+functions below find them. If loops are closed, the rank is then clear and drops in singular configurations
+only.
 """
 
 from __future__ import annotations
@@ -82,8 +86,8 @@ def minimum_norm(
     Args:
         matrix: (k, n).
         right: (k,).
-        row_units: (k,) divisors that make the rows dimensionless.
-        column_units: (n,) divisors that make x dimensionless.
+        row_units: (k,) divisors that make the rows dimensionless, such as the mechanism's size or 1.
+        column_units: (n,) divisors that make `x` dimensionless.
         max_rank: largest rank; None for no limit.
     """
     if not matrix.size:
@@ -104,8 +108,9 @@ def independent_rows(
 
     Args:
         jacobian: (k, n) matrix J.
-        row_units: (k,) divisors that make the rows dimensionless.
-        column_units: (n,) divisors that make a dimensionless.
+        row_units: (k,) divisors: the mechanism's size, m, for rows in meters, 1 for rows in radians.
+        column_units: (n,) divisors of the accelerations `a`: the mechanism's size, m, for m/s^2, 1 for
+            rad/s^2.
         max_rank: largest r; None for no limit. A limit is needed at states whose loops are not quite closed,
             as in difference quotients and Newton iterations: there redundant rows seem independent.
     """
@@ -141,25 +146,25 @@ def solve_constrained(
     Raises:
         numpy.linalg.LinAlgError: for an M that is not positive definite, and for numbers that are not finite.
     """
-    # columns multiplied by L^-1: the force f, and J^T with dimensionless rows
     if not (np.isfinite(force).all() and np.isfinite(gamma).all()):
         raise np.linalg.LinAlgError("a force is not finite")
     lower = np.linalg.cholesky(mass)
     if not jacobian.size:
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
+    # columns multiplied by L^-1: the force f, and J^T for dimensionless rows of J
     columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T / row_units]))
     reduced_force, reduced_jacobian_t = columns[:, 0], columns[:, 1:]
-    # rank: if the singular values do not show it clearly, the rank of J alone decides, because very different
-    # masses scatter the singular values of L^-1 J^T
+    # r: number of independent rows. If the singular values do not show the expected r clearly, the rank of J
+    # alone decides, because very different masses scatter the singular values of L^-1 J^T
     u, s, vt = singular_values(reduced_jacobian_t)
-    rank = len(gamma) if max_rank is None else min(len(gamma), max_rank)
-    clear = 0 < rank <= len(s) and s[rank - 1] > CLEAR_RANK * s[0]
-    if not clear or np.any(s[rank:] > RANK_TOLERANCE * s[0]):
+    r = len(gamma) if max_rank is None else min(len(gamma), max_rank)
+    is_full = 0 < r <= len(s) and s[r - 1] > CLEAR_RANK * s[0]
+    if not is_full or np.any(s[r:] > RANK_TOLERANCE * s[0]):
         combine = row_units[:, None] * independent_rows(jacobian, row_units, column_units, max_rank)
         u, s, vt = singular_values(reduced_jacobian_t @ combine)
-        rank, vt = len(s), vt @ combine.T
+        r, vt = len(s), vt @ combine.T
     # accelerations and multipliers, from the constraint forces in the basis U
-    u, s, vt = u[:, :rank], s[:rank], vt[:rank]
+    u, s, vt = u[:, :r], s[:r], vt[:r]
     constraint_force = vt @ (gamma / row_units) / s - u.T @ reduced_force
     acceleration = np.linalg.solve(lower.T, reduced_force + u @ constraint_force)
     return acceleration, vt.T @ (constraint_force / s) / row_units
@@ -175,17 +180,19 @@ def solve_augmented(
 ) -> tuple[Array, Array]:
     """Solve the block system [[A, B^T], [J, 0]] (a, -lambda) = right for a (n,) and lambda (k,).
 
-    Equation (21) of `newton_euler.equations.cartesian` has this form. A holds the mass matrix, and the rows
-    that keep quaternions at norm 1. J has derivatives by quaternions, B by angular velocities instead: B^T
-    lambda gives forces and torques on the bodies. The rows of J are combined into independent ones first, and
+    Equation (21) of `newton_euler.equations.cartesian` has this form. The unknowns `a` are the second
+    derivatives of position and quaternion, 7 of each body. The rows of A are force (3) and torque (3) of each
+    body, then a row of each body that keeps the norm of the quaternion at 1. J has derivatives by positions
+    and quaternions. B has derivatives by positions and rotations: B^T lambda gives forces and torques on the
+    bodies, and is zero in the rows of the norms. The rows of J are combined into independent ones first, and
     all rows and unknowns are made dimensionless.
 
     Args:
         matrix: (n + k, n + k) block matrix.
         right: (n + k,) right side.
-        row_units: (k,) divisors that make the rows of J dimensionless.
-        column_units: (n,) divisors that make a dimensionless.
-        force_units: (n,) divisors that make the rows of A dimensionless.
+        row_units, column_units: as in `independent_rows`.
+        force_units: (n,) divisors of the rows of A: mass times size for forces, mass times size^2 for
+            torques, 1 for norms; mass and size are those of the mechanism.
         max_rank: see `independent_rows`.
 
     Raises:
@@ -198,10 +205,10 @@ def solve_augmented(
     left = np.zeros((n + combine.shape[1],) * 2)
     left[:n, :n] = matrix[:n, :n] * column_units / force_units[:, None]
     left[n:, :n] = combine.T @ jacobian * column_units
-    of_multipliers = matrix[:n, n:] @ combine / force_units[:, None]
-    # each column of a multiplier is divided by its largest element; 1e-300 avoids a division by zero
-    scales = np.max(np.abs(of_multipliers), axis=0, initial=1e-300)
-    left[:n, n:] = of_multipliers / scales
+    multiplier_columns = matrix[:n, n:] @ combine / force_units[:, None]
+    # each column is divided by its largest element; 1e-300 avoids a division by zero
+    scales = np.max(np.abs(multiplier_columns), axis=0, initial=1e-300)
+    left[:n, n:] = multiplier_columns / scales
     unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_units, combine.T @ right[n:]]))
     return column_units * unknowns[:n], -(combine @ (unknowns[n:] / scales))
 

@@ -139,7 +139,7 @@ def _child(
     # from the parent's center of mass to the first motion's point. Points are in the world at the initial
     # pose; they are those of the joint's second body. `gap` is the vector to them from the points of the
     # joint's first body, which is the parent if the joint is `forward`, else the child
-    reached = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
+    reached = joint.points[0] if joint.motions else tree.joint(joint.joint).point_on_second
     gap = tree.joint(joint.joint).point_gap
     move(a @ (reached - (gap if joint.forward else 0.0) - mechanism.bodies[joint.parent].center_of_mass))
     # motion by motion; iq and iv are the indices of the motion in q and v of this joint

@@ -94,7 +94,7 @@ def _arms(system: Formulation, frames: Sequence[Frame]) -> list[Array]:
     `poses` are the initial poses, in which joint points are given; `frames` are the present poses.
     """
     return [
-        frames[e.second].rotation @ system.poses[e.second].point_to_body(e.joint.reaction_point)
+        frames[e.second].rotation @ system.poses[e.second].point_to_body(e.joint.point_on_second)
         for e in system.equations
     ]
 

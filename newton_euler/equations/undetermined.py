@@ -110,7 +110,7 @@ def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
     for k, joint in enumerate(scene.mechanism.joints):
         body = scene.mechanism.body_index(joint.second)
         pose = scene.mechanism.bodies[body].pose
-        arm = frames[body].rotation @ pose.point_to_body(joint.reaction_point)
+        arm = frames[body].rotation @ pose.point_to_body(joint.point_on_second)
         found[joint.name] = ReactionPlace(joint=k, body=body, arm=arm)
     return found
 

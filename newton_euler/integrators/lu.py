@@ -1,10 +1,12 @@
 """LU factorization of dense real and complex matrices with partial pivoting, for the implicit integrator
 Radau.
 
-The matrices are lambda I - J. lambda is a number, and J is the Jacobian of the rates (time derivatives) with
-respect to the state, which consists of coordinates, then velocities. The rates of joint coordinates are
-velocities and depend on no coordinate. So J begins with a block of zeros, and the matrix begins with a
-diagonal block of m rows. These rows need no pivoting and no elimination among themselves
+The matrices are lambda I - J. lambda is a real or complex number, and J is the Jacobian of the rates (time
+derivatives) with respect to the state, which consists of coordinates, then velocities. The rate of a hinge's
+angle or a slide's displacement is a velocity and depends on no coordinate; the rate of a ball joint's
+quaternion depends on the quaternion. So J begins with an (m, m) block of zeros, which ends at the first
+quaternion or later; `zero_block` finds m. The matrix begins with the (m, m) block lambda I. Its rows need no
+pivoting and no elimination among themselves
 (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, second edition, Springer 1996, section
 IV.8).
 
@@ -23,7 +25,7 @@ from newton_euler.codegen.native import Vector, native
 
 @native
 def zero_block(n: int, a: Vector) -> int:
-    """Return the size m of the largest leading (m, m) block of the matrix a (n, n) that is zero.
+    """Return the size m of the largest leading (m, m) block of zeros of a matrix a (n, n), the Jacobian J.
 
     The matrix may be stored by rows or by columns.
     """
@@ -44,28 +46,28 @@ def exchange(x: Vector, i: int, j: int) -> None:
 
 @native
 def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
-    """Replace a real matrix by its LU factors; return 1 if the matrix is singular, else 0.
+    """Replace a real matrix by its LU factors; return 1 if a pivot is zero or not a number, else 0.
 
     Args:
         n: number of rows and columns.
-        m: size of the leading diagonal block.
+        m: size of the leading block lambda I.
         a: (n, n) matrix, column by column.
         pivots: (n,) written: in step k, row k was exchanged with row pivots[k]; doubles, as in each `Vector`.
     """
     for k in range(n):
-        # pivot: the diagonal element in the diagonal block, else the largest element from row k on
+        # pivot: the diagonal element in the block lambda I, else the largest element from row k on
         best = k
         if k >= m:
             for i in range(k + 1, n):
                 if abs(a[n * k + i]) > abs(a[n * k + best]):
                     best = i
         pivots[k] = float(best)
-        if not abs(a[n * k + best]) > 0.0:
+        if not abs(a[n * k + best]) > 0.0:  # zero or not a number
             return 1
         if best != k:
             for j in range(n):
                 exchange(a, n * j + k, n * j + best)
-        # eliminate: column of L, then the remaining matrix; rows of the diagonal block need no elimination
+        # eliminate: column of L, then the remaining matrix; rows of the block lambda I need no elimination
         inverse = 1.0 / a[n * k + k]
         below = m if k < m else k + 1
         for i in range(below, n):
@@ -104,24 +106,24 @@ def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
 
 @native
 def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
-    """Replace the complex matrix a + ib by its LU factors; return 1 if the matrix is singular, else 0.
+    """Replace the complex matrix a + ib by its LU factors; return 1 or 0 as `factor_real`.
 
     Args:
         n, m, pivots: as in `factor_real`.
         a, b: (n, n) real and imaginary parts, column by column.
     """
     for k in range(n):
-        # pivot: as in `factor_real`, with the size |re| + |im|
+        # pivot: as in `factor_real`, with the magnitude |re| + |im|
         best = k
         if k >= m:
-            size = 0.0
+            magnitude = 0.0
             for i in range(k, n):
                 here = abs(a[n * k + i]) + abs(b[n * k + i])
-                if here > size:
-                    size = here
+                if here > magnitude:
+                    magnitude = here
                     best = i
         pivots[k] = float(best)
-        if not abs(a[n * k + best]) + abs(b[n * k + best]) > 0.0:
+        if not abs(a[n * k + best]) + abs(b[n * k + best]) > 0.0:  # zero or not a number
             return 1
         if best != k:
             for j in range(n):

@@ -191,9 +191,8 @@ class Compound(Joint):
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
-        # The axis of the last hinge passes through `reaction_point`, the second body's point; offsets lead to
-        # the axes before it
-        last = self.reaction_point
+        # The axis of the last hinge passes through `point_on_second`; offsets lead to the axes before it
+        last = self.point_on_second
         on_hinges = [last - self.offsets[k:].sum(axis=0) for k in range(len(self.hinges))]
         on_slides = [on_hinges[0] if on_hinges else last] * len(self.slides)
         on_ball = [last] if self.ball else []
@@ -256,7 +255,7 @@ class Compound(Joint):
         a = first.vector_to_body(axis)
         if self.has_offsets:
             return RowDisplacement(a, self._separation(first, second), offset)
-        ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        ends = first.point_to_body(self.point), second.point_to_body(self.point_on_second)
         return Displacement(a, *ends, offset=offset)
 
     def _separation(self, first: Pose, second: Pose) -> Separation:
@@ -268,7 +267,7 @@ class Compound(Joint):
             link = np.stack([a, b, cross(a, b)])
             generic = object in (link.dtype, offset.dtype)
             offsets.append(dual_axes(link) @ offset if generic else np.linalg.solve(link.T, offset))
-        ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        ends = first.point_to_body(self.point), second.point_to_body(self.point_on_second)
         return Separation(self._row(first, second), *ends, np.array(offsets))
 
     def _angles(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:

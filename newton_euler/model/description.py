@@ -7,7 +7,7 @@ uses these two types only if the class decorator is marked with `dataclass_trans
 `description`.
 
 The field types exist for type checkers only. In a running program the constructors convert the values, see
-`set_arrays` and `elements_of` in `newton_euler.errors`.
+`set_finite_arrays` and `elements_of` in `newton_euler.errors`.
 """
 
 from __future__ import annotations

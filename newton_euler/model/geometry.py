@@ -16,7 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, finite_array, is_finite_number, quoted, real_array, set_arrays
+from newton_euler.errors import (
+    MechanismError,
+    finite_array,
+    is_finite_number,
+    quoted,
+    real_array,
+    set_finite_arrays,
+)
 from newton_euler.model.description import ArrayField, IndexField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Floats
@@ -47,17 +54,18 @@ class Inertia(NamedTuple):
         Raises:
             MechanismError: unless mass and moments of inertia are positive and all numbers are finite.
         """
-        needed = "lengths and a density of a positive, finite"  # followed by "mass" or "one" (moment)
         if not 0.0 < self.mass < math.inf:
-            raise MechanismError(shape, f"mass is {self.mass:.6g} kg", f"{needed} mass")
+            needed = "lengths and a density that give a positive, finite mass"
+            raise MechanismError(shape, f"mass is {self.mass:.6g} kg", needed)
         # A number that is not finite anywhere in the tensor makes all its moments invalid
-        moments = [value if np.isfinite(self.inertia).all() else math.inf for value in np.diag(self.inertia)]
-        for value in moments:
-            if not 0.0 < value < math.inf:
-                raise MechanismError(shape, f"moment of inertia is {value:.6g} kg m^2", f"{needed} one")
+        is_finite = np.isfinite(self.inertia).all()
+        for moment in np.diag(self.inertia) if is_finite else [math.inf]:
+            if not 0.0 < moment < math.inf:
+                needed = "lengths and a density that give positive, finite moments"
+                raise MechanismError(shape, f"moment of inertia is {moment:.6g} kg m^2", needed)
         if not np.all(np.isfinite(self.center_of_mass)):
             problem = f"center of mass is {self.center_of_mass.tolist()}"
-            raise MechanismError(shape, problem, "a place that a double holds")
+            raise MechanismError(shape, problem, "finite coordinates")
         return self
 
     def scaled(self, factor: float) -> Inertia:
@@ -81,7 +89,7 @@ def total_inertia(parts: Sequence[Inertia]) -> Inertia:
 
 
 def _check_radius(shape: str, radius: float) -> None:
-    """Raise `MechanismError` unless a radius, m, is positive; `shape` names the shape in the message."""
+    """Raise `MechanismError` unless a finite radius, m, is positive; `shape` is its name in the message."""
     if radius <= 0.0:
         raise MechanismError(shape, f"radius is {radius}", "a positive length")
 
@@ -132,7 +140,7 @@ class Box(Homogeneous):
     quaternion: ArrayField = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        set_arrays(self, "box", half_sizes=(3,), center=(3,), quaternion=(4,))
+        set_finite_arrays(self, "box", half_sizes=(3,), center=(3,), quaternion=(4,))
         if np.any(self.half_sizes <= 0.0):
             raise MechanismError("box", f"half_sizes is {self.half_sizes.tolist()}", "three positive lengths")
         norm = float(np.linalg.norm(self.quaternion))
@@ -166,7 +174,7 @@ class Sphere(Homogeneous):
     radius: float
 
     def __post_init__(self) -> None:
-        set_arrays(self, "sphere", center=(3,), radius=())
+        set_finite_arrays(self, "sphere", center=(3,), radius=())  # () converts to a float
         _check_radius("sphere", self.radius)
 
     def _mass_properties(self, density: float) -> Inertia:
@@ -189,7 +197,7 @@ class _Bar(Homogeneous):
     radius: float
 
     def __post_init__(self) -> None:
-        set_arrays(self, self.noun, start=(3,), end=(3,), radius=())
+        set_finite_arrays(self, self.noun, start=(3,), end=(3,), radius=())
         _check_radius(self.noun, self.radius)
 
     @property

@@ -6,8 +6,9 @@ constraint equations, and the joint coordinates. `Joint.motions` lists the eleme
 balls) that the joint allows. Spanning trees, MJCF files and URDF files are built from this list.
 
 Joint coordinates measure the motion of the second body relative to the first body and are zero at the initial
-pose. The numbers of a joint may vary from run to run: `Joint.varied` and `Joint.rebuilt` make such a
-variation of the joint that the user described.
+pose. The numbers of a joint may vary from run to run. `Joint.varied` makes such a variation, whose
+coordinates keep their zeros. `Joint.rebuilt` describes a joint anew: its coordinates are zero at the new
+initial pose.
 
 Equation numbers are those of S. Srang, S. Ath and M. Yamakita, Advances in Science, Technology and
 Engineering Systems Journal 5(5), 2020, doi:10.25046/aj050587, Appendix A.
@@ -22,7 +23,14 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_flag, check_texts, finite_array, quoted, set_arrays
+from newton_euler.errors import (
+    MechanismError,
+    check_flag,
+    check_texts,
+    finite_array,
+    quoted,
+    set_finite_arrays,
+)
 from newton_euler.model.constraints import (
     Angle,
     Coincidence,
@@ -149,7 +157,7 @@ def perpendicular_pair(axis: Array, described: Array | None = None) -> tuple[Arr
     """Compute unit vectors u and w, (3,) each, such that (u, w, axis) is right-handed and orthonormal.
 
     Args:
-        axis: (3,) unit axis.
+        axis: (3,) unit axis; floats, or expressions of the code generator, on which NumPy's norm works too.
         described: (3,) unit axis as described, if `axis` is a variation of it. The choice among all possible
             pairs then depends on the described axis only, so that the pair varies continuously with `axis`.
     """
@@ -196,13 +204,14 @@ class Joint(Variable):
         point_on_second: (3,) joint point of the second body, m, world at the initial pose; `point` if it is
             not given. It must satisfy the constraints of the joint. Reaction torques are about this point.
         actuated: True if a control law may drive the joint.
-        kind: name of the kind of joint in scene files.
+        kind: name of the kind of joint in scene files (`crosscheck.library.scene_file`, YAML or JSON).
         axis_names: names of the attributes that are unit axes (3,).
         vector_names: names of other attributes that are vectors (3,), or arrays of vectors (n, 3).
-        only_closes: True for a joint without elementary motions (a rod), which can only close a loop of a
-            spanning tree.
+        only_closes: True for a joint that is not a sequence of elementary motions (a rod), and so can only
+            close a loop of a spanning tree.
         point_gap: (3,) m, displacement of the second body's point minus that of the first body's point;
-            nonzero only in variations of the joint, see `varied`.
+            nonzero only in variations of the joint, see `varied`. Spanning trees subtract the gap: at zero
+            coordinates the points are to each other as before the displacement.
     """
 
     name: str
@@ -213,8 +222,8 @@ class Joint(Variable):
     actuated: bool = field(default=False, kw_only=True)
 
     kind: ClassVar[str]
-    # Numbers of the joint that may vary from run to run. `moves_loops`: a change moves the poses in which
-    # loops are closed. `opens_joints`: a change violates the joint's constraints at the initial pose
+    # Numbers of the joint that may vary from run to run. `moves_loops`: a change has the effect that loops
+    # close in other poses. `opens_joints`: a change violates the joint's constraints at the initial pose
     number_fields: ClassVar = {
         "point": replace(POINT, moves_loops=True),
         "point_on_first": replace(POINT, moves_loops=True, opens_joints=True),
@@ -230,7 +239,7 @@ class Joint(Variable):
         check_flag(f"joint {quoted(self.name)}", self, "actuated")
         if self.point_on_second is None:
             object.__setattr__(self, "point_on_second", self.point)
-        set_arrays(self, f"joint {quoted(self.name)}", point=(3,), point_on_second=(3,))
+        set_finite_arrays(self, f"joint {quoted(self.name)}", point=(3,), point_on_second=(3,))
         for name in self.axis_names:
             object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
 
@@ -249,17 +258,18 @@ class Joint(Variable):
     def span(self) -> Array:
         """(3,) m, from the first body's point to the second body's point at the relative pose where the
         coordinates are zero, world at the initial pose."""
-        return vars(self).get("_span", self.reaction_point - self.point)
+        return vars(self).get("_span", self.point_on_second - self.point)
 
     def varied(self, values: Mapping[str, Any]) -> Self:
         """Copy the joint with other, unchecked numbers, which may be generic scalars such as symbols.
 
-        The coordinates of the copy are zero at the same relative pose of the bodies as those of the described
-        joint.
+        The coordinates of the copy are zero where the relative orientation of the bodies and the vector
+        `span` between the joint points are those of the described joint. If only one point is displaced, the
+        bodies are therefore displaced relative to each other at the zero.
 
         Args:
-            values: new values by name: displacements (3,) of joint points, see `POINTS`, axes (3,) of any
-                length, and other attributes.
+            values: new values by name: displacements (3,) of the points of this joint, see `POINTS`, axes
+                (3,) of any length, and other attributes.
         """
         changed, zero = copy.copy(self), np.zeros(3)
         both, first, second = (values.get(name, zero) for name in POINTS)
@@ -269,8 +279,8 @@ class Joint(Variable):
                 fields[name] = fields[name] / sqrt(fields[name] @ fields[name])
         if not values.keys().isdisjoint(POINTS):
             fields["point"] = self.point + both + first
-            fields["point_on_second"] = self.reaction_point + both + second
-            fields["point_gap"] = second - first
+            fields["point_on_second"] = self.point_on_second + both + second
+            fields["point_gap"] = self.point_gap + (second - first)
         for name, value in fields.items():
             object.__setattr__(changed, name, value)
         object.__setattr__(changed, "_described", self.described)
@@ -279,6 +289,8 @@ class Joint(Variable):
 
     def rebuilt(self, values: Mapping[str, Any]) -> Self:
         """Construct the joint again with other numbers, with the checks of the constructor.
+
+        The result is a described joint: its coordinates are zero at its own points and axes, without a gap.
 
         Args:
             values: new values by name, as for `varied`.
@@ -290,12 +302,6 @@ class Joint(Variable):
         replace(self, **fields)  # checks the values before any arithmetic with them
         moved = self.varied(values)
         return replace(self, point=moved.point, point_on_second=moved.point_on_second, **fields)
-
-    @property
-    def reaction_point(self) -> Array:
-        """(3,) m, joint point fixed in the second body, world at the initial pose; reaction torques are about
-        it."""
-        return self.point_on_second
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -310,7 +316,7 @@ class Joint(Variable):
         It is a point on the axis of a hinge, the center of a ball, or the point at which a slide's force
         acts.
         """
-        return (self.reaction_point,) * len(self.motions)
+        return (self.point_on_second,) * len(self.motions)
 
     @property
     def coordinate_kinds(self) -> tuple[str, ...]:
@@ -352,7 +358,7 @@ class Joint(Variable):
 
     def _coincident(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Return three equations, eq. (25): the joint points of both bodies coincide."""
-        return (Coincidence(first.point_to_body(self.point), second.point_to_body(self.reaction_point)),)
+        return (Coincidence(first.point_to_body(self.point), second.point_to_body(self.point_on_second)),)
 
     def _parallel(
         self, axis: Array, pair: tuple[Array, Array], first: Pose, second: Pose
@@ -390,7 +396,7 @@ class Joint(Variable):
     def _displacement(self, axis: Array, offset: Any, first: Pose, second: Pose) -> Constraint:
         """Return the displacement of the second body's point along an axis of the first body, minus an
         offset, m."""
-        ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        ends = first.point_to_body(self.point), second.point_to_body(self.point_on_second)
         return Displacement(first.vector_to_body(axis), *ends, offset=offset)
 
     def _hinge_coordinate(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:
@@ -420,8 +426,9 @@ class AxisJoint(Joint):
 
     axis: ArrayField = field(kw_only=True)
     axis_names: ClassVar[tuple[str, ...]] = ("axis",)
-    # `shape` is None because `unit_vector` checks the axis. `allowed`: an axis may vary as long as `pair`
-    # varies continuously
+    # `shape` is None because `unit_vector` checks the axis. `allowed` is a rule of
+    # `newton_euler.model.fields.AllowedValues`: the smallest component of the axis must remain the smallest,
+    # so that `pair` varies continuously
     number_fields: ClassVar = Joint.number_fields | {
         "axis": NumberField(shape=None, allowed="axis", moves_loops=True)
     }
@@ -447,7 +454,7 @@ class AxisJoint(Joint):
         """Copy the joint with other, unchecked numbers, see `Joint.varied`.
 
         If the axis varies, the vector between the joint points turns with the axis. The second body's point
-        then stays on the axis, or in the plane, of the first body.
+        then stays on the axis fixed in the first body, or in the plane perpendicular to it.
         """
         changed, span = super().varied(values), self.span
         if "axis" in values and np.any(span):

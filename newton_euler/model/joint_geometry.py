@@ -1,11 +1,11 @@
 """Geometry of the joints in an engine's model at the initial pose: motion kinds, axes and points.
 
-The first checks of a comparison use this geometry: each engine reads the joints back from its own compiled
-model, and the results must equal those of the `Mechanism` from which the model was built. In MuJoCo and
-Pinocchio the joints form a spanning tree, and a joint of the tree has axes and one point, fixed in the child
-body. Loops of the mechanism are closed by ball joints and rods outside of the tree, with one point on each
-body. If a loop is closed by splitting a body into two halves (`newton_euler.model.spanning_tree.weld_loops`),
-the weld between the halves is not listed as a joint.
+The first checks of a comparison of engines use this geometry: each engine reads the joints back from its own
+compiled model, and the results must equal those of the `Mechanism` from which the model was built. In MuJoCo
+and Pinocchio the joints form a spanning tree. A joint of the tree is a sequence of elementary motions, each
+with a kind, an axis and one point. Loops of the mechanism are closed by ball joints and rods outside of the
+tree, with one point on each body. If a loop is closed by splitting a body into two halves
+(`newton_euler.model.spanning_tree.weld_loops`), the weld between the halves is not listed as a joint.
 """
 
 from __future__ import annotations
@@ -32,8 +32,12 @@ class JointGeometry(NamedTuple):
     axes: Array
     """(n, 3) unit axes of the n hinges and slides, in order."""
     points: Array
-    """(2 + h, 3) m: the joint point on the first body, the joint point on the second body, then a point on
-    the axis of each of the h hinges. NaN for a point that the engine's model does not have."""
+    """(2 + h, 3) m: the joint points fixed in the first and in the second body, then a point on the axis of
+    each of the h hinges. NaN for a point that the engine's model does not have; it is not compared.
+
+    The joint point in the first body is the point of the first motion, that in the second body the point of
+    the last motion: a point on the axis of a hinge, the center of a ball, or where the force of a slide acts.
+    The joint points of a rod are its ends."""
 
 
 NOWHERE = np.full(3, np.nan)
@@ -45,15 +49,15 @@ def geometry_in_mechanism(mechanism: Mechanism) -> dict[str, JointGeometry]:
     geometries = {}
     for joint in mechanism.joints:
         motions = joint.motions
+        # a rod, which can only close a loop, has no elementary motions
         kinds = ("rod",) if joint.only_closes else tuple(motion.kind for motion in motions)
         axes = [motion.axis for motion in motions if motion.kind != "ball"]
-        hinges = [
+        hinge_points = [
             point
             for motion, point in zip(motions, joint.motion_points, strict=True)
             if motion.kind == "hinge"
         ]
-        # `reaction_point` is the joint point on the second body
-        points = np.array([joint.point, joint.reaction_point, *hinges])
+        points = np.array([joint.point, joint.point_on_second, *hinge_points])
         geometries[joint.name] = JointGeometry(kinds, np.reshape(axes, (-1, 3)), points)
     return geometries
 
@@ -92,10 +96,12 @@ def _from_first_to_second(tree_joint: TreeJoint, motions: list[tuple[str, Array,
     sense = 1.0 if tree_joint.forward else -1.0
     ordered = motions if tree_joint.forward else motions[::-1]
     axes = [sense * axis for kind, axis, _ in ordered if kind != "ball"]
-    hinges = [point for kind, _, point in ordered if kind == "hinge"]
-    # The engine has no point on the first body; the point of the last motion is fixed in the second body
+    hinge_points = [point for kind, _, point in ordered if kind == "hinge"]
+    # The point of the last motion, the one next to the second body, is the joint point in the second body,
+    # whether this body is the child or the parent. The engine has no separate joint point in the first body.
+    # A rigid joint has no motions
     _, _, on_second = ordered[-1] if ordered else ("", NOWHERE, NOWHERE)
-    points = np.array([NOWHERE, on_second, *hinges])
+    points = np.array([NOWHERE, on_second, *hinge_points])
     return JointGeometry(tuple(kind for kind, _, _ in ordered), np.reshape(axes, (-1, 3)), points)
 
 

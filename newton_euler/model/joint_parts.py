@@ -35,7 +35,8 @@ class Part(NamedTuple):
         name: name in the model file.
         kind: "hinge", "slide" or "ball".
         axis: (3,) unit axis; unused for a ball.
-        anchor: (3,) m, a point on the axis of a hinge, or the center of a ball.
+        anchor: (3,) m, a point on the axis of a hinge, or the center of a ball; for a slide, the position of
+            the joint in the model file, which does not affect the motion.
     """
 
     name: str
@@ -45,10 +46,10 @@ class Part(NamedTuple):
 
 
 def common_name(names: Sequence[str]) -> str:
-    """Return the common stem of names that end in "_1", "_2", ..., one each; an empty string for other names.
+    """Return the common stem of n names that end in "_1" to "_n"; an empty string for other names.
 
-    The writers of this project number the parts of one joint in this way: "hip_1", "hip_2" for the joint
-    "hip".
+    When this project writes a model file, it numbers the parts of one joint in this way: "hip_1", "hip_2" for
+    the joint "hip".
     """
     bases = {name.rpartition("_")[0] for name in names}
     numbers = sorted(name.rpartition("_")[2] for name in names)
@@ -73,9 +74,11 @@ def combine_motions(
 
     Raises:
         MechanismError: for a row that no joint class describes: slides between hinges, more than two parallel
-            hinges, or axes that are linearly dependent.
+            hinges, or a ball and other rotations. `Compound` also raises for axes of slides, or of hinges,
+            that are linearly dependent, such as two hinges on one line.
     """
-    # Joint classes have slides before hinges: if the slides come last, go from the child to the parent
+    # Joint classes have slides before hinges: if the slides come last, go from the child to the parent. With
+    # reversed axes the coordinates still measure the motion of the child relative to the parent
     ends, row = (parent, child), list(parts)
     rotates = [part.kind != "slide" for part in row]
     if rotates != sorted(rotates):  # sorted: False (slides) before True
@@ -86,7 +89,9 @@ def combine_motions(
             f"body {child!r}", "has slides between its hinges", "slides first, or slides last"
         )
 
-    # Refuse three or more parallel hinges, whose massless links have no determined motion
+    # Refuse three or more parallel hinges. The massless links between them have no equations of motion, and
+    # the poses of the two bodies do not determine their angles: three hinges have two solutions, more
+    # hinges have infinitely many
     rotational = [part for part in row if part.kind != "slide"]
     hinges = [part for part in rotational if part.kind == "hinge"]
     for first in hinges:
@@ -96,12 +101,20 @@ def combine_motions(
             needed = "at most two, or mass and inertia of the links between them"
             raise MechanismError(f"body {child!r}", problem, needed)
 
-    # The joint point: where all hinge axes meet, or a point on the first hinge axis if they do not meet
+    # Refuse a ball beside hinges or other balls, so that a ball is the only rotation
+    if len(rotational) > 1 and len(hinges) < len(rotational):
+        names = ", ".join(part.name for part in rotational)
+        problem = f"has a ball and other rotations with no mass between them: {names}"
+        needed = "a ball as the only rotation, or mass and inertia of the links between them"
+        raise MechanismError(f"body {child!r}", problem, needed)
+
+    # The joint point: where all hinge axes meet, the center of a ball, or a point on the first hinge axis if
+    # they do not meet. For slides alone any point serves
     anchors = [part.anchor for part in rotational]
     meeting = _meeting_point(rotational) if rotational else row[-1].anchor
     point = anchors[0] if meeting is None else meeting
 
-    # Each hinge and slide has an axis and a joint coordinate; a ball has neither
+    # Each hinge and slide has an axis and a joint coordinate. A ball has neither: its state is a quaternion
     with_axis = [part for part in row if part.kind != "ball"]
     axes = [part.axis for part in with_axis]
     coordinates = {part.name: k for k, part in enumerate(with_axis)}
@@ -128,6 +141,7 @@ def combine_motions(
                 opposed=bool(axes[0] @ axes[1] < 0.0),
                 actuated=actuated,
             )
+        # equal axes; opposite axes do not fit, because both coordinates of the class are about one axis
         case ["slide", "hinge"] if np.linalg.norm(axes[0] - axes[1]) < ALIGNMENT_TOLERANCE:
             joint = Cylindrical(name, *ends, point, axis=axes[0], actuated=actuated)
         case _:
@@ -138,7 +152,7 @@ def combine_motions(
                 slides=np.array([part.axis for part in row if part.kind == "slide"]),
                 hinges=np.array([part.axis for part in row if part.kind == "hinge"]),
                 offsets=None if meeting is not None else np.diff(anchors, axis=0),
-                ball=any(part.kind == "ball" for part in row),
+                ball=row[-1].kind == "ball",
                 actuated=actuated,
             )
     return joint, coordinates

@@ -25,7 +25,7 @@ from newton_euler.errors import (
     is_finite_number,
     listed,
     quoted,
-    set_arrays,
+    set_finite_arrays,
 )
 from newton_euler.model.constraints import Frame
 from newton_euler.model.couplings import JointCoupling
@@ -129,7 +129,7 @@ class Body(Variable):
     def __post_init__(self) -> None:
         check_name("body", self.name)
         where = f"body {quoted(self.name)}"
-        set_arrays(self, where, mass=(), center_of_mass=(3,), inertia=(3, 3), quaternion=(4,))
+        set_finite_arrays(self, where, mass=(), center_of_mass=(3,), inertia=(3, 3), quaternion=(4,))
         check_flag(where, self, "allow_unrealisable_inertia")
         for field, kinds in (("shapes", get_args(Shape)), ("meshes", (Mesh,))):
             object.__setattr__(self, field, elements_of(where, field, getattr(self, field), *kinds))
@@ -424,7 +424,7 @@ class Mechanism:
             # the joint point fixed in the first body, and the one fixed in the second body
             ends = (
                 (equations.first, equations.joint.point),
-                (equations.second, equations.joint.reaction_point),
+                (equations.second, equations.joint.point_on_second),
             )
             for index, point in ends:
                 if index > 0 and equations.count > 0:
@@ -548,7 +548,7 @@ class Mechanism:
         """Reaction point (3,) of each joint: the joint point fixed in its second body, m from the center of
         mass, in the body frame."""
         return tuple(
-            self.bodies[each.second].pose.point_to_body(each.joint.reaction_point) for each in self.equations
+            self.bodies[each.second].pose.point_to_body(each.joint.point_on_second) for each in self.equations
         )
 
     def shapes(self, index: int) -> tuple[Shape, ...]:
@@ -558,7 +558,7 @@ class Mechanism:
         if body.shapes or index == 0:
             return body.shapes
         joints = [self.joints[k] for k in self.joints_at[index]]
-        points = [joint.point if joint.first == body.name else joint.reaction_point for joint in joints]
+        points = [joint.point if joint.first == body.name else joint.point_on_second for joint in joints]
         return tuple(
             Capsule(body.center_of_mass, point, radius=0.02 * self.size)
             for point in points  # a joint at the center of mass needs no bar

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_flag, quoted, set_arrays
+from newton_euler.errors import MechanismError, check_flag, quoted, set_finite_arrays
 from newton_euler.model.constraints import Angle, Constraint, Displacement, Distance, Frame, Jacobian, Span
 from newton_euler.model.description import DefaultArrayField, description
 from newton_euler.model.fields import NumberField
@@ -149,7 +149,7 @@ class ParallelHinges(AxisJoint):
     def __post_init__(self) -> None:
         given_point, where = self.point_on_second, f"joint {quoted(self.name)}"
         super().__post_init__()
-        set_arrays(self, where, offset=(3,))
+        set_finite_arrays(self, where, offset=(3,))
         check_flag(where, self, "opposed")
         with np.errstate(all="ignore"):  # an overflow makes the length infinite, which is refused below
             across = float(np.linalg.norm(self._perpendicular_part(self.offset)))
@@ -210,8 +210,8 @@ class ParallelHinges(AxisJoint):
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
-        # A point on each axis at the initial pose; `reaction_point` is `point_on_second`
-        return self.reaction_point - self.offset, self.reaction_point
+        # A point on each axis at the initial pose
+        return self.point_on_second - self.offset, self.point_on_second
 
     def _axis_points(self, first: Pose, second: Pose) -> tuple[Array, Array]:
         """Return a point on each axis, (3,), m, in the frames of their bodies.
@@ -219,7 +219,7 @@ class ParallelHinges(AxisJoint):
         The line through both points is perpendicular to the axes.
         """
         along = (self.axis @ self.offset) * self.axis
-        return first.point_to_body(self.point + along), second.point_to_body(self.reaction_point)
+        return first.point_to_body(self.point + along), second.point_to_body(self.point_on_second)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         ends, across = self._axis_points(first, second), self._perpendicular_part(self.offset)

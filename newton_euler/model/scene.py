@@ -24,7 +24,7 @@ from newton_euler.errors import (
     items_of,
     listed,
     quoted,
-    set_arrays,
+    set_finite_arrays,
 )
 from newton_euler.model.control import sensed
 from newton_euler.model.description import ArrayField, TupleField, description
@@ -175,7 +175,7 @@ class Scene(Variable):
             )
 
         # Check gravity, the outputs, the elements and the initial state
-        set_arrays(self, where, gravity=(3,))
+        set_finite_arrays(self, where, gravity=(3,))
         outputs = items_of(self.outputs)
         if outputs is None:
             raise MechanismError(where, f"outputs is {quoted(self.outputs)}", "a set of names")

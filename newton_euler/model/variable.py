@@ -6,8 +6,9 @@ and give another value: `Variable.rebuilt` checks the value, `Variable.varied` a
 symbolic expression of the code generator. The values that a number may take are declared in
 `newton_euler.model.fields`.
 
-Such an attribute is a number, an array, a function of time, or a mapping. The mappings are those of state
-feedback (`newton_euler.model.control.StateFeedback`): from joint coordinates to gains or to targets.
+An attribute of an element is a number, an array, a function of time, or a mapping. The mappings are those of
+state feedback (`newton_euler.model.control.StateFeedback`): from joint coordinates to gains, which are
+arrays, or to targets, which are numbers or functions of time.
 """
 
 from __future__ import annotations
@@ -33,14 +34,13 @@ constructor and so checks them.
 """
 
 PART_UNITS = {"angular_frequency": "rad/s", "phase": "rad"}
-"""Units of the numbers of functions of time on which the value depends nonlinearly, by part, see
-`Function.parts`.
+"""Units of the nonlinear parts of functions of time, see `Function`.
 
-Parameter names are ATTRIBUTE.PART, such as `target.phase`.
+The parameter of such a part is named ATTRIBUTE.PART, such as `target.phase`.
 """
 
-INDEX_REASON = "which coordinate it is"
-"""Reason, for error messages of model elements, why the index of a joint coordinate cannot vary."""
+INDEX_REASON = "the index that selects a joint coordinate"
+"""Reason why the index of a joint coordinate cannot vary, see `Variable.constant`."""
 
 
 def altered(thing: T, **fields: Any) -> T:
@@ -71,7 +71,7 @@ class Function:
     Attributes:
         parts: names of the fields of each part. Part "" has the fields in which the function is linear; the
             other parts are "angular_frequency" and "phase", see `PART_UNITS`.
-        constant: reasons, by field name, why fields cannot vary.
+        constant: reasons, by field name, why fields cannot vary, see `Variable.constant`.
     """
 
     parts: ClassVar[Mapping[str, tuple[str, ...]]]
@@ -114,7 +114,8 @@ class Function:
         raise NotImplementedError
 
     def piece(self, time: float) -> tuple[float, ...]:
-        """Return the numbers that determine the function between the two knots around a time in s.
+        """Return the numbers that determine the function between the two knots around a time in s; at a knot,
+        those of the piece that begins there.
 
         A compiled program takes these numbers as parameters in place of the variables of the function; they
         are replaced at each knot.
@@ -161,7 +162,8 @@ class Variable:
 
     Attributes:
         number_fields: declarations of the attributes that may vary, by attribute name.
-        constant: reasons, by attribute name, why other attributes cannot vary.
+        constant: reasons, by attribute name, why other attributes cannot vary. A reason completes the error
+            message "parameter NAME: is REASON".
     """
 
     number_fields: ClassVar[Mapping[str, NumberField]] = {}
@@ -182,7 +184,8 @@ class Variable:
         """Return the declaration of one number, by a name from `variables`."""
         attribute, _, part = name.partition(".")
         field = self.number_fields[attribute]
-        # `unit_about` is the unit for rotations; parts such as a phase have one unit for both
+        # `unit_about` is the unit at a hinge if it differs from the unit at a slide; the unit of a part, such
+        # as rad of a phase, is the same at both
         return replace(field, unit=PART_UNITS[part], unit_about="") if part else field
 
     def set_numbers(self, where: str) -> None:
@@ -196,7 +199,7 @@ class Variable:
         """
         for name, field in self.number_fields.items():
             value = getattr(self, name)
-            # attributes without a declared shape, such as mappings, are checked by their classes
+            # the class of this element checks attributes without a declared shape, such as mappings
             if field.shape is not None and not (field.may_be_function and isinstance(value, Function)):
                 object.__setattr__(self, name, field.checked(where, name, value))
 
@@ -230,6 +233,9 @@ class Variable:
 
     def number(self, name: str) -> Array:
         """Return the present value of one of `variables` as an array of floats.
+
+        The linear numbers of a function of time are a vector. A nonlinear part of one number, such as the
+        phase of one sine, is a scalar (): users give one number for it.
 
         A point has the value zeros (3,), because its variable is the displacement from the described point.
         """
@@ -326,6 +332,7 @@ def _changed_values(present: Mapping[Any, Any], part: str, value: Any, change: C
     for key, each in present.items():
         count = np.size(_numbers(each, part))
         if count:
+            # a value that is no function is one number, because arrays do not mix with other values
             new = numbers[:count] if isinstance(each, Function) else numbers[0]
             changed[key] = _changed(each, part, new, change)
         numbers = numbers[count:]

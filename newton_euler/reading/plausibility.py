@@ -102,11 +102,11 @@ class MeasuredBody:
         gyration = (
             float(np.sqrt(max(0.0, 0.5 * np.trace(body.inertia)) / body.mass)) if body.mass > 0.0 else 0.0
         )
-        # Joint points on this body; `reaction_point` is the joint point that is fixed in the second body
+        # Joint points on this body; `point` is fixed in the first body, `point_on_second` in the second
         ends = [
             point
             for joint in mechanism.joints
-            for name, point in ((joint.first, joint.point), (joint.second, joint.reaction_point))
+            for name, point in ((joint.first, joint.point), (joint.second, joint.point_on_second))
             if name == body.name and joint.kind != "free"
         ]
         joints = np.reshape(ends, (-1, 3))

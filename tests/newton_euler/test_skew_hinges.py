@@ -97,7 +97,7 @@ def test_offsets_are_checked():
     with pytest.raises(MechanismError, match="offsets is 5"):
         Compound(*ends, hinges=hinges, offsets=5)
     joint = Compound(*ends, hinges=hinges, offsets=[[0, 0, 1]])
-    assert joint.reaction_point.tolist() == [0, 0, 1]
+    assert joint.point_on_second.tolist() == [0, 0, 1]
 
 
 def test_where_on_their_axes_the_file_puts_the_hinges_makes_no_difference(tmp_path):

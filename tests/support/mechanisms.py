@@ -225,7 +225,7 @@ def scaled(scene: Scene, factor: float) -> Scene:
         for body in scene.mechanism.bodies
     ]
     joints = [
-        replace(joint, point=factor * joint.point, point_on_second=factor * joint.reaction_point)
+        replace(joint, point=factor * joint.point, point_on_second=factor * joint.point_on_second)
         for joint in scene.mechanism.joints
     ]
     return replace(

@@ -152,7 +152,7 @@ def _tilted_row(joint: Compound, about: Array) -> Injection:
     turn = injection.turned_about(about, SIZE)
 
     def tilt(own: Any) -> Joint:
-        second = own.point + turn @ (own.reaction_point - own.point)
+        second = own.point + turn @ (own.point_on_second - own.point)
         rows = {name: getattr(own, name) @ turn.T for name in ("slides", "hinges", "offsets")}
         return replace(own, point_on_second=second, **rows)
 

@@ -47,7 +47,7 @@ def test_loops_close_between_frames_of_joints(kind: str, closing: type, tmp_path
     by_link = LOOPS.format(pairs="[[ball, end]]", types=f"[{kind.lower()}]", motors="[]")
     found = reading(tmp_path, robot(*ENDS), by_joint)
     (loop,) = [j for j in found.scene.mechanism.joints if isinstance(j, closing)]
-    assert loop.point == pytest.approx(loop.reaction_point, abs=1e-12)
+    assert loop.point == pytest.approx(loop.point_on_second, abs=1e-12)
     same_motion(found, reading(tmp_path, robot(*ENDS), by_link))
 
 

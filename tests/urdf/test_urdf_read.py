@@ -125,7 +125,7 @@ def test_a_loop_that_is_open_is_closed_or_refused(tmp_path: Path) -> None:
     assert found.report.start[0].startswith("open at coordinates 0, in m or rad: loop of tip_a and tip_b 0.")
     assert "assembled next to coordinates 0" in found.report.start[1]
     (closing,) = [joint for joint in found.scene.mechanism.joints if isinstance(joint, Spherical)]
-    assert closing.point == pytest.approx(closing.reaction_point, abs=1e-12)
+    assert closing.point == pytest.approx(closing.point_on_second, abs=1e-12)
     assert [joint.name for joint in found.scene.mechanism.joints if joint.actuated] == ["ja"]
     for kind in ("3d", "6d"):
         loops = LOOPS.format(pairs="[[tip_a, tip_b]]", types=f"[{kind}]", motors="[]")

@@ -439,7 +439,7 @@ def _centers_at_joints(first: Mechanism, second: Mechanism, joints: Mapping[str,
     """Compute centers of mass of the second mechanism relative to those of the first, if joints coincide.
 
     Body frames of both mechanisms are taken as equal, and restated so that the first paired joint of each
-    body is at the same point. A joint has a `point` on its first body, and a `reaction_point` on its second.
+    body is at the same point. A joint has a `point` on its first body, and a `point_on_second`.
 
     Returns:
         (b, 3) positions in the body frames, m; 0 for a body without paired joint.
@@ -451,7 +451,7 @@ def _centers_at_joints(first: Mechanism, second: Mechanism, joints: Mapping[str,
             pair = (first, first.joint(name)), (second, second.joint(joints[name]))
             here, there = (
                 mechanism.bodies[k].pose.point_to_body(
-                    joint.point if joint.first == body.name else joint.reaction_point
+                    joint.point if joint.first == body.name else joint.point_on_second
                 )
                 for mechanism, joint in pair
             )

@@ -327,7 +327,7 @@ def reactions_in_first(
     def reaction_point(mechanism: Mechanism, joint: Joint) -> Array:
         """Return positions (n, 3) of the point of a joint, m, world frame."""
         k = mechanism.body_index(joint.second)
-        arm = mechanism.bodies[k].pose.point_to_body(joint.reaction_point)
+        arm = mechanism.bodies[k].pose.point_to_body(joint.point_on_second)
         return np.asarray(position[:, k] + rotations(quaternion[:, k]) @ arm)
 
     for name, other in aligned.joints.items():

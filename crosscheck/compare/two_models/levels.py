@@ -199,8 +199,8 @@ def _arms(aligned: Aligned, body: str) -> tuple[dict[str, Array], dict[str, Arra
             found, (first, second), (first.joint(name), second.joint(other)), strict=True
         ):
             if body in (joint.first, joint.second):
-                # `point` is fixed in the first body of the joint, `reaction_point` in the second
-                point = joint.point if joint.first == body else joint.reaction_point
+                # `point` is fixed in the first body of the joint, `point_on_second` in the second
+                point = joint.point if joint.first == body else joint.point_on_second
                 arms[name] = mechanism.body(body).pose.point_to_body(point)
     return found
 

@@ -3,7 +3,7 @@
 A function such as `mass("rod", 1e-3)` does not change a scene. It returns an `Injection`: a function that
 takes a scene and returns the scene with the fault. Vectors of bodies and joints are in the world frame at the
 initial pose, except where a body frame is mentioned. A joint has a `point` on its first body and
-`point_on_second`, also called `reaction_point`, on its second body.
+`point_on_second` on its second body.
 """
 
 from __future__ import annotations
@@ -132,13 +132,13 @@ def swapped_bodies(first: Body, second: Body) -> Injection:
 def joint_point(joint: str, shift: Array) -> Injection:
     """Shift the points of a joint on both bodies by `shift` (3,), m, so that they still coincide at first."""
     return change_joint(
-        joint, lambda j: replace(j, point=j.point + shift, point_on_second=j.reaction_point + shift)
+        joint, lambda j: replace(j, point=j.point + shift, point_on_second=j.point_on_second + shift)
     )
 
 
 def closure_point(joint: str, shift: Array) -> Injection:
     """Shift the point of a joint on the second body only, by `shift` (3,), m, which opens the loop."""
-    return change_joint(joint, lambda j: replace(j, point_on_second=j.reaction_point + shift))
+    return change_joint(joint, lambda j: replace(j, point_on_second=j.point_on_second + shift))
 
 
 def joint_axes(joint: str, axes: dict[str, Array]) -> Injection:
@@ -162,7 +162,7 @@ def joint_row(joint: Joint, name: str, number: int, change: Callable[[Array], Ar
         new_row = change(rows[number])
         shift = new_row - rows[number] if name == "offsets" else np.zeros(3)
         rows[number] = new_row
-        return replace(j, **{name: rows, "point_on_second": j.reaction_point + shift})  # type: ignore[arg-type]
+        return replace(j, **{name: rows, "point_on_second": j.point_on_second + shift})  # type: ignore[arg-type]
 
     return change_joint(joint.name, changed)
 
@@ -287,5 +287,5 @@ def _turned_axes(joint: Joint, turn: Array, names: Iterable[str]) -> Injection:
         names: names of the axes to rotate.
     """
     axes = {name: turn @ getattr(joint, name) for name in names}
-    second = joint.point + turn @ (joint.reaction_point - joint.point)
+    second = joint.point + turn @ (joint.point_on_second - joint.point)
     return joint_axes(joint.name, {**axes, "point_on_second": second})

@@ -77,7 +77,7 @@ def test_list_of_a_scene_says_which_points_offsets_start_from(capsys):
     _, out, _ = run(capsys, "list", "slider_crank")
     rows = [" ".join(line.split()) for line in out.splitlines()]
     crank = load("slider_crank").mechanism.joints[1]
-    point, other = (" ".join(f"{x:.6g}" for x in each) for each in (crank.point, crank.reaction_point))
+    point, other = (" ".join(f"{x:.6g}" for x in each) for each in (crank.point, crank.point_on_second))
     assert f"ball.point_on_first m 0 0 0 offset from {point}" in rows
     assert f"ball.point_on_second m 0 0 0 offset from {other}" in rows
     assert sum("offset from" in row for row in rows) == 12

@@ -61,7 +61,7 @@ def test_drawn_motion_keeps_hinges_closed_to_first_order():
         run_of_mode = animate_mode(scene.mechanism, model, twist)
         for equations in scene.mechanism.equations:
             joint, ends = equations.joint, []
-            for body, point in ((equations.first, joint.point), (equations.second, joint.reaction_point)):
+            for body, point in ((equations.first, joint.point), (equations.second, joint.point_on_second)):
                 arm = scene.mechanism.bodies[body].pose.point_to_body(point)
                 turn = np.array([rotation(p) for p in run_of_mode.quaternion[:, body]])
                 ends.append(run_of_mode.position[:, body] + turn @ arm)

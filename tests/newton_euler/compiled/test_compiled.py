@@ -183,7 +183,7 @@ def tilted(scene):
         for body in replace_frames(scene.mechanism.bodies)
     ]
     joints = [
-        replace(joint, point=a @ joint.point, point_on_second=a @ joint.reaction_point, axis=a @ joint.axis)
+        replace(joint, point=a @ joint.point, point_on_second=a @ joint.point_on_second, axis=a @ joint.axis)
         for joint in scene.mechanism.joints
     ]
     mechanism = newton_euler.Mechanism(bodies, joints)

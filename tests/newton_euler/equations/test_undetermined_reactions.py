@@ -54,7 +54,7 @@ def test_what_is_undetermined_acts_on_no_body(make):
             force, torque = wrench[:3], size * wrench[3:]
             second = frames[equations.second]
             pose = scene.mechanism.bodies[equations.second].pose
-            point = second.position + second.rotation @ pose.point_to_body(equations.joint.reaction_point)
+            point = second.position + second.rotation @ pose.point_to_body(equations.joint.point_on_second)
             for body, sign in ((equations.first, -1.0), (equations.second, 1.0)):
                 moment = torque + np.cross(point - frames[body].position, force)
                 total[body] += sign * np.concatenate([force, moment / size])

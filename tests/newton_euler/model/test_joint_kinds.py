@@ -279,3 +279,19 @@ def test_three_parallel_hinges_in_a_row_are_refused_by_their_names() -> None:
     assert "'shin'" in str(caught.value)
     assert "3 parallel hinges" in str(caught.value)
     assert "j0, j1, j2" in str(caught.value)
+
+
+@pytest.mark.parametrize("kinds", [("ball", "hinge"), ("hinge", "ball"), ("ball", "ball")])
+def test_a_ball_in_a_row_with_other_rotations_is_refused(kinds: tuple[str, str]) -> None:
+    axis = np.array([0.0, 1.0, 0.0])
+    row = [Part(f"j{k}", kind, axis, np.zeros(3)) for k, kind in enumerate(kinds)]
+    with pytest.raises(MechanismError, match=r"'shin': has a ball and other rotations .*: j0, j1"):
+        combine_motions("knee", "thigh", "shin", row, actuated=False)
+
+
+def test_gaps_of_displaced_points_add_up() -> None:
+    """A variation of a variation has the gap of both displacements."""
+    joint = Spherical("joint", "ground", "body", np.zeros(3))
+    once = joint.varied({"point_on_second": np.array([0.3, 0.0, 0.0])})
+    twice = once.varied({"point_on_first": np.array([0.1, 0.0, 0.0])})
+    assert np.allclose(twice.point_gap, twice.point_on_second - twice.point)

@@ -81,7 +81,7 @@ def test_a_component_is_a_number_of_the_whole_value(scene, name):
         ),
         (["duration"], MechanismError, "'duration': is the same in all runs"),
         (["mass.shapes"], MechanismError, "'mass.shapes': is what bodies look like"),
-        (["forces[1].coordinate"], MechanismError, "is which coordinate it is"),
+        (["forces[1].coordinate"], MechanismError, "is the index that selects a joint coordinate"),
         (["rail.feedforward.times"], MechanismError, "'rail.feedforward.times': is where runs are divided"),
         (["gravity", "gravity.z"], MechanismError, "another value by another name"),
         (["mass.inertia.xy", "mass.inertia.yx"], MechanismError, "another value by another name"),

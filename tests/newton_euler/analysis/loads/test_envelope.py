@@ -37,7 +37,7 @@ def on_the_ground(scene, state, held):
     for joint, push, torque in pushes:
         if joint.first == mechanism.body_names[0]:
             body = mechanism.body_index(joint.second)
-            arm = mechanism.bodies[body].pose.point_to_body(joint.reaction_point)
+            arm = mechanism.bodies[body].pose.point_to_body(joint.point_on_second)
             point = state.position[body] + rotation(state.quaternion[body]) @ arm
             force += push
             moment += torque + np.cross(point, push)

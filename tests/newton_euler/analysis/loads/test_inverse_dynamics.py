@@ -266,7 +266,7 @@ def test_static_loads_balance_weight_wrenches_and_springs():
             if 0 not in (equations.first, equations.second):
                 continue
             sign, second = (1.0, equations.second) if equations.first == 0 else (-1.0, equations.second)
-            arm = mechanism.bodies[second].pose.point_to_body(equations.joint.reaction_point)
+            arm = mechanism.bodies[second].pose.point_to_body(equations.joint.point_on_second)
             point = position[second] + rotation(quaternion[second]) @ arm
             force += sign * held.reaction_force[k, j]
             moment += sign * (held.reaction_torque[k, j] + np.cross(point, held.reaction_force[k, j]))
