@@ -4,6 +4,5 @@
 recorded operations are compiled. `run` binds the compiled equations to an integrator, which turns an initial
 state into a table of states. `lanes` integrates several runs side by side, one in each lane of a vector
 register. `outputs` computes the arrays that the scene asks for. `failures` explains runs that stop early.
-`evaluated` and `interpreted` integrate equations that Python evaluates, such as Pinocchio's. Start reading
-with `run`.
+`evaluated` integrates equations that Python evaluates, such as Pinocchio's. Start reading with `run`.
 """

@@ -1,4 +1,4 @@
-"""Adaptive integration (DOP853, Radau) of equations of motion that Python evaluates, such as Pinocchio's.
+"""Integration of equations of motion that Python evaluates, such as Pinocchio's.
 
 The integrator is native code, and calls back into Python for accelerations and for projection onto the
 constraints. Constraints become dependent in a singular configuration. The pivot ratio of a state measures the
@@ -24,6 +24,7 @@ from newton_euler.compiled.equations import OPEN_TOLERANCE
 from newton_euler.compiled.run import (
     METHODS,
     dop853_of,
+    fixed_step_of,
     native_method,
     radau_of,
 )
@@ -35,7 +36,7 @@ from newton_euler.equations.system import System, rate_of_phi
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF, closing_of
-from newton_euler.integrators.options import Options
+from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.singular import DENSE_PIVOT_RATIO
@@ -62,10 +63,13 @@ MAX_EVALUATED_STEPS = 50_000
 """Number of steps at which a run stops, if its option `most_steps` is not set."""
 
 
-def integrate_adaptive(
+def integrate(
     system: System, q: Array, v: Array, times: Array, options: Options
 ) -> tuple[Array, dict[str, int], IntegrationError | None]:
-    """Integrate the equations of motion by DOP853 or Radau.
+    """Integrate the equations of motion of a system over given output times.
+
+    A run stops early if steps become too small, if numbers are not finite, or if the equations or the
+    constraints have no solution. The error has the time, the reason, and the fastest joint or largest force.
 
     Args:
         system: equations of motion that Python evaluates.
@@ -95,9 +99,13 @@ def integrate_adaptive(
     )
     # the integrator and its work arrays
     max_steps = options.most_steps or MAX_EVALUATED_STEPS
-    if options.integrator == "Radau":
+    method: Any
+    if options.integrator in FIXED:
+        rate = evaluated.callback(system.nq, evaluated.rate) if options.integrator == "Euler" else None
+        method = fixed_step_of(n=n, inputs=n + 1, options=options, rate=rate)
+    elif options.integrator == "Radau":
         jacobian = evaluated.callback(n * n, evaluated.jacobian)
-        method: Any = radau_of(n=n, inputs=n + 1, options=options, max_steps=max_steps, jacobian=jacobian)
+        method = radau_of(n=n, inputs=n + 1, options=options, max_steps=max_steps, jacobian=jacobian)
     else:
         # the residual of almost redundant rows widens the tolerances near a singular configuration
         near = options.near_singular(mobility(system.scene).residual, system.mechanism.size)
@@ -213,6 +221,10 @@ class EvaluatedSystem(Callbacks):
             results[-1] = -1.0
 
         return self.guarded(call, failed)
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """Compute dq/dt (nq,)."""
+        return self._system.rate(q, v)
 
     def _rates(self, q: Array, v: Array) -> Array:
         """Compute dq/dt and dv/dt, one vector (n,)."""

@@ -507,19 +507,9 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
         lanes: number of runs that are integrated at once.
     """
     n, max_steps = code.size, max_adaptive_steps(options)
-    if options.step is not None:
-        scratch = scratch_for(lanes)
-        is_euler = options.integrator == "Euler"
-        return FixedStep(
-            number=FIXED.index(options.integrator),
-            step=options.step,
-            rate=code.function("rate", in_lanes=lanes > 1) if is_euler else None,
-            now=scratch(code.inputs),
-            at=scratch(code.inputs),
-            k=scratch(4, n + 1),
-            change=scratch(n),
-            control=scratch(2),
-        )
+    if options.step is not None:  # an integrator with fixed steps
+        rate = code.function("rate", in_lanes=lanes > 1) if options.integrator == "Euler" else None
+        return fixed_step_of(n, code.inputs, options, rate, lanes)
     if options.integrator == "DOP853":
         # `noise`: largest singular value of constraints that are redundant but for rounded numbers of a file
         near = options.near_singular(code.noise, code.scene.mechanism.size)
@@ -530,6 +520,30 @@ def method_of(code: CompiledEquations, options: Options, steps: Array, lanes: in
 def scratch_for(lanes: int) -> Callable[..., Array]:
     """Return a function that makes a work array of a given shape for each of some lanes."""
     return lambda *shape: np.zeros((*shape, lanes))
+
+
+def fixed_step_of(n: int, inputs: int, options: Options, rate: Callback | None, lanes: int = 1) -> FixedStep:
+    """Return the record of an integrator with fixed steps: its options, its state and its work arrays.
+
+    Args:
+        n: length of a state (q, v).
+        inputs: length of a state with time, flags and parameters.
+        options: integrator and size of the steps.
+        rate: computes dq/dt of a state, for Euler; None for other integrators.
+        lanes: number of runs that are integrated at once.
+    """
+    assert options.step is not None
+    scratch = scratch_for(lanes)
+    return FixedStep(
+        number=FIXED.index(options.integrator),
+        step=options.step,
+        rate=rate,
+        now=scratch(inputs),
+        at=scratch(inputs),
+        k=scratch(4, n + 1),
+        change=scratch(n),
+        control=scratch(2),
+    )
 
 
 def dop853_of(

@@ -21,8 +21,8 @@ import numpy as np
 
 from newton_euler.arguments import caller_level, checked
 from newton_euler.compiled.equations import CACHED_SCENES, CompiledEquations
+from newton_euler.compiled.evaluated import integrate
 from newton_euler.compiled.formulations import check_formulation
-from newton_euler.compiled.interpreted import integrate
 from newton_euler.compiled.outputs import named
 from newton_euler.compiled.run import load_code
 from newton_euler.equations.couplings import counted_angles, couplings

@@ -13,7 +13,7 @@ import newton_euler
 import urdf
 from crosscheck.library import load
 from newton_euler import Body, Mechanism
-from newton_euler.compiled.interpreted import integrate
+from newton_euler.compiled.evaluated import integrate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.integrators.options import INTEGRATORS, STABILIZATIONS, Options
