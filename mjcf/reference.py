@@ -94,7 +94,8 @@ class MjcfReference(ReferenceModel):
         for name in UNSIMULATED_FEATURES:
             self._model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
         self._model.actuator_actearly[:] = 0
-        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame. Simple
+        # bodies keep this, because MuJoCo also takes their mass matrix, as diagonal, in the body frame
         self._model.body_sameframe[self._model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         # the state in the file
         self._data = mujoco.MjData(self._model)

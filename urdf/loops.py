@@ -21,13 +21,13 @@ from urdf.errors import LoopFileError
 CLOSURE_TYPES = ("3d", "6d", "rod")
 """Types of loop closures in a loop file, in upper or lower case.
 
-"3d": the origins of two frames coincide; "6d": the frames coincide; "rod": the origins keep their
-distance."""
+"3d": the origins of two frames coincide; "6d": the frames coincide; "rod": the origins keep the distance that
+they have at the start, where all other loops are closed."""
 
 REVOLUTE = "revolute"
 """Type of a loop closure by a hinge about the x axes of both frames.
 
-Loop files do not have this type, only elements that tools such as Gazebo add to a URDF."""
+A loop file cannot have this type. Readers of elements that tools such as Gazebo add to a URDF use it."""
 
 UNIVERSAL = {f"UJOINT_{a}{b}": a + b for a in "XYZ" for b in "XYZ" if a != b} | {"CARDAN": "XY"}
 """Axes of the two hinges of a universal joint, in the frame of the joint, by type in a loop file."""
@@ -41,7 +41,9 @@ LOOP_FILE_KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type",
 
 @dataclass(frozen=True)
 class Loops:
-    """Content of a loop file; the attributes have the names of the keys in the file.
+    """Content of a loop file, or its equivalent from additional elements of a URDF or from a Pinocchio model.
+
+    The attributes have the names of the keys in the file.
 
     Attributes:
         source: name of the file, for messages.
@@ -51,8 +53,8 @@ class Loops:
         joint_name: names of joints whose type differs from the URDF.
         joint_type: for each of these joints, one of `JOINT_TYPES`. FIXED joints are held at 0; for the other
             types, the axis in the URDF is ignored.
-        coupled: for each coupling, the factors of the powers 1, 2, ... of joint coordinates, by name of the
-            joint. The sum of the factors times the powers is zero.
+        coupled: for each coupling, a polynomial of each coupled joint's coordinate q, by name of the joint:
+            its coefficients (c_1, c_2, ...) of q, q^2, ... The sum of the polynomials is zero.
     """
 
     source: str
@@ -69,15 +71,20 @@ NO_LOOPS = Loops("", (), (), (), (), (), ())
 
 
 def closure_names(model: Any, constraints: Sequence[Any]) -> tuple[tuple[str, str], ...]:
-    """Return names for the two frames of each constraint of a Pinocchio model in memory.
+    """Name the two frames of each loop-closing constraint of a Pinocchio model in memory.
 
-    The names have the form of `urdf.write`: "<constraint>_on_<joint>". The constraints are
-    `RigidConstraintModel`s of the `pinocchio.Model`.
+    Such a model has no loop file. Readers add frames with these names to a copy of the model, and pairs of
+    the names take the place of `Loops.closed_loop`. The form "<constraint>_on_<joint>" is that of frames in
+    files by `urdf.write`, so that readers find the name of the constraint in both.
+
+    Args:
+        model: `pinocchio.Model`.
+        constraints: its `RigidConstraintModel`s.
     """
     pairs: list[tuple[str, str]] = []
     used_names: list[str] = []
     for number, constraint in enumerate(constraints):
-        name = unique_name(str(constraint.name), f"constraint_{number + 1}", used_names)
+        name = unique_name(str(constraint.name), fallback=f"constraint_{number + 1}", taken=used_names)
         used_names.append(name)
         first, second = (model.names[k] for k in (constraint.joint1_id, constraint.joint2_id))
         pairs.append((f"{name}_on_{first}", f"{name}_on_{second}"))
@@ -88,11 +95,12 @@ def parse_loops(text: str, source: str) -> Loops:
     """Read the text of a loop file named `source`.
 
     Raises:
-        LoopFileError: for text that is not plain YAML, see `newton_euler.model.yaml_source`. Also for missing
-            or unknown keys, wrong forms, different lengths, and unknown types.
+        LoopFileError: for text that is not plain YAML (such as aliases and tags, see
+            `newton_euler.model.yaml_source`). Also for missing or unknown keys, wrong forms, different
+            lengths, and unknown types.
     """
     try:
-        document = parse_yaml(source, text)
+        document = parse_yaml(source, text)  # mappings and lists of texts
     except SourceError as error:
         raise LoopFileError(source, "document", error.problem) from error
     if not isinstance(document, dict):
@@ -139,20 +147,20 @@ def parse_loops(text: str, source: str) -> Loops:
 def _coupling(entry: Any, source: str) -> dict[str, tuple[float, ...]]:
     """Return an entry of `coupled` in the form of `Loops.coupled`; raises `LoopFileError`.
 
-    In the file, a single number instead of a list is the factor of the first power.
+    In the file, a single number instead of a list is the coefficient of the first power.
     """
     try:
         lists = {name: given if isinstance(given, list) else [given] for name, given in entry.items()}
-        factors = {name: tuple(map(float, given)) for name, given in lists.items()}
+        polynomials = {name: tuple(map(float, given)) for name, given in lists.items()}
     except (AttributeError, TypeError, ValueError):
-        factors = {"": (math.nan,)}  # refused below
-    if not all(
-        1 <= len(of_joint) <= MAX_DEGREE and all(abs(factor) <= MAX_MODEL_NUMBER for factor in of_joint)
-        for of_joint in factors.values()
+        polynomials = {"": (math.nan,)}  # refused below, as NaN is not <= `MAX_MODEL_NUMBER`
+    if not polynomials or not all(
+        1 <= len(coefficients) <= MAX_DEGREE and all(abs(c) <= MAX_MODEL_NUMBER for c in coefficients)
+        for coefficients in polynomials.values()
     ):
         needed = (
             f"is not a mapping from joints to numbers of at most {MAX_MODEL_NUMBER:g} in magnitude, "
             f"or to lists of 1 to {MAX_DEGREE} of them"
         )
         raise LoopFileError(source, "coupled", f"{entry!r:.200} {needed}")
-    return factors
+    return polynomials

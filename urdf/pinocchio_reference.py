@@ -31,7 +31,7 @@ class Closure(NamedTuple):
     Attributes:
         element: name of the closure in reports.
         kind: "3d" (the origins of the frames coincide), "6d" (the frames coincide), "rod" (the origins keep
-            their distance), or `REVOLUTE` (a hinge about the x axes of both frames).
+            their distance at the start), or `REVOLUTE` (a hinge about the x axes of both frames).
         first: number of the first frame.
         second: number of the second frame, which no other closure has.
     """

@@ -8,9 +8,9 @@ and slides through massless links.
 A URDF can describe neither closed loops nor ball joints. The loop file names frames that coincide and joints
 that are balls. Its keys are those of Gepetto's example-parallel-robots
 (https://github.com/Gepetto/example-parallel-robots, `robot.yaml`), with two additions: closures of type
-`rod`, whose two points keep their distance, and `coupled`, sums of polynomials of joint coordinates that are
-zero. A loop is closed by a ball, a rod or a weld. At any other joint that closes a loop, a body is cut into
-two halves, which a weld joins: the welded mechanism.
+`rod`, whose two points keep their distance at the start, and `coupled`, sums of polynomials of joint
+coordinates that are zero. A loop is closed by a ball, a rod or a weld. At any other joint that closes a loop,
+a body is cut into two halves, which a weld joins: the welded mechanism.
 """
 
 from __future__ import annotations

@@ -25,7 +25,10 @@ LOOPBACK = "127.0.0.1"
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--web", is_flag=True, help="Show the recordings in a browser instead of a window.")
 def view_command(files: tuple[Path, ...], web: bool) -> int:
-    """Open recordings in the Rerun viewer, side by side."""
+    """Open recordings in one Rerun viewer.
+
+    The viewer lists the recordings and shows the selected one.
+    """
     for file in files:
         _check_recording(file)
     from crosscheck.recording.show import has_display
@@ -43,7 +46,7 @@ def view_command(files: tuple[Path, ...], web: bool) -> int:
     status = _run_viewer([*command, *map(str, files)])
     if status != 0:
         raise CrosscheckError(f"the viewer ended with status {status}")
-    return AGREE  # exit status 0, success
+    return AGREE  # exit status 0
 
 
 def _check_recording(file: Path) -> None:
@@ -59,8 +62,9 @@ def _check_recording(file: Path) -> None:
 
 
 def _run_viewer(command: Sequence[str]) -> int:
-    """Run the command of a viewer until it ends or this process is interrupted; return the exit status.
+    """Run the command of a viewer until it ends; return its exit status, or 0 after an interrupt.
 
+    Users end a viewer by Ctrl-C. SIGTERM, and SIGHUP of a closed terminal, count as such interrupts, too.
     The viewer gets a separate process group, because Rerun's program starts the viewer as a child process.
     """
     from crosscheck.support.time_limits import signals_as_interrupts
@@ -69,7 +73,7 @@ def _run_viewer(command: Sequence[str]) -> int:
         process = subprocess.Popen(command, start_new_session=True, env=os.environ | {"RUST_LOG": "error"})
         try:
             return process.wait()
-        except KeyboardInterrupt:  # users end a viewer by Ctrl-C
+        except KeyboardInterrupt:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGTERM)
             process.wait()

@@ -1,4 +1,4 @@
-"""Energy balance of a run, and the smallest unit by which comparisons divide differences of energies."""
+"""Energy balance of a run, and lower bound of the energy scale by which comparisons divide differences."""
 
 from __future__ import annotations
 
@@ -24,19 +24,24 @@ class Balance(NamedTuple):
     Attributes:
         residual: (n,) change of the energy since the start, minus the work done on the mechanism, J, at n
             output times.
-        exchanged: sum of the largest change of the energy and the largest kinetic energy, J.
+        scale: energy scale of the run, J, by which comparisons divide its energy errors: the largest change
+            of the energy plus the largest kinetic energy.
     """
 
     residual: Array
-    exchanged: float
+    scale: float
 
 
-def energy_scale(scene: Scene, states: list[State]) -> float:
-    """Return the smallest unit, J, by which comparisons divide differences of energies.
+def min_energy_scale(scene: Scene, states: list[State]) -> float:
+    """Return the smallest energy, J, by which comparisons of engines divide differences of energies.
 
-    If a run exchanges more energy, its comparison uses that energy. The result is the largest of three: the
-    kinetic energy at the given states, the mechanism's weight times its size, and the kinetic energy (times
-    two) of the mechanism's mass at one size per second.
+    It is used if the energy scale of the run (`Balance.scale`) is smaller, as in a run near rest. The result
+    is the largest of three: the kinetic energy at the given states, the mechanism's weight times its size,
+    and the kinetic energy (times two) of the mechanism's mass at one size per second.
+
+    Args:
+        scene: the scene.
+        states: states at which engines are compared: the initial state and random ones.
     """
     size = scene.mechanism.size
     mass = sum(body.mass for body in scene.mechanism.bodies[1:])  # without the ground
@@ -62,5 +67,5 @@ def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
         return None
     change = run.kinetic_energy + run.potential_energy
     change = change - change[0]
-    exchanged = float(np.max(np.abs(change)) + np.max(run.kinetic_energy))
-    return Balance(change if run.work is None else change - run.work, exchanged)
+    scale = float(np.max(np.abs(change)) + np.max(run.kinetic_energy))
+    return Balance(change if run.work is None else change - run.work, scale)

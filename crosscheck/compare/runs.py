@@ -354,7 +354,7 @@ def compare_runs(
         """Check the energy balance of one engine."""
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
-            unit = max(energy, balance.exchanged)  # of the energy that is exchanged in the run
+            unit = max(energy, balance.scale)
             yield make_check(
                 "energy",
                 "energy balance error, rel",

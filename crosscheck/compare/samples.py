@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.compare.check import MACHINE_EPSILON
-from crosscheck.compare.energy import RANDOM_RATE, energy_scale
+from crosscheck.compare.energy import RANDOM_RATE, min_energy_scale
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.dense import numerical_rank, orthonormal_range, rank, singular_values
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, with_zero_rows
@@ -140,8 +140,8 @@ class States:
 
     @cached_property
     def energy(self) -> float:
-        """Lower bound, J, of the units that energy differences are divided by, see `energy_scale`."""
-        return energy_scale(self.scene, list(self.all))
+        """Lower bound, J, of the units that energy differences are divided by, see `min_energy_scale`."""
+        return min_energy_scale(self.scene, list(self.all))
 
     def name(self, index: int) -> str:
         """Name the state with an index, for messages; the first one counts as the initial state."""

@@ -22,7 +22,7 @@ from crosscheck.logs.names import (
     stated,
 )
 from crosscheck.logs.options import LogOptions
-from crosscheck.logs.table import LogTable
+from crosscheck.logs.table import MIN_ROWS, LogTable
 from newton_euler.errors import listed, quoted
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.joint import Key
@@ -143,7 +143,7 @@ def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> Lo
     # rows with all numbers; exports of several topics leave cells empty
     used = [time, *(table.columns[each.name] for each in found.values())]
     complete = np.asarray(np.isfinite(used).all(axis=0))
-    if np.sum(complete) < 3:
+    if np.sum(complete) < MIN_ROWS:
         fewest = min([*found.values()], key=lambda each: np.isfinite(table.columns[each.name]).sum())
         count = int(np.isfinite(table.columns[fewest.name]).sum())
         problem = f"column {quoted(fewest.name)} has {count} numbers in {len(time)} rows"

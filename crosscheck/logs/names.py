@@ -128,11 +128,13 @@ class FoundColumn(NamedTuple):
 
 
 class Elements:
-    """Names of a scene, and of the model file that it was read from, that columns can belong to.
+    """Elements of a scene that columns of a log can belong to, by their names in the scene and, if the scene
+    was read from a model file, by their names in the file.
 
     Attributes:
         coordinates: joint coordinate of the scene by name, and its value in the file at the scene's zero.
-        frames: body frames by name.
+        frames: frames by name, with the body that carries them and their fixed pose in it. They are the
+            bodies of the scene, and links or bodies of the file that are parts of these bodies.
         inputs: names of actuators.
         mechanism: mechanism of the scene.
     """

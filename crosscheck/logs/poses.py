@@ -48,56 +48,47 @@ Poses = dict[int, BodyPose]
 """Known poses by the index of the body; the ground is always known."""
 
 
-class Sample(NamedTuple):
-    """Logged quantities at n times, SI units.
+class LoggedQuantities(NamedTuple):
+    """Logged joint coordinates and poses of frames at n times, SI units.
 
     Attributes:
-        rows: number n of times.
+        row_count: number n of times.
         coordinates: joint coordinates (n,) of the scene.
         frames: logged poses, by name of the frame.
         points: logged point of each frame, by its name: "center" of mass of the body or origin of the
             "frame"; "" if the names of the columns do not state a point.
     """
 
-    rows: int
+    row_count: int
     coordinates: Mapping[Key, Array]
     frames: Mapping[str, BodyPose]
     points: Mapping[str, Origin]
 
 
-def all_rows(data: LogData) -> Sample:
-    """Return the logged quantities at all times."""
+def logged_quantities(data: LogData, count: int | None = None) -> LoggedQuantities:
+    """Return the coordinates and poses of the first `count` rows of a log; of all rows if None."""
+    count = len(data.time) if count is None else count
     frames = {
         name: BodyPose(
-            None if frame.position is None else frame.position.values,
-            None if frame.quaternion is None else frame.quaternion.values,
+            None if frame.position is None else frame.position.values[:count],
+            None if frame.quaternion is None else frame.quaternion.values[:count],
         )
         for name, frame in data.frames.items()
     }
-    coordinates = {key: measured.values for key, measured in data.coordinates.items()}
+    coordinates = {key: measured.values[:count] for key, measured in data.coordinates.items()}
     points = {name: frame.point for name, frame in data.frames.items()}
-    return Sample(len(data.time), coordinates, frames, points)
+    return LoggedQuantities(count, coordinates, frames, points)
 
 
-def first_rows(sample: Sample, count: int = 1) -> Sample:
-    """Return the quantities of the first rows."""
-    frames = {
-        name: BodyPose(*(None if each is None else each[:count] for each in pose))
-        for name, pose in sample.frames.items()
-    }
-    coordinates = {key: x[:count] for key, x in sample.coordinates.items()}
-    return Sample(count, coordinates, frames, sample.points)
-
-
-def body_poses(elements: Elements, sample: Sample, default: Origin) -> Poses:
+def body_poses(elements: Elements, quantities: LoggedQuantities, default: Origin) -> Poses:
     """Compute the poses of all bodies that logged quantities determine.
 
     Args:
-        elements: names of the scene and of the model file.
-        sample: logged quantities.
+        elements: joint coordinates and frames of the scene that columns of the log can belong to.
+        quantities: logged coordinates and poses of frames.
         default: point of positions whose columns do not state a point, "center" or "frame".
     """
-    mechanism, count = elements.mechanism, sample.rows
+    mechanism, count = elements.mechanism, quantities.row_count
     ground = mechanism.bodies[0]
     poses: Poses = {
         0: BodyPose(
@@ -107,13 +98,13 @@ def body_poses(elements: Elements, sample: Sample, default: Origin) -> Poses:
     # logged poses of frames; `frame.point` and `frame.quaternion` are the fixed pose of a frame relative to
     # the body's center of mass and body frame. A frame with another name than the body belongs to a link that
     # is a part of the body, so that the link's center of mass is another one
-    for name, logged in sample.frames.items():
+    for name, logged in quantities.frames.items():
         frame = elements.frames[name]
         body = mechanism.body_index(frame.body)
         quaternion = position = None
         if logged.quaternion is not None:
             quaternion = quaternion_products(logged.quaternion, conjugate(frame.quaternion))
-        at_center = (sample.points[name] or default) == "center" and frame.body == name
+        at_center = (quantities.points[name] or default) == "center" and frame.body == name
         if logged.position is not None and (at_center or not np.any(frame.point)):
             position = logged.position
         elif logged.position is not None and quaternion is not None:
@@ -126,14 +117,14 @@ def body_poses(elements: Elements, sample: Sample, default: Origin) -> Poses:
     # along joints with logged coordinates, until no further body becomes known
     waiting = list(mechanism.joints)
     while waiting:
-        others = [joint for joint in waiting if not _pass_on(mechanism, joint, sample, poses)]
+        others = [joint for joint in waiting if not _pass_on(mechanism, joint, quantities, poses)]
         if len(others) == len(waiting):
             break
         waiting = others
     return {body: pose for body, pose in poses.items() if pose.is_known}
 
 
-def _pass_on(mechanism: Mechanism, joint: Joint, sample: Sample, poses: Poses) -> bool:
+def _pass_on(mechanism: Mechanism, joint: Joint, quantities: LoggedQuantities, poses: Poses) -> bool:
     """Compute the pose of one end of a joint from the other end; False if that is not possible (yet)."""
     first, second = mechanism.body_index(joint.first), mechanism.body_index(joint.second)
     ends = [poses.get(end, BodyPose(None, None)) for end in (first, second)]
@@ -142,9 +133,10 @@ def _pass_on(mechanism: Mechanism, joint: Joint, sample: Sample, poses: Poses) -
     if ends[0].is_complete == ends[1].is_complete or len(keys) != len(joint.motions) or "ball" in kinds:
         return ends[0].is_complete and ends[1].is_complete
     # coordinates and constraint equations together must determine the relative pose
-    if len(keys) + _constraint_count(mechanism, joint) != 6 or not set(keys) <= sample.coordinates.keys():
+    if len(keys) + _constraint_count(mechanism, joint) != 6 or not set(keys) <= quantities.coordinates.keys():
         return False
-    way, turn = _relative_pose(mechanism, joint, [sample.coordinates[key] for key in keys], sample.rows)
+    coordinates = [quantities.coordinates[key] for key in keys]
+    way, turn = _relative_pose(mechanism, joint, coordinates, quantities.row_count)
     initial = [mechanism.bodies[end].quaternion for end in (first, second)]
     # rotations since the initial pose: that of the second body is that of the first, times `turn`
     if ends[0].is_complete:

@@ -13,7 +13,7 @@ import numpy as np
 
 from crosscheck.logs.columns import LogData, Measured
 from crosscheck.logs.names import Elements, Origin
-from crosscheck.logs.poses import BodyPose, Poses, Sample, body_poses, quaternion_products
+from crosscheck.logs.poses import BodyPose, LoggedQuantities, Poses, body_poses, quaternion_products
 from newton_euler.equations.applied_forces import energies, surroundings
 from newton_euler.equations.couplings import counted_angles
 from newton_euler.model.euler_parameters import conjugate, from_rotation_vector
@@ -25,8 +25,12 @@ from newton_euler.scalars import Array, unstacked
 RATE_ROWS = 5
 """Number of first rows whose polynomial gives the rates at the start, if the log has no rates."""
 
-MAX_RATE_STEP = 1e-5
-"""Largest change of a coordinate, rad or m, by which rates of coordinates are converted to velocities."""
+MAX_DIFFERENCE = 1e-5
+"""Largest change of a coordinate or frame, rad or m, in the time step of a difference quotient that converts
+rates of coordinates and frames to velocities of bodies."""
+
+MIN_FASTEST_RATE = 1e-3
+"""Lower bound, rad/s or m/s, of the largest rate, which limits that time step to 0.01 s."""
 
 
 class Rates(NamedTuple):
@@ -100,26 +104,27 @@ def derivative_at_start(time: Array, values: Array, rows: int) -> Array:
 
 
 def velocities(
-    elements: Elements, sample: Sample, rates: Rates, default: Origin
+    elements: Elements, quantities: LoggedQuantities, rates: Rates, default: Origin
 ) -> dict[int, tuple[Array, Array]]:
     """Compute velocities of centers of mass and angular velocities (n, 3) of all bodies with known poses.
 
     The poses are computed a short time before and after each time, and subtracted.
 
     Args:
-        elements: names of the scene and of its model file that columns of the log belong to.
-        sample: logged quantities at n times.
+        elements: the scene's joints, and frames with their places on bodies, by the names that columns of the
+            log can have.
+        quantities: logged coordinates and poses of frames at n times.
         rates: their rates.
-        default: point of a body, "center" of mass or origin of the "frame", that logged positions are of if
-            the names of their columns do not state a point.
+        default: "center" if logged positions are centers of mass of bodies, "frame" if they are origins of
+            frames; for columns whose names do not state the point.
 
     Returns:
         By number of the body, in the world frame: m/s and rad/s.
     """
     numbers = [*rates.coordinates.values(), *rates.linear.values(), *rates.angular.values()]
-    step = MAX_RATE_STEP / max(1e-3, *(float(np.max(np.abs(each))) for each in numbers))
+    step = MAX_DIFFERENCE / max(MIN_FASTEST_RATE, *(float(np.max(np.abs(each))) for each in numbers))
     before, after = (
-        body_poses(elements, _advanced(sample, rates, sign * step), default) for sign in (-1.0, 1.0)
+        body_poses(elements, _advanced(quantities, rates, sign * step), default) for sign in (-1.0, 1.0)
     )
     found: dict[int, tuple[Array, Array]] = {}
     for body, pose in after.items():
@@ -131,18 +136,18 @@ def velocities(
     return found
 
 
-def _advanced(sample: Sample, rates: Rates, step: float) -> Sample:
+def _advanced(quantities: LoggedQuantities, rates: Rates, step: float) -> LoggedQuantities:
     """Return the quantities after a short time, s, which may be negative."""
-    coordinates = {key: x + step * rates.coordinates[key] for key, x in sample.coordinates.items()}
+    coordinates = {key: x + step * rates.coordinates[key] for key, x in quantities.coordinates.items()}
     frames = {}
-    for name, (position, quaternion) in sample.frames.items():
+    for name, (position, quaternion) in quantities.frames.items():
         if position is not None:
             position = position + step * rates.linear[name]
         if quaternion is not None:
             turns = np.array([from_rotation_vector(step * omega) for omega in rates.angular[name]])
             quaternion = quaternion_products(turns, quaternion)
         frames[name] = BodyPose(position, quaternion)
-    return sample._replace(coordinates=coordinates, frames=frames)
+    return quantities._replace(coordinates=coordinates, frames=frames)
 
 
 def energy(
@@ -154,34 +159,35 @@ def energy(
         scene: the scene.
         data: the log, with n rows.
         poses: poses of bodies.
-        moving: result of `velocities`.
+        moving: velocities of bodies, see `velocities`.
 
     Returns:
-        The energies; None if the log does not determine the motion of all bodies, or if forces depend on an
-        angle beyond half a revolution, as poses do not show revolutions.
+        The energies; None if the log does not determine the motion of all bodies, or if forces depend on a
+        logged angle beyond half a revolution. Energies follow from poses, which do not show revolutions.
     """
-    count = len(scene.mechanism.bodies)
-    if len(moving) < count:
+    body_count = len(scene.mechanism.bodies)
+    if len(moving) < body_count:
         return None
-    # angles on which forces and couplings depend; simulations count their revolutions
+    # angles on which forces and couplings depend, and whose revolutions simulations count; an angle that is
+    # not logged is taken to be within half a revolution
     counted = [key for key in counted_angles(scene) if key in data.coordinates]
     if any(np.max(np.abs(data.coordinates[key].values)) > np.pi for key in counted):
         return None
-    arrays = [[*poses[k], *moving[k]] for k in range(count)]
-    stacked = [np.stack([np.asarray(each[i]) for each in arrays], axis=1) for i in range(4)]
-    frames = stacked_frames(*stacked)
-    rows = len(data.time)
+    # frames whose numbers are stacks: scalars that hold the values at all n times
+    motions = [[*poses[k], *moving[k]] for k in range(body_count)]
+    arrays = [np.stack([np.asarray(each[i]) for each in motions], axis=1) for i in range(4)]  # (n, bodies, .)
+    frames = stacked_frames(*arrays)
     inertias = [body.inertia for body in scene.mechanism.bodies]
     kinetic, potential = energies(scene, frames, inertias)
-    # coordinates, rates and poses on which the energies of armatures (rotors) and springs depend
+    # `at`: coordinates, rates and poses on which the energies of armatures (rotors) and springs depend
     at = surroundings(scene, _StackedState(frames))  # type: ignore[arg-type]
     kinetic = kinetic + sum((armature.energy(at) for armature in scene.armatures), start=0.0)
     potential = potential + sum((force.energy(at) for force in scene.forces), start=0.0)
-    return unstacked([kinetic, potential], rows).T
+    return unstacked([kinetic, potential], len(data.time)).T  # from (n, 2)
 
 
 class _StackedState:
-    """Frames of a state at n times, for `surroundings`."""
+    """The part of a `State` that `surroundings` uses, with frames at n times."""
 
     def __init__(self, frames: list[Any]) -> None:
         self._frames = frames
@@ -191,5 +197,5 @@ class _StackedState:
         return self._frames
 
     def revolutions(self, key: Key, x: Any) -> float:
-        """Return no revolutions: angles are within half a revolution."""
+        """Return 0, the full revolutions of an angle: all angles are within half a revolution here."""
         return 0.0

@@ -1,7 +1,8 @@
 """Read a log and compare it with the reference solution, a simulation from the start of the log.
 
-A log is a table of joint coordinates and poses over time, measured or written by another simulator. Options,
-such as units, state what the names of its columns do not show.
+A log is a table of joint coordinates and poses over time, measured or written by another simulator. It may
+also have inputs: controls of actuators, and forces on joint coordinates. Options, such as units, state what
+the names of its columns do not show.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from crosscheck.logs.columns import LogData, read_columns
 from crosscheck.logs.inputs import started_at, with_inputs
 from crosscheck.logs.names import Elements, Origin
 from crosscheck.logs.options import LogOptions
-from crosscheck.logs.poses import Poses, all_rows, body_poses, first_rows, loop_errors
+from crosscheck.logs.poses import Poses, body_poses, logged_quantities, loop_errors
 from crosscheck.logs.rates import RATE_ROWS, energy, logged_rates, velocities
 from crosscheck.logs.start import LogStart, log_start
-from crosscheck.logs.table import LogTable
+from crosscheck.logs.table import MIN_ROWS, LogTable
 from crosscheck.own_run.errors import MotionScale, RunError, run_error
 from crosscheck.own_run.interpolation import interpolated, of_bodies, without_energies
 from newton_euler.errors import NewtonEulerError
@@ -82,7 +83,7 @@ class LogReading:
         scene: the scene, whose start the log replaces.
         names: names in the model file of the scene; None for other scenes.
         table: the log.
-        elements: names that columns can belong to.
+        elements: joint coordinates, frames and actuators that columns can belong to, by name.
     """
 
     def __init__(self, scene: Scene, names: FileNames | None, table: LogTable) -> None:
@@ -107,7 +108,8 @@ class LogReading:
         """
         data = _from_offset(self.data(options), options.offset)
         points = options.position or self._point(data)
-        # `offset`: time of the log at which the time of the scene is zero
+        # The scene, with its functions of time, begins at the first row of the log; its time is zero at the
+        # time `offset` of the log. Logged inputs replace those of the scene
         scene = started_at(self.scene, float(data.time[0]) - options.offset)
         scene = with_inputs(scene, data, self.names)
         start = log_start(scene, self.elements, data, points)
@@ -132,15 +134,21 @@ class LogReading:
         )
 
     def _point(self, data: LogData) -> Origin:
-        """Choose the point of positions for which the joints of the first row fit better."""
+        """Choose the point that logged positions are of, by the violations of the joints at the first row.
+
+        It is the "frame", unless the largest violation for "center" is less than half as large.
+        """
+        # `point` of a frame: vector from the center of mass to the origin of the frame. If all are zero, both
+        # choices give the same poses
         if not any(np.any(self.elements.frames[name].point) for name in data.frames):
             return "center"
-        sample = first_rows(all_rows(data))
+        first_row = logged_quantities(data, count=1)
         gaps = dict[Origin, float]()
         points: tuple[Origin, ...] = ("frame", "center")
         for point in points:
-            poses = body_poses(self.elements, sample, point)
+            poses = body_poses(self.elements, first_row, point)
             errors = loop_errors(self.scene.mechanism, poses)
+            # largest violation, m or rad
             gaps[point] = max(float(np.max(each, initial=0.0)) for each in (errors.openings, errors.angles))
         return "center" if gaps["center"] < 0.5 * gaps["frame"] else "frame"
 
@@ -150,8 +158,8 @@ class LogReading:
         """Return the logged motion of known bodies; unknown parts of a pose are those of the reference."""
         times = times[times <= reference.time[-1] * (1.0 + 1e-9)]
         data = data.at(np.arange(len(times)))
-        sample = all_rows(data)
-        poses = body_poses(self.elements, sample, points)
+        quantities = logged_quantities(data)
+        poses = body_poses(self.elements, quantities, points)
         bodies = [body for body in sorted(poses) if body]
         if not bodies:
             needed = (
@@ -167,9 +175,10 @@ class LogReading:
                 quaternion[:, body] = known
         energies: Any = None
         if (rates := logged_rates(data)) is not None:
-            moving = velocities(self.elements, sample, rates, points)
+            moving = velocities(self.elements, quantities, rates, points)
             energies = energy(scene, data, poses, moving)
         kinetic, potential = (None, None) if energies is None else energies
+        # velocities remain those of the reference; `run_error` does not use them
         run = replace(
             at_times,
             engine=self.table.where,
@@ -200,27 +209,32 @@ class LogReading:
         return run_error(without_energies(other), without_energies(compared.reference), compared.motion_scale)
 
     def missing(self, compared: ComparedLog) -> tuple[str, ...]:
-        """Name bodies that the log does not determine, with the coordinates that it lacks of their joints."""
+        """Name bodies that the log does not determine, with columns that would determine them.
+
+        A body needs all coordinates of one of its joints.
+        """
         mechanism, found = self.scene.mechanism, list[str]()
         for name in set(mechanism.body_names[1:]) - set(compared.run.body_names):
-            keys = [
-                (joint.name, k)
-                for joint in mechanism.joints
-                if name in (joint.first, joint.second)
-                for k in range(len(joint.coordinate_kinds))
-            ]
-            labels = [
-                mechanism.coordinate_labels[key] for key in keys if key not in compared.data.coordinates
-            ]
-            columns = " or ".join(f"coordinate.{label}" for label in labels)
+            ways = []  # by joint
+            for joint in mechanism.joints:
+                if name in (joint.first, joint.second):
+                    keys = [(joint.name, k) for k in range(len(joint.coordinate_kinds))]
+                    lacking = [key for key in keys if key not in compared.data.coordinates]
+                    ways.append(
+                        " and ".join(f"coordinate.{mechanism.coordinate_labels[key]}" for key in lacking)
+                    )
+            columns = " or ".join(way for way in ways if way)
             found.append(f"{name} ({columns or f'pose of {name}'} is missing)")
         return tuple(sorted(found))
 
 
 def _from_offset(data: LogData, offset: float) -> LogData:
-    """Return a log without the rows before the time zero of the scene, if it has three rows after that."""
+    """Return a log without the rows before `offset`, the time of the log at which the scene's time is zero.
+
+    All rows are kept if the user gave no offset (0), or if fewer than `MIN_ROWS` would be left.
+    """
     rows = np.flatnonzero(data.time >= offset)
-    if not offset or len(rows) < 3 or len(rows) == len(data.time):
+    if not offset or len(rows) < MIN_ROWS or len(rows) == len(data.time):
         return data
     return data.at(rows)
 
@@ -235,10 +249,13 @@ def _output_period(times: Array) -> float:
 
 
 def _reference(scene: Scene) -> Trajectory:
-    """Simulate the reference at default tolerances; a run that stops early counts up to its end."""
+    """Simulate the reference in newton_euler at default tolerances.
+
+    A run that stops early counts up to its end if it has `MIN_ROWS` outputs.
+    """
     try:
         return simulate(scene, **native_options(scene, refined=False))
     except StoppedError as error:
-        if error.partial is None or len(error.partial.time) < 3:
+        if error.partial is None or len(error.partial.time) < MIN_ROWS:
             raise
         return error.partial

@@ -15,7 +15,7 @@ import numpy as np
 from crosscheck.logs.columns import LogData
 from crosscheck.logs.fitted_velocities import RANK_TOLERANCE, fitted_velocities, free_motions
 from crosscheck.logs.names import Elements, Origin
-from crosscheck.logs.poses import Poses, all_rows, body_poses, first_rows
+from crosscheck.logs.poses import Poses, body_poses, logged_quantities
 from crosscheck.logs.rates import RATE_ROWS, Rates, rates_at_start, velocities
 from newton_euler.equations.couplings import counted_angles
 from newton_euler.equations.relative import Relative
@@ -57,7 +57,7 @@ def log_start(
 
     Args:
         scene: the scene.
-        elements: names of joints and bodies in the scene and in the model file, which columns refer to.
+        elements: joint coordinates and frames of the scene that columns of the log can belong to.
         data: the log.
         default: point of a body ("center" of mass, or origin of its "frame") that positions belong to if the
             names of their columns do not state it.
@@ -67,10 +67,12 @@ def log_start(
         SourceError: if the log does not determine the start, naming what is missing, or if the loops cannot
             close next to the first row.
     """
-    sample = first_rows(all_rows(data), count=1)
+    first_row = logged_quantities(data, count=1)
     rates, differences = rates_at_start(data, rows)
-    known = {body: pose for body, pose in body_poses(elements, sample, default).items() if pose.is_complete}
-    moving = velocities(elements, sample, rates, default)
+    known = {
+        body: pose for body, pose in body_poses(elements, first_row, default).items() if pose.is_complete
+    }
+    moving = velocities(elements, first_row, rates, default)
     guess = initial_state(scene)
     if len(known) < len(scene.mechanism.bodies):
         guess = _completed(scene, data, rates, known)
@@ -79,7 +81,7 @@ def log_start(
         for array, values in zip(arrays, (*known[body], *moving[body]), strict=True):
             array[body] = values[0]  # type: ignore[index]
     # full revolutions of angles on which forces or couplings depend
-    angles = {key: float(x[0]) for key, x in sample.coordinates.items() if key in counted_angles(scene)}
+    angles = {key: float(x[0]) for key, x in first_row.coordinates.items() if key in counted_angles(scene)}
     try:
         state = assemble(scene, State(*arrays, angles={**guess.angles, **angles}))
         angles = {key: angle for key, angle in state.angles.items() if key in counted_angles(scene)}
@@ -103,10 +105,10 @@ def _fitted(
 ) -> State:
     """Fit the velocities of a start state to the first rows of a log."""
     count = min(rows, len(data.time))
-    sample = first_rows(all_rows(data), count)
+    first_rows = logged_quantities(data, count)
     poses = {
         body: pose
-        for body, pose in body_poses(elements, sample, default).items()
+        for body, pose in body_poses(elements, first_rows, default).items()
         if body and pose.is_complete
     }
     if not poses:

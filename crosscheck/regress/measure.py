@@ -504,10 +504,10 @@ def _measure_formulation(measurement: Measurement) -> Iterator[StoredQuantity]:
     if formulation == MAIN_FORMULATION:
         yield from measurement.over_time(run)
     yield from measurement.end_of_run("DOP853", run, formulation)
-    # error: change of the energy minus work; relative to the energy exchanged in the run
+    # error: change of the energy minus work; relative to the energy scale of the run
     balance = energy_balance(measurement.scene, run)
     assert balance is not None
-    error = float(np.max(np.abs(balance.residual))) / (balance.exchanged or 1.0)
+    error = float(np.max(np.abs(balance.residual))) / (balance.scale or 1.0)
     allowed = measurement.run_tolerance[formulation]
     yield measurement.quantity("DOP853: energy error", "relative", error, allowed)
     yield from measurement.counts(compiled, "DOP853")

@@ -1,8 +1,9 @@
 """Writing result files safely.
 
 Before a long computation, `check_writable` verifies that its files can be written. After it, `write_files`
-writes all of the files or none of them, unless the process is killed in the short time in which it renames
-them. The first file, such as a summary of the others, is renamed last: if it is new, all files are.
+writes all of the files or none of them, unless the process is killed, or an error occurs, in the short time
+in which it renames them. The first file, such as a summary of the others, is renamed last: if it has been
+replaced, all files have.
 """
 
 from __future__ import annotations
@@ -52,9 +53,8 @@ def check_writable(*paths: Path) -> None:
                 pass
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-        # `atomic_file` writes to .STEM-XXXXXXXX.SUFFIX and renames the file at the end; a writer that itself
-        # writes this file atomically adds another dot and another number
-        unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
+        # `atomic_file` writes to .STEM-XXXXXXXX.SUFFIX (X: hexadecimal digit) and renames the file at the end
+        unfinished = re.compile(rf"\.{re.escape(path.stem)}-[0-9a-f]{{8}}{re.escape(path.suffix)}")
         remove_abandoned(each for each in path.parent.iterdir() if unfinished.fullmatch(each.name))
 
 
@@ -81,18 +81,20 @@ def write_files(files: Mapping[Path, bytes], stale: Iterable[Path] = ()) -> None
     """
     path = Path()
     try:
-        # at its end, the stack renames the files in reverse order, or removes all of them after an error
+        # at its end, the stack renames the files in reverse order; it removes all of them after an error, and
+        # after a signal that would end the process
         with signals_as_interrupts(), ExitStack() as stack:
             for path, content in files.items():
                 stack.enter_context(atomic_file(path)).write_bytes(content)
             for path in stale:
                 path.unlink(missing_ok=True)
     except OSError as error:
-        raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+        # `filename2`: final path of a file that could not be renamed
+        raise CrosscheckError(f"cannot write {error.filename2 or path}: {error.strerror}") from error
 
 
 def check_no_source(targets: Iterable[Path], sources: Iterable[str | Path]) -> None:
     """Raise `CrosscheckError` if one of the files to write (targets) is also a file to read (sources)."""
     for target, source in product(targets, list(sources)):
         if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
-            raise CrosscheckError(f"would overwrite {source}, which it reads; name another file")
+            raise CrosscheckError(f"the output would overwrite the input file {source}; name another file")

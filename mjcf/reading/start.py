@@ -27,7 +27,8 @@ TORQUE_SCALE_INDEX = 10
 """Index, in `eq_data` of a weld, of `torquescale`: MuJoCo's factor of the weld's rotational residuals."""
 
 SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
-"""MuJoCo's names of features that imported models (`Scene`) do not have, and of its solver's warm start."""
+"""MuJoCo's names of features that imported models (`Scene`) do not have, and of its solver's warm start, by
+which results would depend on earlier ones."""
 
 
 class ModelAtStart(FileStart):
@@ -59,22 +60,22 @@ class ModelAtStart(FileStart):
             model: compiled model, which is changed.
             key: name of the keyframe; None for the first one, or for qpos0 without keyframes.
             report: report that receives lines about the start.
-            tolerance: size, without unit, of the independent part of a constraint below which the constraint
-                counts as redundant (`redundancy_tolerance` of the scene).
+            tolerance: a constraint counts as redundant if the part of its dimensionless Jacobian row that the
+                other rows do not span is shorter than this (`redundancy_tolerance` of the later scene).
             control: (nu,) controls; None for the controls of the keyframe.
 
         Raises:
             SourceError: for an unknown keyframe, and for loops that do not close.
         """
-        # switch off features that scenes do not simulate, but remember the flags of the file
+        # switch off features, but remember the flags of the file
         self.path, self.model = path, model
         self.data: Any = mujoco.MjData(model)
         self._flags_of_file = int(model.opt.disableflags)
         model.opt.disableflags |= sum(
             int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")) for feature in SWITCHED_OFF_FEATURES
         )
-        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame; simple
-        # bodies are those whose mass matrix MuJoCo takes as diagonal
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame. Simple
+        # bodies keep this, because MuJoCo also takes their mass matrix, as diagonal, in the body frame
         model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if self.disabled("GRAVITY"):
             model.opt.gravity[:] = 0.0
@@ -172,7 +173,8 @@ class ModelAtStart(FileStart):
         return Units(velocity_units, np.where(row_units > 0.0, row_units, 1.0))
 
     def centers(self) -> Array:
-        """Return the centers of mass (nbody, 3) of MuJoCo's bodies, m, world frame."""
+        """Return the centers of mass (nbody, 3) of MuJoCo's bodies, m, world frame; they show `FileStart` how
+        far the start has moved."""
         return np.array(self.data.xipos)
 
     def center_names(self) -> list[str]:
@@ -181,9 +183,9 @@ class ModelAtStart(FileStart):
 
     def moved(self, q: Array, step: Array) -> Array:
         """Return the configuration (nq,) that velocities `step` (nv,) reach from q (nq,) in 1 s."""
-        moved = q.copy()
-        mujoco.mj_integratePos(self.model, moved, step, 1.0)
-        return moved
+        q = q.copy()
+        mujoco.mj_integratePos(self.model, q, step, 1.0)
+        return q
 
     def difference(self, q: Array, other: Array) -> Array:
         """Return the velocities (nv,) that lead from configuration q (nq,) to `other` (nq,) in 1 s."""

@@ -1,10 +1,11 @@
 """Quantities of a reference model at one state: motion of bodies, forces, and free motions.
 
 A reference model is a model file as an independent parser compiles it; an imported scene is compared with
-these quantities. The only decision at a state is which motions the constraints leave free. Constraint rows
-and velocities are made dimensionless with the size of the model. A motion is *free* if its singular value of
-the constraint Jacobian is round-off (`FREE_SINGULAR_VALUE`). A motion is *held* if its singular value exceeds
-the effect of rounded digits in a file (`HELD_SINGULAR_VALUE`). A motion with a singular value in between is
+these quantities. The comparison at a state needs one decision: which motions the constraints leave free.
+Constraint rows and velocities are made dimensionless with the size of the model. Each singular value of the
+constraint Jacobian belongs to a motion, its right singular vector. A motion is *free* if its singular value
+is round-off (`FREE_SINGULAR_VALUE`). A motion is *held* if its singular value exceeds the effect of rounded
+digits in a file (`HELD_SINGULAR_VALUE`). A motion with a singular value in between is
 *in doubt*: it may be free or held, and a scene passes the checks in both cases:
 
 - bodies and forces are compared along all motions that are not held; the tolerance includes the largest
@@ -25,12 +26,14 @@ from newton_euler.reading.activity import Bounds
 from newton_euler.scalars import Array
 
 FREE_SINGULAR_VALUE = 1e-10
-"""Largest singular value that is round-off, relative to the largest singular value, but at least to 1."""
+"""Largest singular value that is round-off, divided by the largest singular value or by 1 if that is more."""
 
 HELD_SINGULAR_VALUE = 1e-3
-"""Largest singular value of a redundant row with rounded points and axes in the file.
+"""Largest singular value of a motion that is not held, divided by the largest one or by 1 if that is more.
 
-The value is ten times the limit below which scenes treat rows as redundant."""
+An exactly redundant constraint holds no further motion: its singular value is zero. Rounded points and axes
+of a file make this value a small number, in rows as scenes scale them up to `REDUNDANCY_TOLERANCE` (1e-4) of
+`newton_euler.model.scene`. The factor of ten is a margin for the other scaling of the rows here."""
 
 
 class Constraints(NamedTuple):
@@ -74,7 +77,7 @@ class Forces(NamedTuple):
 
     gravity: Array
     springs: Array
-    """Springs of joints, balls and tendons."""
+    """Springs of hinges and slides, of ball joints and of tendons."""
     dampers: Array
     actuators: Array
     """Actuators and all other forces, such as gravity compensation."""
@@ -95,7 +98,9 @@ class ForceLimit(NamedTuple):
     element: str
     """Element of the file with the limit."""
     watched: Bounds
-    """The imported limit, with the force as a linear function of joint coordinates and their rates."""
+    """The limit as the scene's reader imported it, to be compared with the three fields below. It has a lower
+    and an upper limit, and the force as a constant (which contains the controls of the actuators) plus gains
+    times a weighted sum of joint coordinates and its rate."""
     force: float
     """Force that the reference model would have without the limit, N or N m."""
     low: float
@@ -117,8 +122,8 @@ class Freedom(NamedTuple):
     condition: float
     """Condition number of the constraint Jacobian without motions that are free or in doubt."""
     doubtful_value: float
-    """Largest singular value of a motion that is not held, relative to the largest singular value, but at
-    least to 1; 0 or round-off if no motion is in doubt."""
+    """Largest singular value of a motion that is not held, divided by the largest singular value or by 1 if
+    that is more; 0 or round-off if no motion is in doubt."""
 
 
 def freedom(jacobian: Array, units: Array) -> Freedom:
@@ -150,7 +155,7 @@ def _with_identity_rows(null: Array) -> tuple[Array, Array]:
     """Return a basis of a column space with the identity in d of its rows, and the numbers of these rows.
 
     The rows are chosen by pivoting: each has the largest norm of the part that the rows before it do not
-    span. Loops that share no joint then have separate columns.
+    span. Because of the identity, loops that share no joint have separate columns.
 
     Args:
         null: (nv, d) orthonormal columns.

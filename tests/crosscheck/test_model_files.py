@@ -35,7 +35,7 @@ def test_convert_does_not_overwrite_what_it_reads(capsys, tmp_path, link):
     ):
         status, out, err = run(capsys, "convert", *arguments)
         assert (status, out) == (2, "")
-        assert f"would overwrite {named}, which it reads" in err
+        assert f"would overwrite the input file {named}" in err
     assert (model.read_text(), loops.read_text()) == (PENDULUM_URDF, CLOSED_LOOP)
     assert run(capsys, "convert", model, other)[0] == 0
 

@@ -67,7 +67,7 @@ def option_cases() -> Iterator[Refused]:
         (("run", "robot.urdf", "--set", "gravity=0,0,1_0"), "gravity is '0,0,1_0'; needed: X,Y,Z"),
         (("run", "robot.urdf", "--set", "gravity=down"), "gravity is 'down'; needed: X,Y,Z"),
         (("run", "robot.urdf", "--set", "gravity=1e300,0,0"), "gravity"),
-        (("convert", "scene.json", "scene.json"), "would overwrite scene.json, which it reads"),
+        (("convert", "scene.json", "scene.json"), "would overwrite the input file scene.json"),
         (("faults", "scene.json", "--engine", "x"), "--engine 'x': choose from: newton_euler, "),
         (("faults", "scene.json", "--reading"), "--reading needs an MJCF or a URDF"),
         (("stress", "--only", "zz"), "z"),
@@ -92,7 +92,7 @@ def option_cases() -> Iterator[Refused]:
     yield Refused(
         "a report over the baseline",
         ("regress", "pendulum", "--baseline", "regress.json", "--output", "."),
-        "would overwrite regress.json, which it reads",
+        "would overwrite the input file regress.json",
         written("regress.json", stored.read_text()),
     )
     for name, command in {
@@ -104,6 +104,6 @@ def option_cases() -> Iterator[Refused]:
         yield Refused(
             f"results over {name}",
             (command[0], name, *command[1:], "--output", "."),
-            f"would overwrite {name}, which it reads",
+            f"would overwrite the input file {name}",
             written(name, TEXTS["scene.json"]),
         )

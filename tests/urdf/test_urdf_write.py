@@ -220,6 +220,7 @@ def test_joints_of_another_type_may_be_none(tracker):
         ("closed_loop", [["ball_67_on_leg_6"]], "is not a pair of frame names"),
         ("closed_loop", None, "'null' is not a list"),
         ("coupled", [1], ""),
+        ("coupled", [{}], ""),
         ("coupled", [["slide_12", 1.0]], ""),
         ("coupled", {"slide_12": 1.0}, ""),
         ("coupled", [{"slide_12": "fast"}], "'fast'"),

@@ -75,7 +75,7 @@ class Bound:
 ENERGY_BOUND = Bound(
     "energy error", "rel", 1e-6, 1e-2, "1e-6 is invisible in a plot; beyond 1 % the motion is a different one"
 )
-"""Bound on the energy balance error, relative to the energy that the motion exchanges."""
+"""Bound on the energy balance error, relative to the energy scale of the run."""
 
 ANGLE_BOUND = Bound("angle error", "rad", 1e-6, 1e-2, "1e-6 is invisible in a plot; half a degree is visible")
 """Bound on the error of an angle of a body."""

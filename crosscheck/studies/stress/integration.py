@@ -157,7 +157,7 @@ def _long_run(scene: str, setting: Setting, duration: float, shorter: float, bou
 
 
 def measure_energy(name: str, duration: float, setting: Setting) -> Measurement:
-    """Measure the largest energy error of a long run, relative to the energy that the motion exchanges.
+    """Measure the largest energy error of a long run, relative to the energy scale of the motion.
 
     The note has the growth of the error, the accumulated round-off, and the constraint drift.
 
@@ -174,14 +174,14 @@ def measure_energy(name: str, duration: float, setting: Setting) -> Measurement:
     scene = with_duration(load(name), duration, LONG_RUN_OUTPUTS, "violation", "energy", "velocities")
     run = setting.simulate(scene)
     balance = balance_of(scene, run)  # its `residual` is the energy error (n,), J
-    exchanged = max(balance.exchanged, _exchanged_energy(name))
-    errors = np.abs(balance.residual) / exchanged
+    scale = max(balance.scale, _energy_scale(name))
+    errors = np.abs(balance.residual) / scale
     growth_text = growth(scene.times, np.maximum.accumulate(errors))
     note = f"drift {largest_drift(run):.1e} m or rad; {growth_text}"
     if np.max(errors) < ENERGY_BOUND.survives:
         other = with_changed_last_digit(scene)
         residual = balance_of(other, setting.simulate(other)).residual
-        rounding = float(np.max(np.abs(residual - balance.residual))) / exchanged
+        rounding = float(np.max(np.abs(residual - balance.residual))) / scale
         note = f"accumulated round-off {rounding:.1e}; {note}"
     return Measurement(float(np.max(errors)), note)
 
@@ -195,15 +195,15 @@ def with_changed_last_digit(scene: Scene) -> Scene:
 
 
 @lru_cache
-def _exchanged_energy(name: str) -> float:
-    """Return the energy, J, that the motion of a library scene exchanges, from a run with the scene's own
-    duration and outputs.
+def _energy_scale(name: str) -> float:
+    """Return the energy scale, J, of the motion of a library scene, from a run with the scene's own duration
+    and outputs.
 
     The outputs of a long run are too far apart to find this energy: the largest change of the total energy
     plus the largest kinetic energy.
     """
     scene = load(name)
-    return balance_of(scene, newton_euler_setting().simulate(scene)).exchanged
+    return balance_of(scene, newton_euler_setting().simulate(scene)).scale
 
 
 def measure_drift(name: str, duration: float, setting: Setting) -> Measurement:

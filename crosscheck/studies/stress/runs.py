@@ -132,8 +132,8 @@ def with_duration(scene: Scene, duration: float, periods: int, *names: OutputNam
 def balance_of(scene: Scene, run: Trajectory) -> Balance:
     """Return the energy balance of a run that saved energies and velocities.
 
-    Its `residual` (n,) is the energy balance error, J. Its `exchanged` is the energy that the motion
-    exchanges, J: the largest change of the total energy plus the largest kinetic energy.
+    Its `residual` (n,) is the energy balance error, J. Its `scale` is the energy scale of the run, J: the
+    largest change of the total energy plus the largest kinetic energy.
     """
     found = energy_balance(scene, run)
     assert found is not None
@@ -141,9 +141,9 @@ def balance_of(scene: Scene, run: Trajectory) -> Balance:
 
 
 def largest_energy_error(scene: Scene, run: Trajectory) -> float:
-    """Return the largest energy balance error in a run, divided by the energy that the motion exchanges."""
+    """Return the largest energy balance error in a run, divided by the energy scale of the run."""
     found = balance_of(scene, run)
-    return float(np.max(np.abs(found.residual))) / found.exchanged
+    return float(np.max(np.abs(found.residual))) / found.scale
 
 
 def largest_drift(run: Trajectory) -> float:

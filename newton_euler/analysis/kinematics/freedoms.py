@@ -1,8 +1,12 @@
 """Independent coordinates of a mechanism: joint coordinates, and rotations of ball joints.
 
 The spanning tree is the mechanism without the joints that close loops; v (nv,) are its velocities. A body
-that only rods (constant distances) connect with others is joined to the ground of the tree by a free joint,
-whose velocities may be independent coordinates, too. A key (joint, number) names a joint coordinate.
+that only rods (constant distances) connect with others is joined to the ground of the tree by a free joint
+with the name `BODY_floats`: three slides along the world axes, then a ball. The coordinates of this joint may
+be independent coordinates, too. A key (joint, number) names a joint coordinate.
+
+The tree frame of a body is fixed in the body, and parallel to the world at the initial pose. v has the
+angular velocity of a ball joint relative to the parent body, in the tree frame of the child body.
 """
 
 from __future__ import annotations
@@ -24,20 +28,24 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 AXIS_NAMES = ("x", "y", "z")
-"""Names of the three axes of a frame."""
+"""Names of the three axes of a tree frame or of the world frame."""
 
 
 class Freedom(NamedTuple):
     """An independent coordinate.
 
     Attributes:
-        name: name of the joint or key of the joint coordinate; `JOINT.ball.x` for a rotation of a ball joint;
-            `NAME.number` for a coordinate of a body that only rods connect with others.
+        name: name of the joint or key of the joint coordinate; `JOINT.ball.x`, `JOINT.ball.y` or
+            `JOINT.ball.z` for a rotation of a ball joint about an axis of its child's tree frame. The free
+            joint of a body that only rods connect with others has the names `BODY_floats.0`, `BODY_floats.1`
+            and `BODY_floats.2` for translations along the world axes x, y and z, and `BODY_floats.ball.x`,
+            ... for rotations.
         key: key of the joint coordinate; None for the other coordinates.
         v_index: index in v of the rate of a coordinate without a key; -1 for a joint coordinate.
         ball_start: index in v of the first component of a ball joint's angular velocity; -1 for other
             coordinates.
-        unit: the size of the mechanism, m, for slides, else 1.
+        unit: divisor that makes the coordinate dimensionless: the size of the mechanism, m (largest distance
+            of joint points and centers of mass from their mean) for slides, else 1.
     """
 
     name: str | Key
@@ -77,24 +85,26 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
 
     Args:
         scene: gives the mechanism and the control laws.
-        state: state at which the coordinates must be independent.
+        state: state at which coordinates are chosen. It is not used if `names` are given; callers check
+            that these coordinates are independent.
         names: names of the coordinates. If None, coordinates with control laws are chosen first, then other
             joint coordinates, then the rest, in each group those that move most.
 
     Raises:
         UnknownNameError: for an unknown joint.
-        MechanismError: for too many or too few coordinates, a mechanism that cannot move, or a singular
-            state.
+        MechanismError: for too many or too few names, for a mechanism that cannot move, and for a singular
+            state, at which too few coordinates are independent.
     """
     mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
     if count == 0:
         raise MechanismError(f"scene {scene.name!r}", "has no degree of freedom", "a mechanism that can move")
     others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}
     if names is None:
-        keys = list(mechanism.coordinate_labels)
+        keys = list(mechanism.coordinate_labels)  # all joint coordinates
     else:
         keys = [mechanism.coordinate(name) for name in names if name not in others]
-    # `measuring` makes the equations measure these coordinates: each gets a control law of zero force
+    # `measuring` makes the equations measure these coordinates: each gets a control law of zero force. The
+    # spanning tree, and so v, is that of the scene
     system = Relative(measuring(scene, keys))
     of_joints = {
         key: Freedom(mechanism.coordinate_name(key), key, v_index=-1, ball_start=-1, unit=system.unit(key))
@@ -111,23 +121,24 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
     # select independent rows of the candidates' Jacobian in the tangent space of the closed loops
     q, _ = system.coordinates(state)
     candidates = [*of_joints.values(), *others.values()]
-    rows = rates_of(system, q, candidates) @ tangents(system, q)
+    rows = coordinate_jacobian(system, q, candidates) @ tangents(system, q)
     controlled = [k for k, each in enumerate(candidates) if each.key in {law.key for law in scene.control}]
     chosen: list[int] = []
     for group in (controlled, range(len(of_joints)), range(len(candidates))):
         rest = [k for k in group if k not in chosen]
         chosen = independent_rows(rows, chosen, rest, count)
     if len(chosen) < count:
-        problem = f"{len(chosen)} joint coordinates are independent, of {count} degrees of freedom"
+        problem = f"{len(chosen)} coordinates are independent, of {count} degrees of freedom"
         raise MechanismError(f"scene {scene.name!r}", problem, "a state that is not singular")
     return tuple(candidates[k] for k in sorted(chosen))
 
 
-def rates_of(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
+def coordinate_jacobian(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
     """Compute the dimensionless Jacobian (d, nv) of coordinates with respect to velocities of the tree.
 
     Args:
-        system: equations of motion in joint coordinates.
+        system: equations of motion in joint coordinates, which measure the joint coordinates among `freedoms`
+            (`newton_euler.equations.parameters.measuring`).
         q: (nq,) coordinates of the tree.
         freedoms: the d independent coordinates.
     """

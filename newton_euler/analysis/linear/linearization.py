@@ -29,7 +29,12 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.analysis.kinematics.freedoms import AXIS_NAMES, Freedom, chosen_freedoms, rates_of
+from newton_euler.analysis.kinematics.freedoms import (
+    AXIS_NAMES,
+    Freedom,
+    chosen_freedoms,
+    coordinate_jacobian,
+)
 from newton_euler.analysis.linear.linear_model import LinearModel, label
 from newton_euler.arguments import checked
 from newton_euler.codegen.compile import NativeFunction
@@ -96,9 +101,9 @@ def linearize(
         state: state with closed loops; the scene's initial state if None. The state may move and need not be
             an equilibrium, see `LinearModel.f` and `LinearModel.is_equilibrium`.
         coordinates: as many as degrees of freedom: joint coordinates, by the name of the joint, or by (name,
-            number) for joints of several coordinates; or rotations of a ball about an axis of the body that
-            it moves, `JOINT.ball.x`. If None, coordinates with control laws are chosen first, then those that
-            move most.
+            number) for joints of several coordinates; or rotations of a ball, `JOINT.ball.x`, about an axis
+            of the body that it moves, which is parallel to the world's x at the initial pose. If None,
+            coordinates with control laws are chosen first, then those that move most.
         inputs: joint coordinates, for additional forces on them, N or N m, or parameters
             (`newton_euler.equations.parameters`) such as `slide_12.target` or `panel_7.mass`. The coordinates
             with control laws if None.
@@ -310,7 +315,7 @@ class Linearization:
         """
         system = self.system
         loop_rows = dimensionless_jacobian(system, q)[self.rows.numbers]
-        rows = np.concatenate([loop_rows, rates_of(system, q, self.freedoms)])
+        rows = np.concatenate([loop_rows, coordinate_jacobian(system, q, self.freedoms)])
         left, values, _ = singular_values(rows, full=True)
         if values[-1:] < MIN_SINGULAR_VALUE:
             # the coordinate with the largest share in the dependent combination of rows
@@ -388,7 +393,7 @@ class Linearization:
                 row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.v_index - freedom.ball_start]
         b, input_labels = self._columns(results[2 * d :, d : 2 * d], inputs, names)
         c, output_labels = self._outputs(q, tangent, twists, outputs)
-        rates = rates_of(self.system, q, freedoms)
+        jacobian = coordinate_jacobian(self.system, q, freedoms)
         return LinearModel(
             scene=self.original.name,
             state=state,
@@ -401,7 +406,7 @@ class Linearization:
             B=np.concatenate([np.zeros_like(b), b]),
             C=np.hstack([c, np.zeros_like(c)]),
             D=np.zeros((len(c), b.shape[1])),
-            f=np.concatenate([rates @ (v / system.velocity_units), results[0, :d]]),
+            f=np.concatenate([jacobian @ (v / system.velocity_units), results[0, :d]]),
             twists=twists.reshape(-1, 6, d),
         )
 

@@ -18,12 +18,13 @@ import pytest
 from command_line import command, run, scene_file, short_example
 from rerun.chunk import RrdReader
 
-from crosscheck.support.files import ABANDONED_AFTER_S
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import ABANDONED_AFTER_S, write_files
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = ("newton_euler", "pinocchio")
 FILES = {*(f"{engine}.npz" for engine in ENGINES), "summary.json", "four_bar.rrd"}
-UNFINISHED = re.compile(r"\.+(newton_euler|pinocchio|summary|four_bar)(-[0-9a-f]{8})+\.(npz|json|rrd)")
+UNFINISHED = re.compile(r"\.(newton_euler|pinocchio|summary|four_bar)-[0-9a-f]{8}\.(npz|json|rrd)")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 WRITING = 6e-3
@@ -109,10 +110,7 @@ def test_a_run_killed_while_it_writes_leaves_complete_files_or_none(tmp_path, fi
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
     out = tmp_path / "out"
     out.mkdir()
-    old = [
-        out / name
-        for name in (".summary-0123abcd.json", ".pinocchio-0123abcd.npz", "..pinocchio-0123abcd-4567cdef.npz")
-    ]
+    old = [out / name for name in (".summary-0123abcd.json", ".pinocchio-0123abcd.npz")]
     others = [
         out / name for name in (".pinocchio-notes.npz", ".summary-0123abcd.txt", "pinocchio-0123abcd.npz")
     ]
@@ -204,6 +202,13 @@ def test_a_full_disk_leaves_nothing(tmp_path):
     )
     assert done.stdout == "cannot write out/scaling.png: File too large\n"
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_file_that_cannot_be_renamed_is_named(tmp_path):
+    """Not the file that was written last."""
+    (tmp_path / "first").mkdir()
+    with pytest.raises(CrosscheckError, match=f"cannot write {tmp_path / 'first'}: Is a directory"):
+        write_files({tmp_path / "first": b"", tmp_path / "last": b""})
 
 
 COMMANDS = (

@@ -86,7 +86,7 @@ def gap(run):
 
 def share(scene, run):
     balance = energy_balance(scene, run)
-    return np.abs(balance.residual).max() / balance.exchanged
+    return np.abs(balance.residual).max() / balance.scale
 
 
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])

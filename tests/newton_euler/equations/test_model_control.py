@@ -72,7 +72,7 @@ def test_computed_torque_follows_its_reference():
         assert np.max(np.abs(errors(run))) < 1e-12
         assert np.max(np.abs(run.actuator_force - runs[0].actuator_force)) < 1e-10  # N, of 6
         balance = energy_balance(scene, run)
-        assert np.abs(balance.residual).max() / balance.exchanged < 1e-8
+        assert np.abs(balance.residual).max() / balance.scale < 1e-8
 
 
 def test_mujocos_loops_are_soft():
@@ -82,7 +82,7 @@ def test_mujocos_loops_are_soft():
     assert np.max(np.abs(errors(run))) < 1e-7
     balance = energy_balance(scene, run)
     # what soft loops take up as the weight comes on; a PD law leaves 6e-5 on the same way
-    assert np.abs(balance.residual).max() / balance.exchanged < 1e-5
+    assert np.abs(balance.residual).max() / balance.scale < 1e-5
 
 
 def test_errors_vanish_as_the_gains_say():

@@ -55,7 +55,7 @@ def test_a_pole_stays_up_in_all_engines():
         assert np.max(np.abs(run.position - runs[0].position)) < 1e-9
         assert np.max(np.abs(run.actuator_force - runs[0].actuator_force)) < 1e-7  # N, by gains of 60
         balance = energy_balance(scene, run)
-        assert np.abs(balance.residual).max() / balance.exchanged < 1e-8  # of rtol, and of Simpson's rule
+        assert np.abs(balance.residual).max() / balance.scale < 1e-8  # of rtol, and of Simpson's rule
 
 
 @pytest.mark.parametrize("build", [Relative, PinocchioSystem, RigidMuJoCo, SoftMuJoCo])

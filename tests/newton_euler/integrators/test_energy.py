@@ -28,9 +28,9 @@ EXAMPLE = str(Path(__file__).parents[3] / "examples" / "four_bar.yaml")
 
 
 def share(scene, run):
-    """The largest residual of the balance in units of the energy that is exchanged."""
+    """The largest residual of the balance relative to the energy scale of the run."""
     balance = energy_balance(scene, run)
-    return np.abs(balance.residual).max() / balance.exchanged
+    return np.abs(balance.residual).max() / balance.scale
 
 
 @pytest.mark.parametrize(

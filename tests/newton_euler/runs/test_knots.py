@@ -191,7 +191,7 @@ def test_joints_follow_splines(engine):
     )
     if engine != "mujoco_rigid":  # which has no work
         balance = energy_balance(scene, found)
-        assert np.abs(balance.residual).max() < (1e-6 if engine == "mujoco" else 1e-9) * balance.exchanged
+        assert np.abs(balance.residual).max() < (1e-6 if engine == "mujoco" else 1e-9) * balance.scale
 
 
 @pytest.mark.parametrize("engine", QUICK)
