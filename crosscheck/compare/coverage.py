@@ -38,9 +38,9 @@ from crosscheck.compare.runs import orientations_apart, positions_apart
 from crosscheck.engines.engine import (
     FORCE_OUTPUTS,
     MAX_RELATIVE_ERROR,
-    native_options,
     native_refined,
     native_run,
+    newton_euler_options,
 )
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
@@ -169,7 +169,7 @@ class _ChangedRuns:
             scene, length, angle, end: see `covered_by`.
             all_elements: all elements of the scene, with their changes.
         """
-        self._elements, self._settings = all_elements, native_options(scene, refined=False)
+        self._elements, self._settings = all_elements, newton_euler_options(scene)
         if "velocities" not in scene.outputs:
             scene = replace(scene, outputs=scene.outputs | {"velocities"})
         run = _run_or_partial(native_run, scene)

@@ -132,7 +132,7 @@ def crosscheck(
     # Judge the run that the file's own engine makes with the settings of the file
     own_run: Judgement | None = None
     if mapping and mapping.simulation and runs:
-        acting = [Event(entry.since or 0.0, what_acted(entry)) for entry in mapping.acting]
+        acting = [Event(each.since, what_acted(each)) for each in mapping.acting if each.since is not None]
         with collecting_errors(JUDGING, note_stops), limited(JUDGING, SHORTER_RUN_ADVICE, progress):
             own_run = judge(mapping.simulation, acting)
     # Compare equations and runs; runs are not comparable if the scene does not determine its motion. `until`

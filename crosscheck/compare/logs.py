@@ -2,7 +2,8 @@
 
 A log is a table of positions and velocities over time that another simulator recorded for the same model. The
 reference (a run of newton_euler, this project's solver) begins at the start of the log. A judgement has the
-error of the log, and the elements of the model that act there but are not simulated in the reference.
+error of the log, and the elements of the model that act there but are not simulated in the reference, such
+as contacts and joint limits.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ def judge_logs(
     Args:
         model: name of a library scene, path of a file, a `Scene`, or a model of MuJoCo or Pinocchio.
         options: options of the model that the user set.
-        logs: logs by name: a `Log`, a path, a DataFrame, a mapping of columns, or a function that simulates.
+        logs: logs by name: a `Log`, a path, a DataFrame, a mapping of columns, or a function that simulates
+            from a start state to given times (`crosscheck.logs.judge.Stepper`).
         progress: shows a message to the user before each log.
 
     Raises:
@@ -42,6 +44,8 @@ def judge_logs(
     if not logs:
         return {}
     given = dict(options) if is_scene(model) else NOT_EXCITED | dict(options)
+    # `report`: how each element of the file was imported; None for a scene of this package. `verified` would
+    # also compare the scene with the model as MuJoCo or Pinocchio compiles it, which judges no log
     scene, report = load_scene(model, given, verified=False)
 
     def watch(simulated: Scene, run: Trajectory) -> Sequence[Event]:
@@ -53,8 +57,9 @@ def judge_logs(
         """
         if report is None:
             return ()
-        elements = watched(simulated, report, run).acting  # with the first time of action, `since`, s
-        return [Event(element.since or 0.0, what_acted(element)) for element in elements]
+        elements = watched(simulated, report, run).acting
+        # `since`: first time of action, s; None only for elements that do not act
+        return [Event(each.since, what_acted(each)) for each in elements if each.since is not None]
 
     judgements = {}
     file_names = report.names if report else None  # names of joints and bodies in the file

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.compare.samples import body_units
-from crosscheck.engines.engine import native_options
+from crosscheck.engines.engine import newton_euler_options
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
@@ -219,7 +219,7 @@ def _repeat_with_closer_outputs(scene: Scene, outputs: int) -> Trajectory:
     factor = max(1, min(REFINEMENT, MAX_REFINED_OUTPUTS // outputs))
     finer = replace(scene, output_period=scene.output_period / factor, outputs=frozenset(["velocities"]))
     # crosscheck's usual integrator and tolerances for the scene, not the tighter ones of a refined run
-    options = native_options(finer, refined=False)
+    options = newton_euler_options(finer)
     try:
         return simulate(finer, **options)
     except StoppedError as error:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from crosscheck.compare.activity import reduction
+from crosscheck.compare.activity import reduced_model_text
 from crosscheck.compare.check import not_judged
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.result import EngineComparison
@@ -34,6 +34,7 @@ def verdict_of(result: EngineComparison) -> str:
         stopped = {stop.what for stop in result.unfinished}
         completed = [name for name in result.trajectories if name not in stopped]
         others = ""
+        # a diagnosis, which follows if engines differ, names the compared engines
         if 0 < len(completed) < len(result.engines) and not result.diagnosis:
             others = f"; {' and '.join(completed)} ran to the end"
         return f"{result.outcome}: {stops_text(result.unfinished)}{others}; as far as compared {text}"
@@ -41,7 +42,10 @@ def verdict_of(result: EngineComparison) -> str:
 
 
 def _judgment(result: EngineComparison) -> tuple[str, str]:
-    """Format outcome and text of the verdict, without left-out engines and stopped parts."""
+    """Format outcome and text of the verdict, without left-out engines and stopped parts.
+
+    The outcome is not used if parts stopped: it is UNFINISHED then.
+    """
     names = ", ".join(engine.name for engine in result.engines)
     # A single engine
     if result.left_out and result.single_engine:
@@ -50,27 +54,28 @@ def _judgment(result: EngineComparison) -> tuple[str, str]:
     if result.single_engine:
         text = f"ran {names} on {result.title}: nothing to compare it with; its own checks"
         text += f" {_own_checks(result)}"
-        return result.outcome, "; ".join(filter(None, [text, _reduction(result)]))
+        return result.outcome, "; ".join(filter(None, [text, _reduced_model_text(result)]))
     # Engines that differ
     if result.diagnosis:
         first, *others = result.diagnosis
         parts = [f"{first.who}; {first.place}", first.fault_text]
         parts += [f"then {other.who}, {other.place}" for other in others]
         # not if the import of the model file is wrong
-        if _reduction(result) and not result.misread:
-            parts.append(_reduction(result))
+        if _reduced_model_text(result) and not result.misread:
+            parts.append(_reduced_model_text(result))
         text = "; ".join(filter(None, parts))
         return f"{Outcome.DISAGREE}{_engine_count(result)}", f"{text} ({_failed_checks(result)})"
     # Engines that agree
     agree = f"{names} agree on {result.title} in all {len(result.judged)} checks{_qualifications(result)}"
-    if _reduction(result):
-        agree = f"{_reduction(result)}; {agree}"
-    of_some_engines = result.outcome in (Outcome.AGREE_OF_SOME_ENGINES, Outcome.UNFINISHED)
-    return f"AGREE{_engine_count(result)}" if of_some_engines else result.outcome, agree
+    if _reduced_model_text(result):
+        agree = f"{_reduced_model_text(result)}; {agree}"
+    if result.outcome is Outcome.AGREE_OF_SOME_ENGINES:
+        return f"AGREE{_engine_count(result)}", agree
+    return result.outcome, agree
 
 
 def _own_checks(result: EngineComparison) -> str:
-    """Format whether the checks of a single engine (such as its energy balance) pass."""
+    """Format whether the checks of a single engine pass, such as its energy balance at the level "energy"."""
     failed = next((check for check in result.checks if not check.agrees), None)
     if failed is None:
         return f"hold, all {len(result.judged)}{_qualifications(result)}"
@@ -91,10 +96,12 @@ def _qualifications(result: EngineComparison) -> str:
     elif len(result.engines) > 1:
         text += "; what the motion covers is not known"
     # The import report (`mapping`) of a model file compares the scene with models that the file's own engine
-    # compiles. A model is informative if motions at some state are accurate enough to show mistakes
+    # compiles. A model is informative if motions at some state are accurate enough to show import mistakes
     compiled_models = result.mapping.references if result.mapping else []
     if compiled_models and not any(model.is_informative for model, _ in compiled_models):
-        text += "; motions are not verified against the file: no state tells them"
+        text += "; motions are not verified against the file: too inaccurate at every tested state"
+    # limits, contacts and actuators can act, cameras cannot. Counted are elements that can act and are not
+    # simulated, such as "2 elements are inactive, 1 left out"
     if result.mapping and (counts := result.mapping.counts()):
         text += f"; of what can act in the file {counts}"
     return text
@@ -115,11 +122,11 @@ def _engine_count(result: EngineComparison) -> str:
     return f" ({count} of {count + len(result.left_out)} engines)" if result.left_out else ""
 
 
-def _reduction(result: EngineComparison) -> str:
+def _reduced_model_text(result: EngineComparison) -> str:
     """Format the elements that act and are not simulated, with the time of the first; empty if none act."""
-    if result.acting:
-        return reduction(result.acting)
-    if result.is_reduced and result.own_run:
+    if result.acting:  # in the compared motion
+        return reduced_model_text(result.acting)
+    if result.is_reduced and result.own_run:  # in the run with the file's settings, whose errors are limited
         first = result.own_run.events[0]
         return f"your settings are judged without {first.element}, which acts from {first.time:.4g} s on"
     return ""

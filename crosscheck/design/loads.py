@@ -12,7 +12,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from crosscheck.compare.activity import reduction, watched
+from crosscheck.compare.activity import reduced_model_text, watched
 from crosscheck.compare.runs import nothing_moves
 from crosscheck.report.plots import own_style, png
 from crosscheck.report.render import as_json, markdown
@@ -191,8 +191,8 @@ def _report(
     verdict = f"largest force {largest.peak:.3g} N at joint {largest.element!r}, {_when(largest)}"
     if largest.peak <= negligible:
         verdict = "no joint carries a force"
-    for case, entries in acting.items():  # `reduction` names the elements and when they begin to act
-        verdict += f"; {f'case {case}: ' if named else ''}{reduction(entries)}"
+    for case, entries in acting.items():
+        verdict += f"; {f'case {case}: ' if named else ''}{reduced_model_text(entries)}"
     if acting:
         verdict = f"REDUCED MODEL: {verdict}"
     # Tables and notes

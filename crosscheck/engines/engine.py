@@ -127,19 +127,19 @@ class Engine:
     refined_in_full: Callable[[Scene], Trajectory] | None = None
 
 
-def native_options(scene: Scene, refined: bool) -> dict[str, Any]:
+def newton_euler_options(scene: Scene, refined: bool = False) -> dict[str, Any]:
     """Choose the options of `newton_euler.simulate` for a scene: integrator, tolerances and number of steps.
 
     Args:
         scene: the scene.
-        refined: True for a refined run.
+        refined: True for a refined run, with tighter tolerances than the default ones.
     """
     is_stiff = _needs_radau(scene, NATIVE_STEP_BUDGET)
     return {"most_steps": NATIVE_MAX_STEPS} | (_radau(refined) if is_stiff else _dop853(refined))
 
 
 def python_options(scene: Scene, refined: bool) -> list[dict[str, Any]]:
-    """Choose the same options as `native_options` for runs whose equations are evaluated in Python.
+    """Choose the same options as `newton_euler_options` for runs whose equations are evaluated in Python.
 
     Returns:
         Options to try in order: later ones if a run with the earlier ones stops.
@@ -179,7 +179,7 @@ def native_run(scene: Scene) -> Trajectory:
     """Simulate a scene in newton_euler with default settings; the last run is cached for other uses."""
     from newton_euler import simulate
 
-    return simulate(scene, **native_options(scene, refined=False))
+    return simulate(scene, **newton_euler_options(scene))
 
 
 @lru_cache(maxsize=1)
@@ -187,7 +187,7 @@ def native_refined(scene: Scene) -> Trajectory:
     """Simulate a scene in newton_euler at refined tolerances; the last run is cached."""
     from newton_euler import simulate
 
-    return simulate(scene, **native_options(scene, refined=True))
+    return simulate(scene, **newton_euler_options(scene, refined=True))
 
 
 def _newton_euler_exact(scene: Scene) -> Trajectory:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from crosscheck.engines.engine import native_options
+from crosscheck.engines.engine import newton_euler_options
 from crosscheck.own_run.interpolation import interpolated
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
@@ -79,7 +79,7 @@ def fitted_velocities(
         Distances are divided by the mechanism's size; rotations are in rad.
         """
         batch = simulate_batch(
-            short, [system.state(q, each) for each in rates], **native_options(short, refined=False)
+            short, [system.state(q, each) for each in rates], **newton_euler_options(short)
         )
         if batch.errors:
             raise next(iter(batch.errors.values()))

@@ -27,26 +27,27 @@ ELEMENTS = ("motions", "control", "forces")
 
 def is_time_dependent(scene: Scene) -> bool:
     """True if an element of a scene is a function of time."""
-    return any(functions for functions in scene.functions.values())
+    return bool(scene.functions)
 
 
 def started_at(scene: Scene, time: float) -> Scene:
     """Return a scene that begins at a later time, s, of the given scene.
 
     Its functions of time are shifted, and its initial state, which belongs to time 0, is removed. A scene
-    without functions of time is returned unchanged, also any scene for time 0.
+    without functions of time is returned unchanged, because it may begin in its initial state at any time.
     """
     if not time or not is_time_dependent(scene):
         return scene
     changed: dict[str, list[Any]] = {name: list(getattr(scene, name)) for name in ELEMENTS}
-    for field, index, attribute in scene.functions:  # keys: places of the functions in the scene
+    # places of the functions in the scene; an attribute is a function, or a mapping to functions and numbers
+    for field, index, attribute in scene.functions:
         element = changed[field][index]
-        given = getattr(element, attribute, None)
-        if isinstance(given, TimeFunction):
-            changed[field][index] = replace(element, **{attribute: _later(given, time)})
-        elif isinstance(given, Mapping):
-            moved = {k: _later(f, time) if isinstance(f, TimeFunction) else f for k, f in given.items()}
-            changed[field][index] = replace(element, **{attribute: moved})
+        given = getattr(element, attribute)
+        if isinstance(given, Mapping):
+            later: Any = {k: _later(f, time) if isinstance(f, TimeFunction) else f for k, f in given.items()}
+        else:
+            later = _later(given, time)
+        changed[field][index] = replace(element, **{attribute: later})
     elements: dict[str, Any] = {name: tuple(each) for name, each in changed.items()}
     return replace(scene, initial_state=None, **elements)
 
@@ -73,9 +74,10 @@ def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
     laws that these actuators became.
 
     Args:
-        scene: the scene.
+        scene: the scene, which begins at the first row of the log, see `started_at`.
         data: the log.
-        names: names of the model file, with its actuators.
+        names: names in the model file, with the gains of its actuators (force per unit of the control, by
+            joint coordinate); None for a scene without a file, whose logs have no controls.
     """
     if not (data.forces or data.inputs):
         return scene
@@ -86,14 +88,15 @@ def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
     forces = {key: each.values for key, each in data.forces.items() if key in driven or np.any(each.values)}
     control = [law for law in control if law.key not in forces]
     control += [_force_law(key, times, values) for key, values in forces.items()]
-    # controls of actuators: sums of forces by joint coordinate, beyond those at the start
+    # controls of actuators: the scene's laws have the forces of the controls that the file sets for its start
+    # (`start`; 0 if there is no law). Added are the sums of the differences from them, by joint coordinate
     added: dict[Key, Array] = {}
     for name, each in data.inputs.items():
         assert names is not None
-        known = names.inputs[name]
-        for key, gain in known.gains.items():
+        actuator = names.inputs[name]
+        for key, gain in actuator.gains.items():
             if key not in forces:
-                added[key] = added.get(key, 0.0) + gain * (each.values - known.start)
+                added[key] = added.get(key, 0.0) + gain * (each.values - actuator.start)
     for key, values in added.items():
         control = [_with_feedforward(data.where, law, key, times, values) for law in control]
         if key not in {law.key for law in control}:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.engines.engine import native_options
+from crosscheck.engines.engine import newton_euler_options
 from crosscheck.logs.columns import LogData, read_columns
 from crosscheck.logs.inputs import started_at, with_inputs
 from crosscheck.logs.names import Elements, Origin
@@ -254,7 +254,7 @@ def _reference(scene: Scene) -> Trajectory:
     A run that stops early counts up to its end if it has `MIN_ROWS` outputs.
     """
     try:
-        return simulate(scene, **native_options(scene, refined=False))
+        return simulate(scene, **newton_euler_options(scene))
     except StoppedError as error:
         if error.partial is None or len(error.partial.time) < MIN_ROWS:
             raise

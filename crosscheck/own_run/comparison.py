@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.engines.engine import native_options
+from crosscheck.engines.engine import newton_euler_options
 from crosscheck.own_run.errors import MotionScale, RunError, run_error
 from crosscheck.own_run.horizon import comparable_until
 from newton_euler.model.scene import Scene
@@ -100,7 +100,7 @@ class Comparison:
             duration=steps * step,
             outputs=frozenset({"velocities", "energy"}),
         )
-        reference = simulate(sampled, **(method or native_options(sampled, refined=False)))
+        reference = simulate(sampled, **(method or newton_euler_options(sampled)))
         if method is None:
             until = comparable_until(sampled, reference)
         scale = MotionScale.of(reference, scene.mechanism.size)

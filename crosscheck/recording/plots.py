@@ -48,7 +48,7 @@ class Plot:
         lines: values (n,) over the output times, by engine.
         scale: a large value of the quantity, in its unit; a plot whose lines vary much less is left out.
         target: set-point of a control law, a constant or a function of time; None without one.
-        tolerances: tolerance of each engine, in the unit of the plot.
+        tolerances: tolerance of each engine, in the unit of the plot: its logarithm in a plot of logarithms.
         is_judged: True for a difference or a constraint violation, by which engines are judged; False for a
             quantity of the motion, of which the lines of several engines coincide if they agree.
     """
@@ -64,13 +64,13 @@ class Plot:
 
     @property
     def is_flat(self) -> bool:
-        """True if the lines are constant and equal, so that the plot would show nothing."""
+        """True if the lines are constant and equal, so that the plot would show nothing; never if judged."""
         variation = np.ptp(np.concatenate(list(self.lines.values())))
         return not self.is_judged and bool(variation <= MIN_VARIATION * self.scale)
 
 
 def plots(scene: Scene, trajectories: dict[str, Trajectory], tolerances: Tolerances) -> list[Plot]:
-    """Make the plots of a run; quantities that were not stored or do not vary are left out.
+    """Make the plots of the engines' runs; quantities that were not stored or do not vary are left out.
 
     Args:
         scene: the scene that was run.
@@ -139,7 +139,7 @@ def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator
     targets = {law.key: law.target for law in continuous if isinstance(law, DeclaredLaw)}
     for joint, number in _coordinates(scene)[:MAX_COORDINATES]:
         name = coordinate_name(mechanism.joint(joint), number)
-        lines = {  # `Trajectory.joint` needs a mechanism, which some runs lack
+        lines = {  # `Trajectory.joint` needs a mechanism, which a run made from arrays lacks
             engine: replace(run, mechanism=mechanism).joint(joint).coordinates[:, number]
             for engine, run in trajectories.items()
         }

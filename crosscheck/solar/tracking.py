@@ -29,8 +29,10 @@ class Tracking:
         most_tilt: largest tilt of the panel from the horizontal, degrees.
         pitch: distance between rows of panels, in panel lengths. If the sun is low, the panel turns back so
             that no shadow falls on the next row (backtracking: Lorenzo, Narvarte, Munoz, Progress in
-            Photovoltaics 19, 2011, in the vertical plane of the sun). Infinite for a panel that stands alone.
-        stow: wind speed from which the panel lies flat, m/s.
+            Photovoltaics 19, 2011). The rule is applied in the vertical plane through the sun: for each
+            azimuth, the next row is assumed at this distance along the shadow. Infinite for a panel that
+            stands alone.
+        stow: wind speed from which the panel is to lie flat, m/s.
 
     Raises:
         CrosscheckError: naming a value that is out of range.
@@ -57,10 +59,10 @@ class Tracking:
                 )
 
     def normals(self, sun: Sun, wind: Array | None = None) -> Array:
-        """Compute the wanted directions (n, 3) of the panel's normal: east, north, up.
+        """Compute the directions (n, 3) of the panel's normal, with the dead band: east, north, up.
 
         Args:
-            sun: n positions of the sun.
+            sun: n positions of the sun over one day, in the order of time.
             wind: (n,) m/s, wind speed; None for calm.
 
         Raises:
@@ -83,7 +85,7 @@ class Tracking:
         return self._with_deadband(wanted)
 
     def stows(self, wind: Array | None, count: int) -> Array:
-        """Return an array (n,) that is True where the panel lies flat because of the wind.
+        """Return an array (n,) that is True where the panel is to lie flat because of the wind.
 
         Args:
             wind: (n,) m/s, wind speed; None for calm.

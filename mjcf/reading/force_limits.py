@@ -58,14 +58,15 @@ def distances_from_limits(
     There can be a limit of the actuator itself, of its tendon, and of each joint that it moves.
 
     Args:
-        model: `MjModel`.
-        data: `MjData` with the forces at the start, without limits.
+        model: `MjModel`. In MuJoCo 4 an actuator may have several forces; `actuator_outadr` is the index of
+            the first one in `MjData.actuator_force`. Actuators that are imported have only one.
+        data: `MjData` with the forces at the start, computed with the limits switched off.
         actuator: number of the actuator.
         moments: moment arm of the actuator at each of MuJoCo's joints, by number.
 
     Yields:
-        For each limit, the limited force per unit force of the actuator, and the distances (2,) from the
-        present force to the lower and to the upper limit.
+        For each limit, the limited force per unit force of the actuator (1, or the moment arm at a joint) and
+        the signed distances (2,) from the force at the start to the lower and to the upper limit.
     """
     if model.actuator_forcelimited[actuator]:
         force = float(data.actuator_force[model.actuator_outadr[actuator]])
@@ -96,8 +97,8 @@ def joint_force_watch(actuation: JointActuation, low: float, high: float, unit: 
     Returns:
         The watch; None if stiffnesses and dampings are not proportional, so that no weights w_j exist.
     """
-    # one row (stiffness, damping) for each coordinate
-    keys, gains = list(actuation.feedback), np.array(list(actuation.feedback.values())).reshape(-1, 2)
+    keys = list(actuation.feedback)
+    gains = np.array(list(actuation.feedback.values())).reshape(-1, 2)  # rows (stiffness, damping)
     force_of_time = constant_plus_sines(actuation.constant, actuation.sines)
     if not keys:
         return Bounds(terms=(), low=low, high=high, unit=unit, constant=force_of_time)

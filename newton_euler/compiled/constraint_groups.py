@@ -15,7 +15,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 
-@np.errstate(all="ignore")
+@np.errstate(all="ignore")  # quotients of displacements may be 0 / 0
 def constraint_groups(system: System) -> Array:
     """Number the groups of coordinates and velocities that constraints connect.
 
@@ -28,19 +28,22 @@ def constraint_groups(system: System) -> Array:
     rng, units = np.random.default_rng(0), system.velocity_units
     q, _v = system.coordinates(State.initial(system.mechanism))
     q = system.retract(q, units * rng.uniform(-0.3, 0.3, system.nv))
-    of_v = connected(system.phi_jacobian(q) != 0.0)
+    groups_of_v = connected(system.phi_jacobian(q) != 0.0)
     # groups of coordinates: move along a small step, then along the same step times the group number of each
-    # velocity; the ratio of the two displacements of a coordinate is the number of its group
+    # velocity. The ratio of the two displacements of a coordinate is the number of its group, because
+    # constraints connect all velocities that move the coordinate. Only an angle of a loop-closing joint may
+    # also move with a velocity without constraints; `clip` then keeps the number in the range of the groups
     shift = 1e-6  # small, so that displacements are proportional to the step
     step = shift * units * rng.uniform(0.5, 1.5, system.nv)
-    start = system.retract(q, np.zeros(system.nv))
-    plain, multiplied = (system.retract(q, factor * step) - start for factor in (np.ones(system.nv), of_v))
+    plain, multiplied = (system.retract(q, factor * step) - q for factor in (np.ones(system.nv), groups_of_v))
     # smaller displacements are round-off, or of higher order in the step
     moves = np.abs(plain) > 1e-3 * shift * units.min(initial=1.0)
-    of_q = np.where(moves, np.clip(np.rint(multiplied / plain), 0.0, of_v.max(initial=0.0)), 0.0)
-    for quaternion in system.quaternions:  # its four elements belong together
-        of_q[quaternion] = of_q[quaternion].max()
-    return np.concatenate([of_q, of_v])
+    numbers = np.clip(np.rint(multiplied / plain), 0.0, groups_of_v.max(initial=0.0))
+    groups_of_q = np.where(moves, numbers, 0.0)
+    # the four elements of a quaternion have one group, also an element that does not move here and has 0
+    for quaternion in system.quaternions:
+        groups_of_q[quaternion] = groups_of_q[quaternion].max()
+    return np.concatenate([groups_of_q, groups_of_v])
 
 
 def connected(nonzero: Array) -> Array:
@@ -68,7 +71,8 @@ def group_places(groups: Array, nq: int) -> Array:
         nq: number of coordinates.
 
     Returns:
-        For each group: number of coordinates, their indices, number of velocities, their indices.
+        For each group: number of coordinates, their indices, number of velocities, their indices. All are
+        floats, which native code reads.
     """
     places: list[float] = []
     for group in np.unique(groups[groups > 0.0]):

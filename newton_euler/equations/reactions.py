@@ -1,15 +1,16 @@
 """Joint reactions: the force and torque that each joint exerts on its second body.
 
 The reaction of a joint includes the forces of couplings and prescribed motions on its coordinates. It does
-not include the forces of control laws and springs.
+not include the forces of control laws, springs and armatures (rotor inertias).
 
-If constraints are redundant, only the sum of the wrenches on each body, J^T lambda, is unique. Each form of
-the equations returns the reactions of its minimum-norm multipliers. The Cartesian form has multipliers for
+If constraints are redundant, only the sum of the wrenches on each body, Phi_q^T lambda, is unique. Each form
+of the equations returns the reactions of its minimum-norm multipliers. The Cartesian form has multipliers for
 all joints. The joint-coordinate form has multipliers for couplings and loop-closing joints only; the
 reactions of the other joints follow from them. The two results then differ, and both are right.
 
 A coupling is a constraint between joint coordinates x_i, such as a gear: a sum of functions p_i(x_i) equals a
-function of time. The derivatives p_i'(x_i) are its slopes.
+function of time. The derivatives p_i'(x_i) are its slopes. A prescribed motion is a coupling of a single
+coordinate.
 """
 
 from __future__ import annotations
@@ -60,14 +61,15 @@ def _wrench(joint: int, first: int, second: int, jacobian: Jacobian, multipliers
 
 
 def constraint_wrenches(
-    system: Formulation, frames: Sequence[Frame], measured: Mapping[Key, Measured], multipliers: Array
+    system: Formulation, frames: Sequence[Frame], coordinates: Mapping[Key, Measured], multipliers: Array
 ) -> Iterator[ConstraintWrench]:
-    """Yield the wrenches of joints with multipliers, then of couplings between bodies.
+    """Yield the wrenches of joints with multipliers, then of couplings.
 
     Args:
         system: the equations of motion.
         frames: pose and velocity of each body.
-        measured: values and rates of joint coordinates by key (joint, number), for the slopes of couplings.
+        coordinates: all joint coordinates of couplings, with elements of q among them, by key (name of the
+            joint, index of the coordinate). Slopes depend on their values only.
         multipliers: (rows,) Lagrange multipliers of joints and couplings.
     """
     row, index = 0, system.mechanism.joint_index
@@ -79,12 +81,12 @@ def constraint_wrenches(
     # a coupling acts on each of its coordinates with the multiplier times its slope; coordinates that are
     # elements of q (joints of a tree) have no wrench here. `between` has the other coordinates, which are
     # computed from the poses of two bodies
-    for number, coupling in enumerate(system.couplings, start=row):
-        for key, slope in coupling.measured_slopes(measured).items():
+    for coupling, multiplier in zip(system.couplings, multipliers[row:], strict=True):
+        for key, slope in coupling.measured_slopes(coordinates).items():
             if key in system.between:
                 between = system.between[key]
                 blocks = between.constraint.jacobian(frames[between.first], frames[between.second])
-                force = np.array([slope * multipliers[number]])
+                force = np.array([slope * multiplier])
                 yield _wrench(index(key[0]), between.first, between.second, blocks, force)
 
 
@@ -125,7 +127,7 @@ def at_joint_points(
 def tree_reactions(
     system: TreeKinematics,
     frames: Sequence[Frame],
-    measured: Mapping[Key, Measured],
+    coordinates: Mapping[Key, Measured],
     needed: Sequence[Array],
     multipliers: Array,
     joint_forces: Iterable[tuple[Key, Scalar]],
@@ -139,7 +141,7 @@ def tree_reactions(
     Args:
         system: the equations of motion.
         frames: pose and velocity of each body.
-        measured: values and rates of joint coordinates by key (joint, number), for the slopes of couplings.
+        coordinates: see `constraint_wrenches`.
         needed: (6,) for each body: force, N, and torque about the center of mass, N m, world frame, that
             joints, joint forces and armatures must supply together.
         multipliers: (k,) Lagrange multipliers of loop closures and couplings.
@@ -153,7 +155,7 @@ def tree_reactions(
     """
     # wrenches of multipliers, joint forces and armatures reduce what the tree's joints must supply
     mechanism, tree, need = system.mechanism, system.tree, list(needed)
-    wrenches = list(constraint_wrenches(system, frames, measured, multipliers))
+    wrenches = list(constraint_wrenches(system, frames, coordinates, multipliers))
     for pair in wrenches:
         need[pair.first] = need[pair.first] - pair.on_first
         need[pair.second] = need[pair.second] - pair.on_second
@@ -176,10 +178,12 @@ def tree_reactions(
         at_parent = torque + cross(center - frames[joint.parent].position, force)
         need[joint.parent] = need[joint.parent] + np.concatenate([force, at_parent])
         if joint.joint >= len(mechanism.joints):
-            continue  # an additional free joint of a body that only rods hold, which has no reaction
+            # a rod (constant distance of two points) only closes loops. A body that only rods hold gets an
+            # additional free joint, which has no reaction
+            continue
         # the reaction acts on the joint's second body, which is the child only if the joint is `forward`
         sign = 1.0 if joint.forward else -1.0
-        point = frames[tree.equations(joint.joint).second].position + arms[joint.joint]
+        point = frames[system.equations[joint.joint].second].position + arms[joint.joint]
         forces[joint.joint] = sign * force
         torques[joint.joint] = sign * (torque - cross(point - center, force))
     return np.array(forces), np.array(torques)

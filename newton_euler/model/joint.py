@@ -257,7 +257,7 @@ class Joint(Variable):
     @property
     def span(self) -> Array:
         """(3,) m, from the first body's point to the second body's point at the relative pose where the
-        coordinates are zero, world at the initial pose."""
+        coordinates are zero, world at the initial pose. Displaced joint points do not change it."""
         return vars(self).get("_span", self.point_on_second - self.point)
 
     def varied(self, values: Mapping[str, Any]) -> Self:

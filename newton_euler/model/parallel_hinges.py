@@ -17,7 +17,7 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, check_flag, quoted, set_finite_arrays
 from newton_euler.model.constraints import Angle, Constraint, Displacement, Distance, Frame, Jacobian, Span
-from newton_euler.model.description import DefaultArrayField, description
+from newton_euler.model.description import ArrayField, description
 from newton_euler.model.fields import NumberField
 from newton_euler.model.joint import MIN_POINT_DISTANCE, AxisJoint, Motion, Pose
 from newton_euler.scalars import Array, arctan2, cross, sqrt
@@ -95,8 +95,8 @@ class LinkAngle:
 def driving_wrench(axes: Array, rates: Array, forces: Array) -> tuple[Array, Array]:
     """Compute the wrench on the second body that has the same power as torques at two parallel hinges.
 
-    The force F acts at the joint point, which lies on one of the two axes, and is perpendicular to the link.
-    F and the torque T solve F . u_k + T . a_k = f_k for the hinges k = 1, 2.
+    The force F is perpendicular to the link. It acts at the joint point, a point of the second body on one of
+    the two axes. F and the torque T solve F . u_k + T . a_k = f_k for the hinges k = 1, 2.
 
     Args:
         axes: (2, 3) a_k, unit axes, world frame.
@@ -123,7 +123,7 @@ class ParallelHinges(AxisJoint):
     Attributes:
         offset: (3,) m from the first axis to the second, world at the initial pose. Its part perpendicular to
             the axis is at least 1 micrometer long. `point_on_second` is `point` + `offset` unless it is
-            given.
+            given, as in a joint of which one point was displaced alone.
         opposed: True if the second angle counts about -`axis`.
 
     Raises:
@@ -136,14 +136,15 @@ class ParallelHinges(AxisJoint):
         ('hinge', 'hinge')
     """
 
-    offset: DefaultArrayField = field(kw_only=True)
+    offset: ArrayField = field(kw_only=True)
     opposed: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "parallel_hinges"
-    # Runs may have other offsets, which move the poses in which loops are closed; the constructor checks them
+    # Numbers of the joint that may vary from run to run. `shape` is None because the constructor checks the
+    # offset. `moves_loops`: a change moves the poses in which loops are closed
     number_fields: ClassVar = AxisJoint.number_fields | {
         "offset": NumberField("m", shape=None, moves_loops=True)
     }
-    # Attributes other than the axis that are vectors (3,)
+    # Attributes other than the axis that are vectors, which turn with the mechanism but do not move
     vector_names: ClassVar[tuple[str, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
@@ -183,8 +184,9 @@ class ParallelHinges(AxisJoint):
     def varied(self, values: Mapping[str, Any]) -> Self:
         """Return the joint with other numbers, unchecked, see `Joint.varied`.
 
-        The offset turns with the axis. `span` is the vector from `point` to `point_on_second` at the relative
-        pose where the coordinates are zero.
+        The offset, also a new one, turns with the axis. `span`, the vector between the joint points where the
+        coordinates are zero, changes like the offset. A point that is displaced alone, which opens the joint
+        at the initial pose, changes neither.
         """
         changed = super().varied({name: value for name, value in values.items() if name != "offset"})
         offset = np.asarray(values.get("offset", self.offset))
@@ -210,7 +212,8 @@ class ParallelHinges(AxisJoint):
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
-        # A point on each axis at the initial pose
+        # A point on each axis at the initial pose, from that of the second body. If a point was displaced
+        # alone, `point_gap` leads from `point` to the first
         return self.point_on_second - self.offset, self.point_on_second
 
     def _axis_points(self, first: Pose, second: Pose) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ import pytest
 from crosscheck.compare.activity import watched
 from mjcf import read
 from newton_euler import simulate
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.reading.activity import UNSETTLED, SampledMotion
 from newton_euler.reading.import_report import ImportReport
 from urdf import read as read_urdf
@@ -174,6 +175,24 @@ def test_what_acts_between_outputs_is_settled_by_closer_ones(rate, tmp_path):
     assert not report.unsettled
     # the first of the moments between closer outputs after it: 16 to each 1/8 of 10 ms
     assert 0.0 <= entry.since - np.arcsin(np.radians(40.0)) / rate < 0.01 / 8 / 16
+
+
+def test_a_repeated_run_that_stops_early_settles_nothing(tmp_path, monkeypatch):
+    """The run of 1 s is too coarse for contacts; the repeated run ends at 0.24 s."""
+    text = SWING.format(gravity=-10, joint='range="-80 80"', more="")
+    found = read(mjcf(tmp_path, text), duration=1.0, output_period=0.1)
+    run = simulate(found.scene)
+    unsettled = found.report.after(SampledMotion(found.scene, run)).unsettled
+    (contacts,) = unsettled
+
+    def stop_at_a_quarter(scene, **options):
+        error = IntegrationError(0.25, "stopped")
+        error.partial = simulate(scene, **options).first(20)
+        raise error
+
+    monkeypatch.setattr("crosscheck.compare.activity.simulate", stop_at_a_quarter)
+    report = watched(found.scene, found.report, run)
+    assert (report.entries[contacts].seen, report.unsettled) == (UNSETTLED, unsettled)
 
 
 def limited(tmp_path, low, velocity, gravity=0):
