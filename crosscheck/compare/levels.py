@@ -2,7 +2,7 @@
 
 In: a scene (a mechanism with its forces and initial state), the engines and their runs (simulations). Out:
 checks. Each `Check` compares one quantity of a pair of engines with its tolerance, or tests one engine; a
-level is a group of checks. The first four levels use each engine's equations of motion with rigid
+level is a group of checks. The levels of equations use each engine's equations of motion with rigid
 constraints, at states that satisfy the constraints; a difference there comes from the models. The later
 levels use runs; only their check of the momentum balance uses the equations.
 
@@ -38,7 +38,7 @@ Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Check]]
 """Function that yields the checks of a level for two systems, given their names and samples."""
 
 EQUATION_LEVELS: tuple[Level, ...] = (model_checks, kinematics_checks, dynamics_checks, acceleration_checks)
-"""Functions of the four levels that compare equations, in their order."""
+"""Functions of the levels that compare equations, in their order."""
 
 EngineSamples = dict[str, list[Samples]]
 """Equations of motion of each engine at the same states, by engine name: one `Samples` per formulation

@@ -85,12 +85,13 @@ def known_of(source: str, options: Mapping[str, str | float]) -> list[ReferenceV
     """
     if source not in REFERENCE_QUANTITIES:
         return []
-    chosen = {name: str(option.default) for name, option in options_of(SCENES[source]).items()}
-    chosen |= {name: str(value) for name, value in options.items()}
+    known_options = options_of(SCENES[source])
+    # values as the scene reads them, since a number has several texts, such as "2" and "2.0"
+    chosen = {name: each.read(options.get(name, each.default)) for name, each in known_options.items()}
     return [
         known
         for known in reference_values(source)
-        if all(chosen[name] == str(value) for name, value in known.options.items())
+        if all(chosen[name] == known_options[name].read(value) for name, value in known.options.items())
     ]
 
 

@@ -59,6 +59,7 @@ def test_figures_are_those_of_the_options():
     assert {known.options["N"] for known in known_of("four_bar", {})} == {2}
     assert {known.options["N"] for known in known_of("four_bar", {"N": "40"})} == {40}
     assert known_of("four_bar", {"N": "3"}) == []
+    assert known_of("four_bar", {"N": "02"}) == known_of("four_bar", {"N": "2"})  # another text of one number
     assert {known.options["variant"] for known in known_of("slider_crank", {})} == {"A"}
     assert len(known_of("pendulum", {})) == 10
     assert known_of("tracker", {}) == known_of("scene.yaml", {}) == []
