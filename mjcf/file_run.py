@@ -641,7 +641,7 @@ class _EventRecorder:
                 bodies = tuple(sorted(int(model.geom_bodyid[geom]) for geom in contact.geom if geom >= 0))
                 if bodies not in self._known_contacts:
                     self._known_contacts.add(bodies)
-                    names = " and ".join(repr(model.body(body).name or "world") for body in bodies)
+                    names = " and ".join(repr(model.body(body).name or f"body {body}") for body in bodies)
                     self._add_event(f"contact of {names}")
             elif (row_type, number) not in self._known_limits:
                 self._known_limits.add((row_type, number))

@@ -378,8 +378,14 @@ def _file_names(
     # actuators whose force is proportional to the control: `gains` are forces on joint coordinates per unit;
     # with activation dynamics, the force depends on earlier controls
     for actuator, drive in drives.items():
-        if (name := model.actuator(actuator).name) and not drive.has_dynamics:
-            names.inputs[name] = FileInput(drive.control, drive.gains)
+        name, limits = model.actuator(actuator).name, (-np.inf, np.inf)
+        if model.actuator_ctrllimited[actuator]:
+            low, high = model.actuator_ctrlrange[actuator].tolist()
+            limits = low, high
+        if name and drive.has_dynamics:
+            names.activated.append(name)
+        elif name:
+            names.inputs[name] = FileInput(drive.control, drive.gains, limits)
     return names
 
 

@@ -113,13 +113,16 @@ class EngineComparison(ComparisonResult):
     def with_allowed_errors(self, allowed: Sequence[AllowedError]) -> Self:
         """Return this result with largest errors that the own run may have.
 
-        The result is unfinished if the own run is not judged although the engines agree.
+        The result is unfinished if the own run, or its end, is not judged although the engines agree.
         """
         stops = self.unfinished
         if allowed and self.own_run is None and not self.differs:
             needed = "not judged, as the scene has no run of its own; needed: an MJCF or URDF model"
             reason = next((note for note in self.notes if note.startswith(JUDGING)), needed)
             stops = (*stops, Stop("your settings", reason.removeprefix(f"{JUDGING}: ")))
+        if allowed and self.own_run and self.own_run.unjudged_from is not None:
+            end = f"not judged from {self.own_run.unjudged_from:.3g} s on, as the run has too many time steps"
+            stops = (*stops, Stop("your settings", f"{end}; needed: a shorter --set duration"))
         return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
 
     @property

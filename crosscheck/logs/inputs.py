@@ -96,7 +96,8 @@ def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
         actuator = names.inputs[name]
         for key, gain in actuator.gains.items():
             if key not in forces:
-                added[key] = added.get(key, 0.0) + gain * (each.values - actuator.start)
+                controls = np.clip(each.values, *actuator.limits)  # as the engine does
+                added[key] = added.get(key, 0.0) + gain * (controls - actuator.start)
     for key, values in added.items():
         control = [_with_feedforward(data.where, law, key, times, values) for law in control]
         if key not in {law.key for law in control}:
@@ -107,6 +108,22 @@ def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
         actuated = [replace(j, actuated=True) if j.name in joints else j for j in mechanism.joints]
         mechanism = Mechanism(mechanism.bodies, actuated, mechanism.couplings)
     return replace(scene, mechanism=mechanism, control=tuple(control))
+
+
+def held_inputs(data: LogData, names: FileNames | None) -> tuple[str, ...]:
+    """Name the actuators of a model file whose input the log does not have, or that cannot follow it.
+
+    The reference holds their controls at their start. Logged joint forces replace the actuators of a joint.
+    """
+    if names is None:
+        return ()
+    without = [
+        name
+        for name, each in names.inputs.items()
+        if name not in data.inputs and not all(key in data.forces for key in each.gains)
+    ]
+    activated = [f"{name} (its force depends on earlier controls)" for name in names.activated]
+    return (*without, *activated)
 
 
 def _force_law(key: Key, times: Array, values: Array) -> PD:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.logs.inputs import held_inputs
 from crosscheck.logs.mistakes import Mistake, find_mistakes, mistake_line
 from crosscheck.logs.names import Origin
 from crosscheck.logs.options import LogOptions
@@ -21,7 +22,7 @@ from crosscheck.logs.poses import loop_errors
 from crosscheck.logs.reading import LogReading
 from crosscheck.logs.start import LogStart
 from crosscheck.logs.table import read_table
-from crosscheck.own_run.errors import LoopError, RunError, run_error
+from crosscheck.own_run.errors import LoopError, MotionScale, RunError, run_error
 from crosscheck.own_run.horizon import comparable_until
 from crosscheck.own_run.judge import Judgement
 from newton_euler.errors import NewtonEulerError, check_choices, quoted
@@ -99,6 +100,8 @@ class LogJudgement(Judgement):
         points: point of the bodies that positions are of, "center" or "frame"; "" without positions.
         has_energy: True if the log determines the energy.
         has_inputs: True if the reference has inputs of the log.
+        held_inputs: actuators whose controls the reference holds at their start, see
+            `crosscheck.logs.inputs.held_inputs`.
         start_error: error that another estimate of the start velocities causes; None if the log has
             velocities.
         unused: columns that belong to no quantity.
@@ -116,6 +119,7 @@ class LogJudgement(Judgement):
     points: Origin = ""
     has_energy: bool = False
     has_inputs: bool = False
+    held_inputs: tuple[str, ...] = ()
     start_error: RunError | None = None
     unused: tuple[str, ...] = ()
     dropped: int = 0
@@ -136,7 +140,17 @@ class LogJudgement(Judgement):
             }
         result["start_error"] = asdict(self.start_error) if self.start_error else None
         result["mistakes"] = [asdict(mistake) | {"text": mistake_line(mistake)} for mistake in self.mistakes]
-        names = ("name", "compared", "missing", "rows", "points", "has_inputs", "unused", "dropped")
+        names = (
+            "name",
+            "compared",
+            "missing",
+            "rows",
+            "points",
+            "has_inputs",
+            "held_inputs",
+            "unused",
+            "dropped",
+        )
         return result | {name: getattr(self, name) for name in names}
 
 
@@ -184,11 +198,14 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
     events = tuple(sorted(watch(compared.scene, compared.reference), key=lambda event: event.time))
     until = comparable_until(compared.scene, compared.reference)
     ends = [event.time for event in events if event.time > 0.0] + ([] if until is None else [until])
-    error, run, rows = compared.error, compared.run, len(compared.run.time)
+    error, run, rows, scale = compared.error, compared.run, len(compared.run.time), compared.motion_scale
     if ends:
         rows = max(2, int(np.searchsorted(run.time, min(ends))))
         run = run.first(rows)
-        error = run_error(run, compared.reference_at(run.time), compared.motion_scale)
+        # errors are parts of the motion up to the end of the comparison
+        count = max(2, int(np.searchsorted(compared.reference.time, run.time[-1], side="right")))
+        scale = MotionScale.of(compared.reference.first(count), compared.scene.mechanism.size)
+        error = run_error(run, compared.reference_at(run.time), scale)
     return LogJudgement(
         engine=reading.table.where,
         settings="",
@@ -201,7 +218,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         remedies=(),
         run=run,
         reference=compared.reference_at(run.time),
-        scale=compared.motion_scale,
+        scale=scale,
         name=name,
         start=compared.start,
         scene=compared.scene,
@@ -212,6 +229,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         points=compared.points,
         has_energy=compared.has_energy,
         has_inputs=bool(data.inputs or data.forces),
+        held_inputs=held_inputs(data, reading.names),
         start_error=reading.start_error(compared),
         unused=data.unused,
         dropped=data.dropped,

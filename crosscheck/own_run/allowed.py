@@ -38,8 +38,8 @@ class ErrorKind(StrEnum):
     its potential energy."""
 
     def of(self, judgement: Judgement) -> float:
-        """Return this error of a judged run; infinite for a run that diverged."""
-        if judgement.stopped:
+        """Return this error of a judged run; infinite for a run that diverged, if only as it stands."""
+        if judgement.stopped or judgement.stopped_as_it_stands:
             return math.inf
         error = judgement.error
         return {

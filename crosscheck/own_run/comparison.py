@@ -128,6 +128,12 @@ class Comparison:
         return self._runs[settings]
 
     @property
+    def unjudged_from(self) -> float | None:
+        """Time, s, at which the compared run ends although the motion of the file goes on; else None."""
+        whole = self.simulation.scene.duration
+        return self.scene.duration if self.scene.duration + self.scene.output_period < whole else None
+
+    @property
     def completed(self) -> list[FileRun]:
         """Runs of `run_once` that came to their end."""
         return [run for run in self._runs.values() if not run.stopped]

@@ -65,6 +65,8 @@ class Judgement:
         stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
             judged run without them completes; "" otherwise.
         scale: extent of the reference's motion, by which errors are divided.
+        unjudged_from: time, s, from which the run is not judged because it has too many time steps; None if
+            the whole motion is judged.
         run_inputs: start, controls, changed numbers and output times of the judged run. With these,
             the engine alone can repeat the run, see `FileSimulation.run_inputs`.
     """
@@ -87,6 +89,7 @@ class Judgement:
     run_inputs: Mapping[str, Any] = field(default_factory=dict)
     are_assumed: bool = False
     harmless: tuple[str, ...] = ()
+    unjudged_from: float | None = None
 
     @property
     def errors_cancel(self) -> bool:
@@ -97,8 +100,8 @@ class Judgement:
 
     @property
     def band(self) -> Band:
-        """Accuracy of the run; a run that diverged is wrong."""
-        return Band.WRONG if self.stopped else self.error.band
+        """Accuracy of the run; a run that diverged, if only with what the reference lacks, is wrong."""
+        return Band.WRONG if self.stopped or self.stopped_as_it_stands else self.error.band
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -162,7 +165,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         engine=simulation.engine,
         settings=simulation.words(),
         error=error,
-        loop_error=LoopError.of(run.loop_errors, run.trajectory.time),
+        loop_error=LoopError.of(run.loop_errors, compared.until_end(run.trajectory).time),
         stopped=run.stopped,
         events=events,
         until=compared.until,
@@ -177,6 +180,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         run_inputs={**simulation.run_inputs(reduced=bool(events)), "output_times": output_times},
         are_assumed=simulation.are_assumed,
         harmless=harmless,
+        unjudged_from=compared.unjudged_from,
     )
 
 

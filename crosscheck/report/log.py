@@ -73,6 +73,8 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
             "no columns of velocities: those of the start are fitted to the first rows, which are known to "
             f"about {size(start_error, by_position)}"
         )
+    if judgement.held_inputs:
+        yield f"no input in the log, held at the start: {_name_list(judgement.held_inputs)}"
     if judgement.missing:
         yield f"not compared: {_name_list(judgement.missing)}"
     if judgement.dropped:

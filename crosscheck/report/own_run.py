@@ -70,6 +70,8 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
         yield f"  note    judged without {unsimulated_text(judgement.events)}"
     if judgement.until is not None:
         yield f"  note    {chaos_text(judgement.until)}, and no run with other steps can match"
+    if judgement.unjudged_from is not None:
+        yield f"  note    judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"
     if judgement.stopped_as_it_stands:
         yield f"  note    with what acts in the file, the run stops: {judgement.stopped_as_it_stands}"
     if causes := _causes(judgement):

@@ -50,10 +50,12 @@ class FileInput(NamedTuple):
     Attributes:
         start: control input at the start, in the unit of the file.
         gains: force on joint coordinates of the scene per unit of the control input, N or N m.
+        limits: smallest and largest control; the engine clips others.
     """
 
     start: float
     gains: Mapping[Key, float]
+    limits: tuple[float, float]
 
 
 @dataclass
@@ -64,8 +66,10 @@ class FileNames:
         coordinates: hinges and slides.
         frames: frames of bodies.
         inputs: actuators that can follow controls from a log.
+        activated: names of actuators with activation dynamics, which cannot.
     """
 
     coordinates: dict[str, FileCoordinate] = field(default_factory=dict)
     frames: dict[str, FileFrame] = field(default_factory=dict)
     inputs: dict[str, FileInput] = field(default_factory=dict)
+    activated: list[str] = field(default_factory=list)

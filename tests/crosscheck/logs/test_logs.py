@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 
 import crosscheck
+from crosscheck.compare.activity import watched
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
 from crosscheck.logs.judge import Log, judge_log
 from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.errors import Band
+from crosscheck.report.log import log_lines
 from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.source_file import SourceError
+from newton_euler.reading.file_run import Event
 
 FOUR_BAR = """<mujoco><option timestep="{step}" integrator="{integrator}"/>
   <default><equality solref="{softness} 1"/></default><worldbody>
@@ -32,6 +35,15 @@ FOUR_BAR = """<mujoco><option timestep="{step}" integrator="{integrator}"/>
 OSCILLATOR = """<mujoco><option timestep="{step}" gravity="0 0 0"/><worldbody>
   <body name="mass"><joint name="slide" type="slide" axis="1 0 0" stiffness="50"/>
     <inertial pos="0 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody></mujoco>"""
+
+CLAMPED = """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body name="rod" pos="0 0 1">
+  <joint name="h" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".02" contype="0"/></body>
+  </worldbody><actuator><motor name="u" joint="h" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+FALLING = """<mujoco><option timestep="0.001" integrator="RK4" gravity="0 0 {gravity}"/><worldbody>
+  <geom type="plane" size="1 1 .1"/><body name="ball" pos="0 0 .15">
+  <joint name="z" type="slide" axis="0 0 1"/><geom type="sphere" size=".05" mass="1"/></body>
+  </worldbody></mujoco>"""
 
 SMALL_STEP = 2e-4
 BODIES = ("crank", "coupler", "rocker")
@@ -337,3 +349,41 @@ def test_unknown_statements_name_the_choices():
         Log({}, quatrnion="xyzw")
     with pytest.raises(NewtonEulerError, match="wxyz"):
         Log({}, quaternion="zyxw")
+
+
+def log_of(tmp_path, text, run, columns):
+    """The judgement of a run of plain MuJoCo of which some columns are logged."""
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+
+    def watch(simulated, found):
+        acting = watched(simulated, report, found).acting
+        return [Event(each.since, each.element) for each in acting if each.since is not None]
+
+    return judge_log(scene, report.names, "log", dict(zip(columns, run, strict=True)), watch)
+
+
+def test_controls_beyond_their_range_are_clipped_as_by_the_engine(tmp_path):
+    _, (time, q, v, *_, control) = run_of(CLAMPED, 1000, 1, control=lambda t: 3.0 * np.sin(8.0 * t))
+    columns = ["time", "h", "h_vel", "u.ctrl"]
+    found = log_of(tmp_path, CLAMPED, [time, q[:, 0], v[:, 0], control[:, 0]], columns)
+    assert found.error.relative < 1e-6
+    assert found.held_inputs == ()
+
+
+def test_an_actuator_without_its_input_is_named(tmp_path):
+    _, (time, q, v, *_) = run_of(CLAMPED, 1000, 1, control=lambda t: np.sin(8.0 * t))
+    found = log_of(tmp_path, CLAMPED, [time, q[:, 0], v[:, 0]], ["time", "h", "h_vel"])
+    assert found.band is Band.WRONG
+    assert found.held_inputs == ("u",)
+    (note,) = (line for line in log_lines(found).lines if "no input in the log" in line)
+    assert note.endswith("u")
+
+
+def test_errors_are_parts_of_the_motion_that_is_compared(tmp_path):
+    """Of a ball until its contact, with 5 % too little gravity; the reference falls on through the floor."""
+    _, (time, q, v, *_) = run_of(FALLING.format(gravity=-0.95 * 9.81), 1000, 1)
+    found = log_of(tmp_path, FALLING.format(gravity=-9.81), [time, q[:, 0], v[:, 0]], ["time", "z", "z_vel"])
+    assert [event.time for event in found.events] == [pytest.approx(np.sqrt(0.2 / 9.81), abs=2e-3)]
+    assert found.error.relative == pytest.approx(0.05, rel=0.02)

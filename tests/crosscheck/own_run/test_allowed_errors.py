@@ -12,6 +12,7 @@ from command_line import check_refused, run, verdict_of
 import crosscheck
 from crosscheck.compare.outcome import ExitStatus, Outcome
 from crosscheck.own_run.allowed import AllowedError, ErrorKind
+from crosscheck.own_run.errors import Band
 from crosscheck.support.errors import CrosscheckError
 
 ENGINES = ["newton_euler", "mujoco"]
@@ -23,6 +24,13 @@ PENDULUM = """<mujoco model="swing"><option timestep="{step}" integrator="RK4"/>
 
 COARSE, FINE = 0.1, 0.002
 """Steps, s, at which the error is about 0.5 %, and below 0.001 %."""
+
+
+BOUNCE = """<mujoco model="bounce"><option timestep="0.001" integrator="RK4"/><worldbody>
+  <geom type="plane" size="1 1 .1" solref="-1e15 -1e3"/><body name="ball" pos="0 0 .0999">
+  <joint name="z" type="slide" axis="0 0 1"/><geom type="sphere" size=".1" solref="-1e15 -1e3" mass="1"/>
+  </body></worldbody></mujoco>"""
+"""A ball on a floor that is far too stiff for the time step: MuJoCo resets the run."""
 
 
 @pytest.fixture
@@ -168,3 +176,26 @@ def test_models_in_memory(swing):
     found.assert_accurate(0.5)
     with pytest.raises(AssertionError, match="INACCURATE"):
         found.assert_accurate()
+
+
+def test_a_run_that_diverges_by_what_the_reference_lacks_exceeds_every_error(tmp_path):
+    path = tmp_path / "bounce.xml"
+    path.write_text(BOUNCE)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 100)
+    assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number  # by MuJoCo alone
+    verdict = crosscheck.check(str(path), ENGINES, excitation="off", duration=0.2)
+    assert verdict.own_run.stopped_as_it_stands
+    assert verdict.own_run.band is Band.WRONG
+    with pytest.raises(AssertionError):
+        verdict.assert_accurate(0.5, allow_reduced=True)
+
+
+def test_the_end_of_a_long_run_that_is_not_judged_is_an_unfinished_judgement(swing, monkeypatch):
+    monkeypatch.setattr("crosscheck.own_run.comparison.MAX_STEPS", 200)
+    path = swing(FINE)
+    verdict = crosscheck.check(str(path), ENGINES, excitation="off", duration=1.0)
+    assert verdict.own_run.unjudged_from == pytest.approx(200 * FINE)
+    with pytest.raises(AssertionError, match=r"not judged from 0\.4 s on"):
+        verdict.assert_accurate(1e-3)
