@@ -8,7 +8,7 @@ has these elements switched off.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from crosscheck.own_run.errors import MotionScale, RunError, run_error
 from crosscheck.own_run.horizon import comparable_until
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import FileRun, FileSimulation
+from newton_euler.reading.file_run import Event, FileRun, FileSimulation
 from newton_euler.runs.simulate import simulate
 
 MAX_STEPS = 200_000
@@ -44,6 +44,14 @@ class MeasuredSettings:
     def text(self) -> str:
         """The changes as attributes, such as 'timestep="0.001" integrator="RK4"'."""
         return " ".join(f'{name}="{value}"' for name, value in self.changes.items())
+
+
+def merged(events: Sequence[Event], acting: Sequence[Event]) -> tuple[Event, ...]:
+    """Return the first event of each element in two sequences, in the order of time."""
+    first: dict[str, Event] = {}
+    for event in sorted([*events, *acting], key=lambda event: event.time):
+        first.setdefault(event.element, event)
+    return tuple(first.values())
 
 
 @dataclass(frozen=True, eq=False)

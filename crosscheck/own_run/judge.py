@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.own_run.comparison import Comparison
+from crosscheck.own_run.comparison import Comparison, merged
 from crosscheck.own_run.errors import Band, LoopError, MotionScale, RunError, errors_over_time
 from crosscheck.own_run.remedies import MeasuredRemedy, find_remedies
 from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
@@ -141,10 +141,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     # the run as it stands; if something acts that the reference does not have, the run without such elements
     run = compared.run(simulation.settings, reduced=False)
     as_it_stands = run.stopped
-    first: dict[str, Event] = {}
-    for event in sorted([*run.events, *acting], key=lambda event: event.time):
-        first.setdefault(event.element, event)
-    events = tuple(first.values())
+    events = merged(run.events, acting)
     if events:
         run = compared.run_once(simulation.settings)  # reduced, and kept for later calls
     error = compared.error(run)

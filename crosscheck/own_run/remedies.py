@@ -80,7 +80,7 @@ def find_remedies(compared: Comparison, run: FileRun, error: RunError) -> list[M
     for trial in trials[:KINDS_REFINED]:
         remedies.extend(_refined(compared, run, trial))
     own_error = 1.0 if run.stopped else error.relative
-    better = [each for each in remedies if each.error.relative < MIN_GAIN * own_error]
+    better = [each for each in remedies if each.changes and each.error.relative < MIN_GAIN * own_error]
     return list(_chosen(better, bool(run.stopped)))
 
 

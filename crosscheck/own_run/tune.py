@@ -8,11 +8,11 @@ of settings is their number of evaluations of the equations of motion, so that r
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from crosscheck.own_run.comparison import Comparison, MeasuredSettings
+from crosscheck.own_run.comparison import Comparison, MeasuredSettings, merged
 from newton_euler.reading.file_run import Event, FileSimulation
 
 MAX_ORDER = 6.0
@@ -110,7 +110,10 @@ class _Candidate:
 
 
 def tune(
-    simulation: FileSimulation[Any], target: float, progress: Callable[[str], None] = lambda _: None
+    simulation: FileSimulation[Any],
+    target: float,
+    acting: Sequence[Event] = (),
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Tuning:
     """Find the cheapest settings whose run has at most a given error.
 
@@ -122,6 +125,7 @@ def tune(
     Args:
         simulation: the file in its own engine.
         target: relative error to reach.
+        acting: elements of the file that act in the reference's motion and are not simulated there.
         progress: shows a message to the user before each run.
 
     Raises:
@@ -130,7 +134,7 @@ def tune(
     progress("simulating the reference")
     compared = Comparison.of(simulation)
     # without what the reference does not have, if any of that acts
-    events = compared.run(simulation.settings, reduced=False).events
+    events = merged(compared.run(simulation.settings, reduced=False).events, acting)
     reduced = bool(events)
     runs = 0
 
