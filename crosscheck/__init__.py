@@ -1,8 +1,8 @@
 """crosscheck: simulate a closed-loop mechanism in several dynamics engines, and compare the results.
 
-The public names are `check` and its `Verdict` with its `Outcome`, `Log` (a run of another simulator), `sweep`
-and its `Sweep` (Monte Carlo and design-of-experiments studies), and the base class of errors,
-`CrosscheckError`.
+The public names are `check` with its `Verdict` and `Outcome`, and `Log`, a run of another simulator. `sweep`
+with its `Sweep` makes Monte Carlo and design-of-experiments studies. `CrosscheckError` is the base class of
+errors.
 """
 
 from typing import TYPE_CHECKING, Any

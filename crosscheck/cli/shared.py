@@ -1,8 +1,8 @@
 """Shared parts of all commands: options, loading, result files, progress, output and exit statuses.
 
-Most commands follow the same steps: parse options, load a scene (`load_with_warnings`), check that the result
-files can be written (`result_paths`), compute while a message shows the stage (`progress_shown`), write the
-files, and print a report (`show`).
+Most commands follow the same steps: parse options, load a scene (`load_with_warnings`), and check that the
+result files can be written (`result_paths`). Then they compute while a message shows the stage
+(`progress_shown`), write the files, and print a report (`show`).
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def _violations(samples: Samples) -> Array:
     system, mechanism = samples.system, samples.states.scene.mechanism
     size = mechanism.size
     violations = np.zeros(len(mechanism.joints))
-    # At each state: the engine's own coordinates and velocities, the body states (`State`) that follow by its
+    # the engine's own coordinates and velocities at each state, the body states (`State`) that follow by its
     # kinematics, and a basis of the body velocities that its constraints allow
     for (q, v), motion, basis in zip(samples.coordinates, samples.motions, samples.bases, strict=True):
         # Poses; some loops cannot be closed

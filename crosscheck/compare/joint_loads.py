@@ -91,8 +91,8 @@ class JointLoads:
         mechanism = self._system.mechanism
         number = mechanism.joint_index(displaced.joint.name)
         point = mechanism.joints[number].point_on_second
-        # From the center of mass of the second body to its joint point, body frame; `point` and `pose` are in
-        # the world at the initial pose
+        # vector from the center of mass of the second body to its joint point, body frame; `point` and `pose`
+        # are in the world at the initial pose
         arm = mechanism.bodies[displaced.second].pose.point_to_body(point)
         unsupported = []
         for frames, evaluation in zip(self._frames, self._evaluations, strict=True):

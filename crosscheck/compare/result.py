@@ -5,8 +5,8 @@ Checks are grouped in levels: the import of the model file, the equations of mot
 whole runs. `crosscheck.compare.crosscheck` makes results. `crosscheck.compare.wording` has the verdict in
 words, and `crosscheck.report` makes tables and pages of results.
 
-The "own run" is the run of a model file in the file's engine (such as MuJoCo for an MJCF) with the time step
-and the solver settings of the file. The own run is judged separately, by its error.
+The "own run" is the run of a model file in the file's engine, such as MuJoCo for an MJCF. It has the time
+step and the solver settings of the file, and is judged separately, by its error.
 """
 
 from __future__ import annotations

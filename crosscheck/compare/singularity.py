@@ -31,8 +31,8 @@ from newton_euler.scalars import Array
 
 SINGULAR_RATIO = 1e-3
 """Largest margin of a configuration that is reported as singular, divided by the largest margin along the
-run. Example: a four-bar with bars of 0.5 and 1 m has a ratio of 3.5e-4 if it misses a singular configuration
-by 1e-7 m, and of 1.1e-3 if it misses it by 1e-6 m."""
+run. Example: a four-bar with bars of 0.5 and 1 m that misses a singular configuration by 1e-7 m has a ratio
+of 3.5e-4. If it misses the configuration by 1e-6 m, the ratio is 1.1e-3."""
 
 EVALUATION_BUDGET = 600
 """Number of outputs at which the constraints of a run are evaluated, times the number of joint velocities."""

@@ -128,8 +128,9 @@ class FoundColumn(NamedTuple):
 
 
 class Elements:
-    """Elements of a scene that columns of a log can belong to, by their names in the scene and, if the scene
-    was read from a model file, by their names in the file.
+    """Elements of a scene that columns of a log can belong to, by name.
+
+    Names are those of the scene, and those of the model file if the scene was read from one.
 
     Attributes:
         coordinates: joint coordinate of the scene by name, and its value in the file at the scene's zero.

@@ -210,8 +210,8 @@ def _settings(result: ComparisonResult) -> Iterator[tuple[str, str]]:
 def verdict_limits(result: ComparisonResult) -> Iterator[str]:
     """Yield sentences that limit the verdict.
 
-    They report analyses that did not complete, likely mistakes in the file, a start that differs from the
-    file's, and elements that would have acted in the run but are not simulated.
+    They report analyses that did not complete, likely mistakes in the file, and a start that differs from the
+    file's. They also name elements that would have acted in the run but are not simulated.
     """
     engines = result if isinstance(result, EngineComparison) else None
     yield from result.notes

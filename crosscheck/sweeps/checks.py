@@ -278,11 +278,10 @@ def _check_kept(
     one for each reason why numbers are not judged.
 
     The tolerance is the expected relative error of the engine plus that of newton_euler, times
-    `KeptNumber.scale`. If the difference is larger, both runs are repeated at finer tolerances, and
-    `ERROR_PER_CHANGE` (a bound on error over change) times the changes of both runs is added to the
-    tolerance. A number is not judged in these cases: the tolerance exceeds the fraction `MAX_RELATIVE_ERROR`
-    of the scale; the difference does not decrease in finer runs; the number is a reaction of soft or
-    redundant constraints.
+    `KeptNumber.scale`. If the difference is larger, both runs are repeated at finer tolerances. The changes
+    of both runs, times `ERROR_PER_CHANGE` (a bound on error over change), are added to the tolerance. A
+    number is not judged in these cases: the tolerance exceeds the fraction `MAX_RELATIVE_ERROR` of the scale;
+    the difference does not decrease in finer runs; the number is a reaction of soft or redundant constraints.
 
     Args:
         swept: the sweep.

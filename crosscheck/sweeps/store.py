@@ -55,8 +55,8 @@ SWEEP_EXTRA = "sweep"
 """Name of the optional dependencies (`pip install crosscheck-dynamics[sweep]`) that sweeps need."""
 
 STORE_ID = "tasks"
-"""Attribute with a random identifier of a store. A worker process that outlives the process that sent its
-tasks thereby does not write into a later store at the same path, or into a store to which runs were added."""
+"""Attribute with a random identifier of a store. By it, a worker process whose parent has ended does not
+write into a later store at the same path, or into a store to which runs were added."""
 
 NOT_COMPARED = ("chunk", "versions", "numbers", STORE_ID)
 """Attributes of a store that may differ from those of the plan; `numbers` are the numbers of the scene.

@@ -67,9 +67,9 @@ ATOL_PER_RTOL = 0.01
 def _control(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the complete integrator settings, with default values of settings that are not given.
 
-    Settings are the integrator, its fixed step, s, or its tolerances `rtol` and `atol`, the largest number of
-    steps, and `rest`, the rates below which a mechanism counts as at rest. Those that are None or 0 are left
-    out.
+    Settings are the integrator, its fixed step, s, or its tolerances `rtol` and `atol`, and the largest
+    number of steps. `rest` are the rates below which a mechanism counts as at rest. Those that are None or 0
+    are left out.
     """
     method = given.get("integrator", Options.integrator)
     steps = cast(StepControl, {name: value for name, value in given.items() if name != "integrator"})

@@ -65,8 +65,8 @@ def distances_from_limits(
         moments: moment arm of the actuator at each of MuJoCo's joints, by number.
 
     Yields:
-        For each limit, the limited force per unit force of the actuator (1, or the moment arm at a joint) and
-        the signed distances (2,) from the force at the start to the lower and to the upper limit.
+        For each limit, the limited force per unit force of the actuator: 1, or the moment arm at a joint.
+        Then the signed distances (2,) from the force at the start to the lower and to the upper limit.
     """
     if model.actuator_forcelimited[actuator]:
         force = float(data.actuator_force[model.actuator_outadr[actuator]])

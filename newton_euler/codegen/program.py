@@ -43,6 +43,7 @@ def native_program(
         program = graph.prune(scalars)
         return Traced(program, many=many and program.operation_count < MIN_ROLLED_SIZE, layout=layout)
 
-    # None if an object is of a class outside newton_euler: the traced code then identifies the function
+    # the fingerprint is None for an object of a class outside newton_euler: then the code identifies the
+    # function
     known = fingerprint(*depends_on, neutral=neutral)
     return NativeFunction(traced, identity=f"{known} {name}" if known else None)

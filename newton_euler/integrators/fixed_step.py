@@ -5,8 +5,9 @@ outputs is divided into equal steps of at most the requested size. After each st
 the constraints, unless the run does without projection.
 
 A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
-time and parameters* is one vector with the state, the time, flags of constraint rows (1 for a redundant row
-that is left out, 0 for a row in use), and parameters of the scene (`newton_euler.integrators.stepper`).
+time and parameters* is one vector with the state, the time, flags of constraint rows, and parameters of the
+scene (`newton_euler.integrators.stepper`). A flag is 1 for a redundant row that is left out, 0 for a row in
+use.
 
 Each evaluation of the rates also gives the *pivot ratio*: the distance to a singular configuration, where
 constraints become dependent; 1 far away, 0 in it.

@@ -102,7 +102,7 @@ class Options:
         most_steps: largest number of steps of a run. None for the defaults: `DEFAULT_MAX_STEPS` for adaptive
             integrators (fewer if Python evaluates the equations) and `MAX_FIXED_STEPS` for fixed steps.
         rest: threshold of the rates of all coordinates and velocities, SI. If all are below, the mechanism
-            counts as at rest and is not integrated until the next controller sample, or the next jump in a
+            counts as at rest. It is not integrated until the next controller sample, or the next jump in a
             derivative of a function of time. The default 0 turns this off. If a motion decays with time
             constant T, bodies stop about `rest` T before their final positions. Unstable equilibria count as
             rest, too. Only DOP853 in native code uses this option.

@@ -5,9 +5,10 @@ The run is made first and records its steps. Then `integrate_tangents` repeats t
 same sizes, for the states and several tangents together (internal numerical differentiation: H. G. Bock,
 Randwertproblemmethoden zur Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen, Bonner
 Mathematische Schriften 183, 1987). Each tangent is in one *lane* (element) of the processor's vector
-registers. Arrays `x` and `at` have the state, time, flags of constraint rows (1 for a row that is left out as
-redundant) and parameters, then from index `inputs` on a tangent of the same layout. A row of `k` has the
-rates of the n state numbers, those of the tangent, and the pivot ratio. Each number is stored for all lanes.
+registers. Arrays `x` and `at` have the state, time, flags of constraint rows and parameters. A flag is 1 for
+a row that is left out as redundant. From index `inputs` on follows a tangent of the same layout. A row of `k`
+has the rates of the n state numbers, those of the tangent, and the pivot ratio. Each number is stored for all
+lanes.
 
 Every few steps the tangents S are projected onto the linearized constraints, Phi_q S + Phi_p = 0
 and its time derivative. Phi_q and Phi_p are the derivatives of the constraint residuals with respect to

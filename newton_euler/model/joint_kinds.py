@@ -9,8 +9,8 @@ all classes by the names that scene files use.
 
 The numbers of a joint may vary from run to run. `varied` copies a joint with other numbers, without checks;
 `rebuilt` constructs it again, with the checks of the constructor. `number_fields` declares unit and allowed
-values of each number (`newton_euler.model.fields`). There, `shape=None` leaves the check to the constructor,
-`moves_loops` means that a change moves the poses in which loops are closed, and `opens_joints` means that a
+values of each number (`newton_euler.model.fields`). There, `shape=None` leaves the check to the constructor.
+`moves_loops` means that a change moves the poses in which loops are closed. `opens_joints` means that a
 change violates the joint's constraints at the initial pose.
 """
 

@@ -32,8 +32,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         path: final path of the file.
 
     Raises:
-        OSError: for a path that cannot be written, for text that cannot be a path, such as text with a null
-            character, and for a device or a pipe, which the move would replace by a regular file.
+        OSError: for a path that cannot be written, and for text that cannot be a path, such as text with a
+            null character. Also for a device or a pipe, which the move would replace by a regular file.
     """
     if not is_path(text := os.fspath(path)):
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), text)

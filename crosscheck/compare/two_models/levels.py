@@ -255,8 +255,8 @@ def joint_differences(states: SharedStates) -> Array:
     of the second model in states of the first one. Row 2 has relative differences of the wrenches that two
     joints of the same kind can exert.
 
-    Two joints with the same constraints and wrenches in all states are equal, even if their points and axes
-    are given differently (a hinge point may lie anywhere on its axis).
+    Two joints with the same constraints and wrenches in all states are equal. Their points and axes may be
+    given differently, as a hinge point may lie anywhere on its axis.
     """
     aligned, size = states.aligned, states.scene.mechanism.size
     own, mechanism = (scene.mechanism for scene in aligned.both)

@@ -4,9 +4,10 @@ Examples are contacts, joint limits, ranges of actuators, and dry friction. In: 
 reports, and their alignment. Out: one sentence for each element that only one file has, or that has different
 numbers in the two files.
 
-In an import report, the fate of an element is "exactly" (imported without change), "left out" (not simulated)
-or "inactive" (not simulated, and a run shows that it would not have acted). An entry `moves_nothing` if its
-element cannot move anything, such as a camera or an element that the file itself switches off (`is_off`).
+In an import report, the fate of an element is "exactly" (imported without change) or "left out" (not
+simulated). It is "inactive" if a run shows that a left-out element would not have acted. An entry
+`moves_nothing` if its element cannot move anything, such as a camera or an element that the file itself
+switches off (`is_off`).
 """
 
 from __future__ import annotations

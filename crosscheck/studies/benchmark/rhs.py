@@ -5,8 +5,8 @@ fastest interface. newton_euler is called in a native loop. MuJoCo is called by 
 by `mj_step` with a loop in C, which also integrates. Pinocchio has an interface to Python only, so that its
 time includes a call from Python. All interfaces are timed alternately.
 
-The loading time is the time that a fresh process needs to import MuJoCo, Pinocchio or the compiler LLVM, make
-the right-hand side without a compilation cache, and call it once. The import of newton_euler itself is not
+The loading time is that of a fresh process: it imports MuJoCo, Pinocchio or the compiler LLVM, makes the
+right-hand side without a compilation cache, and calls it once. The import of newton_euler itself is not
 included, because scenes need it. Loading Pinocchio includes the choice of a regularization for redundant
 constraints, by dimensionless copies of the model.
 """

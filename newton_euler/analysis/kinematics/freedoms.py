@@ -38,8 +38,8 @@ class Freedom(NamedTuple):
         name: name of the joint or key of the joint coordinate; `JOINT.ball.x`, `JOINT.ball.y` or
             `JOINT.ball.z` for a rotation of a ball joint about an axis of its child's tree frame. The free
             joint of a body that only rods connect with others has the names `BODY_floats.0`, `BODY_floats.1`
-            and `BODY_floats.2` for translations along the world axes x, y and z, and `BODY_floats.ball.x`,
-            ... for rotations.
+            and `BODY_floats.2`. These are translations along the world axes x, y and z. Rotations are
+            `BODY_floats.ball.x`, `.y` and `.z`.
         key: key of the joint coordinate; None for the other coordinates.
         v_index: index in v of the rate of a coordinate without a key; -1 for a joint coordinate.
         ball_start: index in v of the first component of a ball joint's angular velocity; -1 for other
