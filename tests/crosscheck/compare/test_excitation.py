@@ -15,6 +15,7 @@ import newton_euler
 import urdf
 from crosscheck.cli import main
 from crosscheck.compare.coverage import covered_by
+from crosscheck.library import load
 from crosscheck.studies.benchmark.run import BenchmarkRequest
 from mjcf.reader import Reading
 from newton_euler.equations.relative import Relative
@@ -28,6 +29,7 @@ from newton_euler.reading.excitation import (
     MAX_START_SPEED,
     MAX_START_SPIN,
     SWING_LENGTH,
+    _rooms,
     swings,
     with_start_velocities,
 )
@@ -395,3 +397,20 @@ def test_models_of_which_one_is_excited_are_different(
         main(["run", str(path), "--against", str(path), "--set", "excitation=on", "--output", str(tmp_path)])
     assert end.value.code == 1
     assert "DIFFERENT: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("bound", "down", "up"),
+    [
+        ({"low": -0.1, "high": 0.5}, 0.1, 0.5),
+        ({"low": 0.2, "high": 0.5}, 0.0, 0.5),  # outside of its range at the start: it may move inwards
+        ({"low": -0.1, "high": 0.5, "by_value": -2.0}, 0.25, 0.05),
+        ({"low": -0.1, "high": 0.5, "constant": 0.2}, 0.3, 0.3),
+    ],
+)
+def test_room_of_a_coordinate_to_its_limits(bound, down, up):
+    scene = load("pendulum")
+    (joint,) = scene.mechanism.joint_names
+    limits = Bounds(terms=(((joint, 0), 1.0),), unit="rad", **bound)
+    (room,) = _rooms(Relative(scene), [limits])
+    assert (room.down, room.up) == (pytest.approx(down), pytest.approx(up))
