@@ -262,9 +262,8 @@ def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int
             look = f"{without_meshes}\n{look}"
         options = non_default_options(result.options)
         settings = [word for key, value in options.items() for word in ("--set", f"{key}={value}")]
-        if result.own_run and result.own_run.remedies:
-            more.append(next_step("tune", result.source, *settings))
-        more.append(next_step("bench", result.source, *settings))
+        next_command = "tune" if result.own_run and result.own_run.remedies else "bench"
+        more.append(next_step(next_command, result.source, *settings))
     show(found, look, f"more  {'; '.join(more)}")
     return result.outcome.exit_status(allow_reduced)
 

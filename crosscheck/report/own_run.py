@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from crosscheck.own_run.allowed import AllowedError, in_unit, length
-from crosscheck.own_run.errors import MAX_ANGLE_SCALE, Band, RunError
+from crosscheck.own_run.errors import MAX_ANGLE_SCALE, Band, MotionScale, RunError
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
 from crosscheck.own_run.judge import Judgement
 from crosscheck.own_run.remedies import MeasuredRemedy
@@ -56,8 +56,11 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     # a file without settings of a run, such as a URDF, is judged with usual settings, which are assumed
     yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
-    yield f"  run     {judgement.settings} ({judgement.engine})"
-    yield f"  motion  {'; '.join(_motion(judgement, excitation))}"
+    yield f"  run     {judgement.settings} ({judgement.engine}); {_extent(judgement.scale)}"
+    if excitation:
+        yield f"  motion  {excitation}; {OWN_MOTION}"
+    else:
+        yield "  motion  the start and the constant controls of the file"
     if judgement.stopped:
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
@@ -88,14 +91,10 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
         yield f"  {'fix' if k == 0 else '':<7} {fix}"
 
 
-def _motion(judgement: Judgement, excitation: str) -> Iterator[str]:
-    """Yield what starts and drives the judged motion, and its extent; see `own_run_lines` for arguments."""
-    scale = judgement.scale
-    capped = "more than " if scale.angle >= MAX_ANGLE_SCALE else ""
-    yield excitation or "the start and the constant controls of the file"
-    yield f"bodies move by up to {length(scale.length)} and {capped}{angle(scale.angle)}"
-    if excitation:
-        yield OWN_MOTION
+def _extent(scale: MotionScale) -> str:
+    """Format how far bodies move in the reference."""
+    capped = ">" if scale.angle >= MAX_ANGLE_SCALE else ""
+    return f"bodies move {length(scale.length)}, {capped}{angle(scale.angle)}"
 
 
 def unsimulated_text(events: Sequence[Event]) -> str:

@@ -357,7 +357,7 @@ def test_runs_excite_by_default(
 def test_the_list_names_the_commands_that_excite(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["list"])
-    assert "on in run, regress, sweep, bench" in " ".join(capsys.readouterr().out.split())
+    assert "on in run, tune, regress, sweep, bench and tests" in " ".join(capsys.readouterr().out.split())
 
 
 def test_bench_excites_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
