@@ -48,13 +48,12 @@ def tune_command(file: str, settings: tuple[str, ...], error: float, output: Pat
     The error is that of `crosscheck run`: the largest error of a position or an orientation, as a part of
     the motion. The exit status is 5 if no settings reach the error.
     """
-    from crosscheck.compare.activity import watched_in_new_run, what_acted
+    from crosscheck.compare.activity import acting_events, watched_in_new_run
     from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.own_run.tune import tune
     from crosscheck.report.tuning import report
     from crosscheck.support.files import write_files
     from crosscheck.support.time_limits import limited
-    from newton_euler.reading.file_run import Event
 
     # by default, the model starts in motion, with driven actuators: at rest, all settings are accurate
     options = with_excitation(file, scene_options(settings))
@@ -68,9 +67,8 @@ def tune_command(file: str, settings: tuple[str, ...], error: float, output: Pat
     advice = "a larger --error or a shorter --set duration may end"
     with progress_shown() as progress, limited("tuning", advice, progress):
         # elements that the reference does not simulate although they act, such as dry friction
-        acting = watched_in_new_run(scene, import_report).acting
-        events = [Event(each.since or 0.0, what_acted(each)) for each in acting]
-        tuning = tune(import_report.simulation, error, events, progress)
+        acting = acting_events(watched_in_new_run(scene, import_report))
+        tuning = tune(import_report.simulation, error, acting, progress)
     found = report(scene.name, tuning)
     write_files({path: as_json({"source": file, "options": options, **tuning.summary()}, found)})
     show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")

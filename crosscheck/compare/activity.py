@@ -18,6 +18,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.reading.activity import SampledMotion
+from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import CONTACTS, ImportedElement, ImportReport
 from newton_euler.runs.simulate import simulate
 
@@ -95,6 +96,11 @@ def reduced_model_text(acting: Sequence[ImportedElement]) -> str:
     if not (until := acting[0].since):  # 0: the first element acts from the start
         return f"{named}. The whole run is of the file without these"
     return f"{named}. The run is of the file until {until:.4g} s, then of the file without these"
+
+
+def acting_events(report: ImportReport) -> list[Event]:
+    """Return the first action of each element that acts and is not simulated, in the order of time."""
+    return [Event(each.since, what_acted(each)) for each in report.acting if each.since is not None]
 
 
 def what_acted(entry: ImportedElement) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from crosscheck.compare.activity import watched, what_acted
+from crosscheck.compare.activity import acting_events, watched
 from crosscheck.compare.advice import Advice, redundancy_advice
 from crosscheck.compare.check import Check, require_finite
 from crosscheck.compare.coverage import Coverage, coverage
@@ -32,7 +32,6 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import ImportReport
 
 RANDOM_VELOCITIES = 200
@@ -132,9 +131,8 @@ def crosscheck(
     # Judge the run that the file's own engine makes with the settings of the file
     own_run: Judgement | None = None
     if mapping and mapping.simulation and runs:
-        acting = [Event(each.since, what_acted(each)) for each in mapping.acting if each.since is not None]
         with collecting_errors(JUDGING, note_stops), limited(JUDGING, SHORTER_RUN_ADVICE, progress):
-            own_run = judge(mapping.simulation, acting)
+            own_run = judge(mapping.simulation, acting_events(mapping))
     # Compare equations and runs; runs are not comparable if the scene does not determine its motion. `until`
     # is the time at which the first element that is not simulated would act. A stage yields checks, and takes
     # those of earlier stages

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from crosscheck.compare.activity import watched, what_acted
+from crosscheck.compare.activity import acting_events, watched
 from crosscheck.loading.load import is_scene, load_scene
 from crosscheck.logs.judge import LogJudgement, judge_log
 from newton_euler.model.scene import Scene
@@ -57,9 +57,7 @@ def judge_logs(
         """
         if report is None:
             return ()
-        elements = watched(simulated, report, run).acting
-        # `since`: first time of action, s; None only for elements that do not act
-        return [Event(each.since, what_acted(each)) for each in elements if each.since is not None]
+        return acting_events(watched(simulated, report, run))
 
     judgements = {}
     file_names = report.names if report else None  # names of joints and bodies in the file

@@ -8,6 +8,8 @@ the result, a `ComparisonResult`. Out: a `Report` for the terminal and for pages
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
+from operator import ne
 
 import numpy as np
 
@@ -292,8 +294,7 @@ def notes(result: ComparisonResult) -> Iterator[str]:
     for title, _, _, mapping in result.files:
         yield f"{title}: {fates_line(mapping)}"  # numbers of elements imported exactly, left out ...
         # lines about the initial state, the one about the excitation first
-        excitation = [line for line in mapping.start if line == mapping.excitation]
-        yield from [*excitation, *(line for line in mapping.start if line not in excitation)]
+        yield from sorted(mapping.start, key=partial(ne, mapping.excitation))
     yield from undetermined_lines(scene)
 
     # stiffness: why an engine chose an implicit integrator

@@ -416,8 +416,8 @@ def _with_frames_of_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
     """Rotate the body frames of the second scene, so that both scenes start with the same orientations.
 
     Returns:
-        The second scene with the rotated frames, and positions (b, 3) of its centers of mass relative to
-        those of the first scene at the start, in the body frames of the first, m.
+        The second scene with the rotated frames, and positions (b, 3), m, of its centers of mass. These are
+        relative to those of the first scene at the start, in the body frames of the first.
     """
     mechanism, start, here = second.mechanism, initial_state(second), initial_state(first)
     own, others = ([rotation(p) for p in state.quaternion] for state in (start, here))

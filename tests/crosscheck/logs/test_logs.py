@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import crosscheck
-from crosscheck.compare.activity import watched
+from crosscheck.compare.activity import acting_events, watched
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
 from crosscheck.logs.judge import Log, judge_log
@@ -19,7 +19,6 @@ from crosscheck.report.log import log_lines
 from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.source_file import SourceError
-from newton_euler.reading.file_run import Event
 
 FOUR_BAR = """<mujoco><option timestep="{step}" integrator="{integrator}"/>
   <default><equality solref="{softness} 1"/></default><worldbody>
@@ -358,8 +357,7 @@ def log_of(tmp_path, text, run, columns):
     scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
 
     def watch(simulated, found):
-        acting = watched(simulated, report, found).acting
-        return [Event(each.since, each.element) for each in acting if each.since is not None]
+        return acting_events(watched(simulated, report, found))
 
     return judge_log(scene, report.names, "log", dict(zip(columns, run, strict=True)), watch)
 
