@@ -102,8 +102,7 @@ class LogJudgement(Judgement):
         has_inputs: True if the reference has inputs of the log.
         held_inputs: actuators whose controls the reference holds at their start, see
             `crosscheck.logs.inputs.held_inputs`.
-        start_error: error that another estimate of the start velocities causes; None if the log has
-            velocities.
+        start_error: error that another fit of the start velocities causes; None if they are not fitted.
         unused: columns that belong to no quantity.
         dropped: number of rows without some of the numbers.
         mistakes: other readings with a much smaller error.
@@ -137,6 +136,7 @@ class LogJudgement(Judgement):
                 "turned": start.turned,
                 "moved_at": start.moved_at,
                 "differences": list(start.differences),
+                "is_fitted": start.is_fitted,
             }
         result["start_error"] = asdict(self.start_error) if self.start_error else None
         result["mistakes"] = [asdict(mistake) | {"text": mistake_line(mistake)} for mistake in self.mistakes]

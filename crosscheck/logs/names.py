@@ -87,6 +87,10 @@ COMPONENTS_OF = {
 }
 """Quantities of bodies, with the names of their components."""
 
+JOINT_LETTERS = {"x": "position", "w": "velocity"}
+"""Last letters of Drake's names for coordinates of slides and rates of hinges, with words that mean the same.
+Its other letters, `q` and `v`, are such words."""
+
 COMPONENT = re.compile(r"(q|p|pos|t|v|w)?([wxyz]|[0-3])")
 """Last word of a column of a vector or quaternion: a component, with a letter for the quantity in front."""
 
@@ -158,6 +162,11 @@ class Elements:
             self.coordinates |= {name: (found.key, found.start) for name, found in known.items()}
             self.inputs = tuple(names.inputs)
 
+    def joint_letter(self, name: str) -> str:
+        """Return the key of `JOINT_LETTERS` for a coordinate; "" for a slide with the name of a body."""
+        slides = self.mechanism.is_slide(*self.coordinates[name][0])
+        return "w" if not slides else "x" if name not in self.frames else ""
+
     @property
     def _keys(self) -> set[Key]:
         return set(self.mechanism.coordinate_labels)
@@ -185,6 +194,8 @@ def identified(name: str, elements: Elements) -> FoundColumn | None:
         for element in known:
             own = normalized(element)
             before, match, after = text.rpartition(f"_{own}_")
+            if known is elements.coordinates and after == f"{elements.joint_letter(element)}_":
+                after = JOINT_LETTERS[after[0]]
             rest = [part for part in f"{before}_{after}".split("_") if part]
             if not own or not match or UNUSED_WORDS & set(rest):
                 continue
@@ -276,7 +287,7 @@ def _body_target(element: str, rest: list[str]) -> tuple[Target, int] | None:
         kind, of_kind = "angular_velocity", ANGULAR_WORDS | LINEAR_WORDS
     elif words & LINEAR_WORDS or prefix == "v":
         kind, of_kind = "linear_velocity", LINEAR_WORDS
-    elif words & QUATERNION_WORDS or prefix == "q" or letter == "w":
+    elif words & QUATERNION_WORDS or prefix == "q":
         kind, of_kind = "quaternion", QUATERNION_WORDS | POSITION_WORDS
     else:
         kind, of_kind = "position", POSITION_WORDS

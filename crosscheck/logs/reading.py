@@ -19,7 +19,7 @@ from crosscheck.logs.names import Elements, Origin
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import Poses, body_poses, logged_quantities, loop_errors
 from crosscheck.logs.rates import RATE_ROWS, energy, logged_rates, velocities
-from crosscheck.logs.start import LogStart, log_start
+from crosscheck.logs.start import LogStart, log_start, with_own_velocities
 from crosscheck.logs.table import MIN_ROWS, LogTable
 from crosscheck.own_run.errors import MotionScale, RunError, run_error
 from crosscheck.own_run.interpolation import interpolated, of_bodies, without_energies
@@ -32,6 +32,10 @@ from newton_euler.scalars import Array
 
 MAX_ROWS = 4000
 """Largest number of compared rows; of a longer log every second, third, ... row is compared."""
+
+MIN_FIT_GAIN = 1.1
+"""Factor by which fitted velocities of the start must reduce the error of a log, beside the scene's own ones.
+Errors of the log itself change the fit a little."""
 
 MIN_PERIODS = 500
 """Smallest number of outputs of the reference if the rows of a log are not equally spaced. The reference is
@@ -113,6 +117,22 @@ class LogReading:
         scene = started_at(self.scene, float(data.time[0]) - options.offset)
         scene = with_inputs(scene, data, self.names)
         start = log_start(scene, self.elements, data, points)
+        found = self._beside_reference(scene, data, points, start)
+        if start.is_fitted:
+            # velocities that no column has may be those of the scene's own start; most runs start at rest
+            own = self._beside_reference(scene, data, points, with_own_velocities(scene, start))
+            found = own if own.error.relative <= MIN_FIT_GAIN * found.error.relative else found
+        return found
+
+    def _beside_reference(self, scene: Scene, data: LogData, points: Origin, start: LogStart) -> ComparedLog:
+        """Simulate a scene from the start of a log, and compare.
+
+        Args:
+            scene: scene that begins at the first row of the log, with the inputs of the log.
+            data: the log.
+            points: point of a body that positions are of.
+            start: start of the reference.
+        """
         # rows to compare, and outputs of the reference at these or at closer times
         stride = -(-len(data.time) // MAX_ROWS)
         rows = data.at(np.arange(0, len(data.time), stride))
@@ -191,13 +211,11 @@ class LogReading:
         return of_bodies(run, names), poses, energies is not None
 
     def start_error(self, compared: ComparedLog) -> RunError | None:
-        """Measure the error that another estimate of the start velocities causes; None if they are logged.
+        """Measure the error that another fit of the start velocities causes; None if they are not fitted.
 
-        Velocities that are not logged are estimated from the first `RATE_ROWS` rows; the other estimate uses
-        one row less.
+        Velocities are fitted to the first `RATE_ROWS` rows; the other fit uses one row less.
         """
-        # `differences`: columns whose rates are estimated
-        if not compared.start.differences:
+        if not compared.start.is_fitted:
             return None
         try:
             data = compared.data

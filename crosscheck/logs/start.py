@@ -40,7 +40,9 @@ class LogStart:
         moved: largest distance between a logged center of mass and that of the state, m.
         turned: largest angle between a logged orientation and that of the state, rad.
         moved_at: name of the body with the larger one of both, relative to the mechanism's size and 1 rad.
-        differences: columns whose rates are differences of the first rows.
+        differences: columns whose rates the log does not have.
+        is_fitted: True if the velocities are fitted to the first rows because of these columns, False if they
+            are those of the log or of the scene's own start.
     """
 
     state: State
@@ -48,6 +50,7 @@ class LogStart:
     turned: float
     moved_at: str
     differences: tuple[str, ...]
+    is_fitted: bool
 
 
 def log_start(
@@ -97,7 +100,14 @@ def log_start(
         angle = float(angle_between(state.quaternion[body], arrays[1][body]))
         moved, turned = max(moved, gap), max(turned, angle)
         worst = max(worst, (gap / size + angle, scene.mechanism.body_names[body]))
-    return LogStart(state, moved, turned, worst[1], tuple(differences))
+    return LogStart(state, moved, turned, worst[1], tuple(differences), is_fitted=bool(differences))
+
+
+def with_own_velocities(scene: Scene, found: LogStart) -> LogStart:
+    """Return the start of a log with the velocities of the scene's own start, such as rest."""
+    own = initial_state(scene)
+    moving = replace(found.state, linear_velocity=own.linear_velocity, angular_velocity=own.angular_velocity)
+    return replace(found, state=assemble(scene, moving), is_fitted=False)
 
 
 def _fitted(
@@ -155,6 +165,7 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
             if key not in data.coordinates:
                 label = mechanism.coordinate_labels[key]
                 problem = f"column coordinate.{label} is missing: no column determines joint {quoted(label)}"
+                problem += _unread(data)
                 needed = (
                     f"that column, --log-map COLUMN=coordinate.{label}, or poses of the bodies that it moves"
                 )
@@ -162,7 +173,7 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
             chosen, count = more, count + 1
     if count < free.shape[1]:
         unknown = [name for k, name in enumerate(mechanism.body_names) if k not in known]
-        problem = f"no columns determine the poses of {listed(map(quoted, unknown)):.200}"
+        problem = f"no columns determine the poses of {listed(map(quoted, unknown)):.200}{_unread(data)}"
         raise SourceError(where, f"{problem}; needed: position.BODY.x to z and quaternion.BODY.w to z")
     # start at the independent ones of the logged coordinates, and at their rates
     logged = list(data.coordinates)
@@ -184,6 +195,12 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
         columns = [data.coordinates[key].columns[0] for key in keys]
         problem = f"the first row of {', '.join(map(quoted, columns)):.200} fits no state of the model"
         raise SourceError(where, f"{problem}: {error}") from error
+
+
+def _unread(data: LogData) -> str:
+    """Name the columns of a log that have no quantity of the model, for a message; "" if there are none."""
+    names = [*map(quoted, data.unused[:2]), *([f"{len(data.unused) - 2} more"] if data.unused[2:] else [])]
+    return f"; not read, as the model has no joint or body of that name: {', '.join(names)}" if names else ""
 
 
 def _independent(effects: Array, keys: Sequence[Key]) -> list[Key]:

@@ -63,8 +63,8 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         if max(gap, start.turned) > MIN_MOVED:
             yield (
                 f"the reference starts {length(start.moved)} and {angle(start.turned)} from "
-                f"the first row, most at {start.moved_at}: the loops of the row are open, or its coordinates "
-                "have another zero"
+                f"the first row, most at {start.moved_at}: the loops of the row are open, its coordinates have "
+                "another zero, or columns have the name of another body"
             )
     if (start_error := judgement.start_error) is not None:
         # as a length, or as an angle if the error is mainly one of rotations
@@ -73,6 +73,8 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
             "no columns of velocities: those of the start are fitted to the first rows, which are known to "
             f"about {size(start_error, by_position)}"
         )
+    elif start and start.differences and not start.is_fitted:
+        yield "no columns of velocities: the reference starts with those of the model"
     if judgement.held_inputs:
         yield f"no input in the log, held at the start: {_name_list(judgement.held_inputs)}"
     if judgement.missing:
@@ -80,7 +82,8 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
     if judgement.dropped:
         yield f"{judgement.dropped} rows without some of the numbers were left out"
     if judgement.unused:
-        yield f"columns of no quantity: {_name_list(judgement.unused)}"
+        names = _name_list(judgement.unused)
+        yield f"columns not read, as the model has no joint, body or quantity of that name: {names}"
 
 
 def _name_list(names: Sequence[str]) -> str:
