@@ -33,9 +33,9 @@ from newton_euler.scalars import Array
 MAX_ROWS = 4000
 """Largest number of compared rows; of a longer log every second, third, ... row is compared."""
 
-MIN_FIT_GAIN = 1.1
+MIN_FIT_GAIN = 3.0
 """Factor by which fitted velocities of the start must reduce the error of a log, beside the scene's own ones.
-Errors of the log itself change the fit a little."""
+An error of the log itself, such as a late start, changes the fit, and the fit hides a part of this error."""
 
 MIN_PERIODS = 500
 """Smallest number of outputs of the reference if the rows of a log are not equally spaced. The reference is

@@ -63,8 +63,8 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         if max(gap, start.turned) > MIN_MOVED:
             yield (
                 f"the reference starts {length(start.moved)} and {angle(start.turned)} from "
-                f"the first row, most at {start.moved_at}: the loops of the row are open, its coordinates have "
-                "another zero, or columns have the name of another body"
+                f"the first row, most at {start.moved_at}: the loops of the row are open, its coordinates "
+                "have another zero, or columns have the name of another body"
             )
     if (start_error := judgement.start_error) is not None:
         # as a length, or as an angle if the error is mainly one of rotations
