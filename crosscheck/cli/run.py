@@ -217,12 +217,14 @@ class _Comparison:
         name: name of the results; the recording is NAME.rrd by default.
         runs: names of the runs, of engines or models; each run is written to RUN.npz.
         folder: folder for the results.
+        sources: names or files of the models, and paths of logs, which results must not overwrite.
         compute: carries out the comparison; its argument shows a message to the user.
     """
 
     name: str
     runs: Sequence[str]
     folder: Path
+    sources: Sequence[str]
     compute: Callable[[Progress], ComparisonResult]
 
 
@@ -237,14 +239,16 @@ def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int
     from crosscheck.compare.result import EngineComparison
     from crosscheck.loading.load import non_default_options
     from crosscheck.recording.mesh_budget import meshes_left_out
-    from crosscheck.report.output import write
+    from crosscheck.report.output import SUMMARY, TEST_CASES, write
     from crosscheck.report.run import report
-    from crosscheck.support.files import check_writable
+    from crosscheck.support.files import check_no_source, check_writable
 
     # check the output files before the long computation
     folder = comparison.folder
     recording = save or folder / f"{comparison.name}.rrd"
-    check_writable(*(folder / f"{run}.npz" for run in comparison.runs), folder / "summary.json", recording)
+    texts = [folder / SUMMARY, folder / TEST_CASES]
+    check_no_source(texts, comparison.sources)
+    check_writable(*(folder / f"{run}.npz" for run in comparison.runs), *texts, recording)
 
     # compute, write
     with progress_shown() as progress:
@@ -252,7 +256,7 @@ def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int
         progress("writing")
         found = report(result)
         with _pandas_hidden():
-            write(result, found, folder, recording, comparison.name)
+            write(result, found, folder, recording, comparison.name, allow_reduced)
 
     # print, with commands for further steps
     look = f"look  {next_step('view', recording)}"
@@ -276,13 +280,12 @@ def _engine_comparison(asked: _Options) -> _Comparison:
     from crosscheck.loading.load import load_scene, with_excitation
     from crosscheck.own_run.allowed import AllowedError
     from crosscheck.report.output import results_name, usual_folder
-    from crosscheck.support.files import check_no_source
 
     engines = choose(asked.engines or list(ENGINES))
     allowed = [AllowedError.parse(text) for text in asked.max_errors]
     folder = asked.output or usual_folder(OUTPUT, asked.model, "crosscheck")
     logs = _logs(asked.logs, asked.log_settings, asked.log_columns)
-    check_no_source([folder / "summary.json"], [asked.model, *(str(log.table) for log in logs.values())])
+    sources = [asked.model, *(str(log.table) for log in logs.values())]
     options = with_excitation(asked.model, scene_options(asked.settings))
     # not verified here: the comparison has checks of the import, and reports all that fail
     scene, import_report = load_scene(asked.model, options, verified=False)
@@ -297,7 +300,8 @@ def _engine_comparison(asked: _Options) -> _Comparison:
         found = crosscheck(scene, engines, progress, asked.model, options, import_report, asked.advice)
         return replace(found, logs=judged).with_allowed_errors(allowed)
 
-    return _Comparison(results_name(asked.model), [engine.name for engine in engines], folder, compute)
+    names = [engine.name for engine in engines]
+    return _Comparison(results_name(asked.model), names, folder, sources, compute)
 
 
 def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]) -> dict[str, Log]:
@@ -330,9 +334,10 @@ def _model_comparison(models: tuple[Model, Model], output: Path | None) -> _Comp
 
     name = pair_name(models)
     folder = output or OUTPUT / name
+    sources = [model.source for model in models]
     if output is None:
-        check_no_other_results(folder, [model.source for model in models])
-    return _Comparison(name, [model.name for model in models], folder, compute)
+        check_no_other_results(folder, sources)
+    return _Comparison(name, [model.name for model in models], folder, sources, compute)
 
 
 def _load_two_models(*sources: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:

@@ -39,7 +39,7 @@ class ErrorKind(StrEnum):
 
     def of(self, judgement: Judgement) -> float:
         """Return this error of a judged run; infinite for a run that diverged, if only as it stands."""
-        if judgement.stopped or judgement.stopped_as_it_stands:
+        if _divergence(judgement):
             return math.inf
         error = judgement.error
         return {
@@ -129,13 +129,25 @@ def _listed(names: Iterable[str]) -> str:
 
 def exceeded_text(judgement: Judgement, exceeded: Sequence[AllowedError]) -> str:
     """Format the errors that exceed what the user allows, or why the run has no error."""
-    if judgement.stopped:
-        return f"the run with your settings diverged: {judgement.stopped}"
-    parts = []
-    for each in exceeded:
-        found, largest = (in_unit(value, each.kind) for value in (each.kind.of(judgement), each.largest))
-        parts.append(f"{each.kind} {found}, allowed {largest}")
+    if reason := _divergence(judgement):
+        return f"the run with your settings diverged: {reason}"
+    parts = [
+        f"{each.kind} {found_text(judgement, each.kind)}, allowed {in_unit(each.largest, each.kind)}"
+        for each in exceeded
+    ]
     return f"errors of the run with your settings: {'; '.join(parts)}"
+
+
+def found_text(judgement: Judgement, kind: ErrorKind) -> str:
+    """Format an error of a judged run, or why the run diverged."""
+    if reason := _divergence(judgement):
+        return f"diverged: {reason}"
+    return in_unit(kind.of(judgement), kind)
+
+
+def _divergence(judgement: Judgement) -> str:
+    """Return why a run diverged, if only with contacts, limits and friction; "" for a complete run."""
+    return judgement.stopped or judgement.stopped_as_it_stands
 
 
 def in_unit(value: float, kind: ErrorKind) -> str:

@@ -1,8 +1,9 @@
 """Result folders: write the files of a crosscheck, and protect the results of another model.
 
 A crosscheck simulates one model in several engines (simulators) and compares them. Its folder has the run of
-each engine (ENGINE.npz), a summary with all checks (summary.json) and a 3-D recording (NAME.rrd). Results in
-a folder are protected: the results of another model may only overwrite them if the user names the folder.
+each engine (ENGINE.npz), a summary with all checks (summary.json), test cases for CI servers (junit.xml), and
+a 3-D recording (NAME.rrd). Results in a folder are protected: the results of another model may only overwrite
+them if the user names the folder.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from crosscheck.compare.comparison import ComparisonResult
 from crosscheck.compare.result import EngineComparison
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.render import as_json, markdown
+from crosscheck.report.run import junit
 from crosscheck.report.table import Report
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
@@ -28,11 +30,14 @@ from newton_euler.model.source_file import SourceError, read_content
 LINKABLE = re.compile(r"[\w:/.-]+", re.ASCII)
 """Pattern of addresses in a recording that a link can contain without escapes."""
 
+SUMMARY, TEST_CASES = "summary.json", "junit.xml"
+"""Files of a crosscheck with all numbers, and with the test cases that CI servers show."""
+
 PLACE_AND_TIME = re.compile(r"(?:(?P<place>.*) at )?(?P<time>\S+) s")
 """Pattern of `Check.where` in checks of runs: an optional body or joint, and a time ("rocker at 0.5 s")."""
 
 MODEL_RECORDS = {
-    "crosscheck": ("summary.json",),
+    "crosscheck": (SUMMARY,),
     "benchmark": ("bench.json", "rhs.json", "batch.json", "sensitivities.json"),
     "load table": ("loads.json",),
     "modal analysis": ("modes.json",),
@@ -44,8 +49,15 @@ MODEL_RECORDS = {
 """Files in a result folder that contain the name of the model, by the kind of the results."""
 
 
-def write(result: ComparisonResult, report: Report, folder: Path, recording: Path, name: str) -> list[Path]:
-    """Write the runs, the summary and the Rerun recording of a crosscheck, all of them or none.
+def write(
+    result: ComparisonResult,
+    report: Report,
+    folder: Path,
+    recording: Path,
+    name: str,
+    allow_reduced: bool = False,
+) -> list[Path]:
+    """Write runs, summary, test cases and the Rerun recording of a crosscheck, all of them or none.
 
     An earlier summary is removed first, and the new one is written last. A folder with a summary is therefore
     complete, even if a process that wrote to the folder was killed. Runs of other engines, which an earlier
@@ -57,9 +69,10 @@ def write(result: ComparisonResult, report: Report, folder: Path, recording: Pat
         folder: folder for the files.
         recording: path of the recording.
         name: name of the results; the default path of the recording is `folder`/NAME.rrd.
+        allow_reduced: whether agreement on a reduced model counts as agreement.
 
     Returns:
-        The paths of the runs, the summary and the recording.
+        The paths of the runs, the summary, the test cases and the recording.
 
     Raises:
         CrosscheckError: if a file cannot be written; the message names the path.
@@ -69,7 +82,7 @@ def write(result: ComparisonResult, report: Report, folder: Path, recording: Pat
     contents = {folder / f"{engine}.npz": run.archive() for engine, run in result.trajectories.items()}
     contents[recording] = recorded(log_run, *to_record(result, report))
     in_folder = {path: content for path, content in contents.items() if path.parent == folder}
-    summary = folder / "summary.json"
+    summary, test_cases = folder / SUMMARY, folder / TEST_CASES
     # Files of earlier results
     without_run = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
     stale = [summary, *(folder / f"{engine}.npz" for engine in without_run)]
@@ -77,9 +90,13 @@ def write(result: ComparisonResult, report: Report, folder: Path, recording: Pat
     if recording != default_recording:
         stale.append(default_recording)
     # The first of the files, the summary, is written last
-    write_files({summary: as_json(result.summary(), report, in_folder), **contents}, stale)
+    texts = {
+        summary: as_json(result.summary(), report, in_folder),
+        test_cases: junit(result, report, name, allow_reduced).encode(),
+    }
+    write_files(texts | contents, stale)
     runs = [path for path in contents if path != recording]
-    return [*runs, summary, recording]
+    return [*runs, summary, test_cases, recording]
 
 
 def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from crosscheck.own_run.allowed import AllowedError, in_unit, length
+from crosscheck.own_run.allowed import AllowedError, found_text, in_unit, length
 from crosscheck.own_run.errors import MAX_ANGLE_SCALE, Band, MotionScale, RunError
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
 from crosscheck.own_run.judge import Judgement
 from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
-from crosscheck.report.table import Lines
+from crosscheck.report.table import Cell, Lines, Rows
 from newton_euler.reading.file_run import Event
 from newton_euler.reading.small_motions import MovingBody
 
@@ -89,6 +89,33 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
     fixes += [_model_change(change) for change in judgement.changes]
     for k, fix in enumerate(fixes):
         yield f"  {'fix' if k == 0 else '':<7} {fix}"
+
+
+def own_run_cases(judgement: Judgement | None, allowed: Sequence[AllowedError]) -> Rows:
+    """Make the rows of test cases: each allowed error, or else the judgement, which no limit makes fail.
+
+    Args:
+        judgement: the judgement; None if the run could not be judged.
+        allowed: largest errors that the user allows.
+    """
+    if judgement is None:
+        return [[_limit(each), Cell("not judged", "doubtful")] for each in allowed]
+    if not allowed:
+        return [["accuracy", Cell(f"{headline(judgement)}; no --max-error is given", "doubtful")]]
+    rows: Rows = []
+    for each in allowed:
+        found, causes = found_text(judgement, each.kind), "; ".join(_causes(judgement))
+        if each.is_exceeded_by(judgement):
+            cell = Cell("; cause ".join(filter(None, [found, causes])), "fails")
+        else:
+            cell = Cell(found, "holds")
+        rows.append([_limit(each), cell])
+    return rows
+
+
+def _limit(allowed: AllowedError) -> str:
+    """Format an allowed error, such as "position error at most 1 mm"."""
+    return f"{allowed.kind} error at most {in_unit(allowed.largest, allowed.kind)}"
 
 
 def _extent(scale: MotionScale) -> str:

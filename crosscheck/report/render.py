@@ -25,6 +25,7 @@ from rich.padding import Padding
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from crosscheck.compare.outcome import Verdict
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
 from crosscheck.support.checksum import with_checksum
 
@@ -353,8 +354,9 @@ def _without_non_finite(value: object) -> Any:
 def junit(report: Report) -> str:
     """Write a report as JUnit XML, which CI servers show: a test suite per table, a test case per row.
 
-    Tables without judged cells are left out. The cells of a failing row are the message of the failure; those
-    of a row that has improved are the output of the test case.
+    Tables without judged cells are left out. The cells of a failing row are the message of the failure, and
+    also its text, as GitLab shows the text only. A doubtful row is a skipped test case; the cells of a row
+    that has improved are the output of its test case.
     """
     root = ElementTree.Element(
         "testsuites", name=printable(report.title), time=f"{report.wall_time or 0.0:.3f}"
@@ -364,35 +366,41 @@ def junit(report: Report) -> str:
             continue
         # rows with judged cells, each with the heading above
         rows = [(heading, row) for heading, row in part.sections() if any(cell.verdict for cell in row)]
-        failed = sum(any(cell.verdict == "fails" for cell in row) for _, row in rows)
         if not rows:
             continue
+        results = [_junit_result(row) for _, row in rows]
         suite = ElementTree.SubElement(
             root,
             "testsuite",
             name=printable(part.title),
             tests=str(len(rows)),
-            failures=str(failed),
+            failures=str(results.count("failure")),
             errors="0",
+            skipped=str(results.count("skipped")),
             time="0",
         )
-        for heading, row in rows:
+        for (heading, row), result in zip(rows, results, strict=True):
             class_name = f"{part.title}.{heading}" if heading else part.title
             case = ElementTree.SubElement(
                 suite, "testcase", classname=printable(class_name), name=printable(row[0].text), time="0"
             )
             message = printable(f"{heading}: {row[0].text}: {_row_text(part, row)}".removeprefix(": "))
-            verdicts = {cell.verdict for cell in row}
-            if "improved" in verdicts:
-                ElementTree.SubElement(case, "system-out").text = message
-            if "fails" in verdicts:
-                failure = ElementTree.SubElement(case, "failure", message=message)
-                failure.text = printable(report.verdict)
+            if result:
+                attributes = {} if result == "system-out" else {"message": message}
+                ElementTree.SubElement(case, result, attributes).text = message
     ElementTree.indent(root, " ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _junit_result(row: Sequence[Cell]) -> str:
+    """Return the name of the XML element with the result of a row's test case; "" if the row just passes."""
+    verdicts = {cell.verdict for cell in row}
+    elements: dict[Verdict, str] = {"fails": "failure", "doubtful": "skipped", "improved": "system-out"}
+    return next((element for verdict, element in elements.items() if verdict in verdicts), "")
 
 
 def _row_text(table: Table, row: Sequence[Cell]) -> str:
     """Describe a row in a line: all cells except the first, each with the heading of its column."""
     cells = zip(table.columns[1:], row[1:], strict=False)  # a row may be shorter than the table
-    return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in cells if cell.text)
+    texts = [f"{column.heading} {cell.text}".strip() for column, cell in cells if cell.text]
+    return ", ".join(texts).replace("\n", " ")

@@ -2,12 +2,13 @@
 
 A crosscheck runs one scene (a mechanism with its forces, inputs and initial state) in several engines and
 compares the runs. It can also run two models, such as an MJCF and a URDF of one robot, in newton_euler. In:
-the result, a `ComparisonResult`. Out: a `Report` for the terminal and for pages.
+the result, a `ComparisonResult`. Out: a `Report` for the terminal and for pages, and JUnit XML for CI.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from operator import ne
 
@@ -17,12 +18,15 @@ from crosscheck.compare.activity import acted
 from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
 from crosscheck.compare.comparison import ComparisonResult
 from crosscheck.compare.coverage import Coverage
+from crosscheck.compare.outcome import Verdict
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.result import EngineComparison
 from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
+from crosscheck.report import render
+from crosscheck.report.own_run import own_run_cases
 from crosscheck.report.summary import judged_runs, summary
 from crosscheck.report.table import (
     Cell,
@@ -90,6 +94,27 @@ def report(result: ComparisonResult) -> Report:
         wall_time=result.wall_time,
         summary=summary(result, limits, other_notes),
     )
+
+
+def junit(result: ComparisonResult, whole: Report, name: str, allow_reduced: bool) -> str:
+    """Write a comparison as JUnit XML: test cases for the outcome, for the file's own run, and for checks.
+
+    The test case of the outcome fails exactly if `crosscheck run` has another exit status than 0.
+
+    Args:
+        result: the comparison.
+        whole: the report that `report` made.
+        name: name of the results, with which the names of all suites begin. CI servers merge the files of
+            several models, and drop a test case if another one has the same suite and name.
+        allow_reduced: whether agreement on a reduced model counts as agreement.
+    """
+    judged: Verdict = "holds" if result.outcome.passes(allow_reduced) else "fails"
+    rows: Rows = [["outcome", Cell(result.verdict, judged)]]
+    if isinstance(result, EngineComparison):
+        rows += ["your settings", *own_run_cases(result.own_run, result.allowed_errors)]
+    parts = [Table("verdict", text_columns("", ""), rows), *whole.parts]
+    named = [replace(part, title=f"{name}: {part.title}") for part in parts]
+    return render.junit(replace(whole, parts=named))
 
 
 def outcome_cell(result: ComparisonResult) -> Cell:

@@ -47,7 +47,7 @@ def test_representations_are_short(verdict):
 def test_results_are_saved(verdict, tmp_path):
     files = {path.name for path in verdict.save(tmp_path / "out")}
     assert files == {path.name for path in (tmp_path / "out").iterdir()}
-    assert files == {"newton_euler.npz", "pinocchio.npz", "summary.json", "pendulum.rrd"}
+    assert files == {"newton_euler.npz", "pinocchio.npz", "summary.json", "junit.xml", "pendulum.rrd"}
 
 
 def test_a_file_is_checked_with_its_options():

@@ -22,7 +22,7 @@ def test_results_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch
     assert run(capsys, "run", "one/pendulum.yaml", *quick)[0] == 0
     folder = Path("output", "pendulum")
     files = {path: path.read_bytes() for path in folder.iterdir()}
-    assert {path.name for path in files} == {"newton_euler.npz", "summary.json", "pendulum.rrd"}
+    assert {path.name for path in files} == {"newton_euler.npz", "summary.json", "junit.xml", "pendulum.rrd"}
     for source in ("other/pendulum.yaml", "pendulum"):
         status, out, err = run(capsys, "run", source, *quick)
         assert (status, out) == (2, "")

@@ -20,7 +20,14 @@ def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
     assert (status, err) == (0, "")
     assert verdict_of(out).startswith("AGREE: newton_euler, mujoco, pinocchio ")
     names = {p.name for p in (tmp_path / "out").iterdir()}
-    assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "scene.rrd"}
+    assert names == {
+        "newton_euler.npz",
+        "mujoco.npz",
+        "pinocchio.npz",
+        "summary.json",
+        "junit.xml",
+        "scene.rrd",
+    }
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["agrees"] is True
     assert {figure["level"] for figure in summary["checks"]} == {*LEVELS} - {READING}
@@ -41,6 +48,7 @@ def test_engines_can_be_chosen_and_the_recording_put_elsewhere(capsys, tmp_path,
         "newton_euler.npz",
         "pinocchio.npz",
         "summary.json",
+        "junit.xml",
     }
 
 
@@ -100,7 +108,7 @@ def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, cap
     assert (status, err) == (3, "")
     reason = "comparing: internal error: ZeroDivisionError: division by zero"
     assert verdict_of(said).startswith(f"UNFINISHED: {reason}; ")
-    files = {"newton_euler.npz", "mujoco.npz", "summary.json", "scene.rrd"}
+    files = {"newton_euler.npz", "mujoco.npz", "summary.json", "junit.xml", "scene.rrd"}
     assert {path.name for path in out.iterdir()} == files
 
 
@@ -158,6 +166,7 @@ def test_a_second_run_leaves_nothing_of_the_first(tmp_path, capsys, good):
     assert {p.name for p in folder.iterdir()} == {
         "pinocchio.npz",
         "summary.json",
+        "junit.xml",
         "scene.rrd",
         "notes.npz",
     }

@@ -362,7 +362,7 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     status, out, err = run(capsys, *arguments)
     assert (status, err) == (0, "")
     assert verdict_of(out).startswith(f"SAME: {model} and {converted} (loops={loops}) agree in all ")
-    names = {"linkage.npz", "converted.npz", "summary.json", "linkage_against_converted.rrd"}
+    names = {"linkage.npz", "converted.npz", "summary.json", "junit.xml", "linkage_against_converted.rrd"}
     assert {path.name for path in folder.iterdir()} == names
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["agrees"] is True
@@ -480,4 +480,10 @@ def test_models_that_part_are_different_on_the_command_line_whatever_stops(
     assert (status, err) == (1, "")
     assert f": {STOPPED}" in printed
     assert verdict_of(printed).startswith("DIFFERENT: ")
-    assert {path.name for path in out.iterdir()} == {"one.npz", "other.npz", "summary.json", recording}
+    assert {path.name for path in out.iterdir()} == {
+        "one.npz",
+        "other.npz",
+        "summary.json",
+        "junit.xml",
+        recording,
+    }

@@ -215,7 +215,7 @@ def test_one_scene_of_the_library(tmp_path):
     assert found.agrees
     assert re.fullmatch(r" *\d+ % .+", found.nearest.text)
     assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {
-        "newton_euler.npz", "pinocchio.npz", "summary.json", "pendulum.rrd",
+        "newton_euler.npz", "pinocchio.npz", "summary.json", "junit.xml", "pendulum.rrd",
     }  # fmt: skip
 
 

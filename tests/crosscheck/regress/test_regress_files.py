@@ -152,12 +152,15 @@ def test_the_inputs_of_the_action_reach_the_command(tmp_path):
 
 def test_the_guide_is_a_workflow_of_ten_lines_that_fits_the_action():
     blocks = (ROOT / "docs" / "how_to" / "guard.md").read_text().split("```")[1::2]
-    (workflow,) = [block.removeprefix("yaml\n") for block in blocks if block.startswith("yaml")]
+    workflow, pipeline = (block.removeprefix("yaml\n") for block in blocks if block.startswith("yaml"))
     assert len(workflow.strip().splitlines()) <= 10
     (job,) = yaml.safe_load(workflow)["jobs"].values()
     inputs = yaml.safe_load((ROOT / "action.yml").read_text())["inputs"]
     (step,) = [step for step in job["steps"] if "with" in step]
     assert set(step["with"]) <= set(inputs)
+    (job,) = yaml.safe_load(pipeline).values()
+    written = (Path("output", name, "junit.xml") for name in ("robot", "regress"))
+    assert all(path.match(job["artifacts"]["reports"]["junit"]) for path in written)
 
 
 def test_a_model_file_has_the_options_of_its_baseline(tmp_path):

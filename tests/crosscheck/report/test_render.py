@@ -123,8 +123,22 @@ def test_junit_has_a_case_per_judged_row():
     assert (failed.get("classname"), failed.get("name")) == ("figures.model", "mass")
     (failure,) = failed
     assert failure.get("message") == "model: mass: difference, m 1.0e-03 > 1e-06"
-    assert failure.text == REPORT.verdict
+    assert failure.text == failure.get("message")  # GitLab shows the text, other servers the message
     assert list(passed) == []
+
+
+def test_junit_skips_what_is_not_judged():
+    rows = [
+        ["a", Cell("1", "doubtful")],
+        ["b", Cell("2", "doubtful"), Cell("3", "fails")],
+        ["c", Cell("4", "holds")],
+    ]
+    table = Table("limits", text_columns("", "", ""), rows)
+    (suite,) = ElementTree.fromstring(junit(Report("run", "", Cell(""), [table])))
+    counts = {name: suite.get(name) for name in ("tests", "failures", "errors", "skipped")}
+    assert counts == {"tests": "3", "failures": "1", "errors": "0", "skipped": "1"}
+    assert [[element.tag for element in case] for case in suite] == [["skipped"], ["failure"], []]
+    assert suite[0][0].get("message") == "a: 1"
 
 
 def test_any_text_is_shown_as_it_is():

@@ -157,6 +157,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
     assert {path.name for path in folder.iterdir()} == {
         *(f"{engine}.npz" for engine in ENGINES),
         "summary.json",
+        "junit.xml",
         "four_bar.rrd",
         PAGE,
     }

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from command_line import command, run, scene_file, short_example
@@ -23,8 +24,8 @@ from crosscheck.support.files import ABANDONED_AFTER_S, write_files
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = ("newton_euler", "pinocchio")
-FILES = {*(f"{engine}.npz" for engine in ENGINES), "summary.json", "four_bar.rrd"}
-UNFINISHED = re.compile(r"\.(newton_euler|pinocchio|summary|four_bar)-[0-9a-f]{8}\.(npz|json|rrd)")
+FILES = {*(f"{engine}.npz" for engine in ENGINES), "summary.json", "junit.xml", "four_bar.rrd"}
+UNFINISHED = re.compile(r"\.(newton_euler|pinocchio|summary|junit|four_bar)-[0-9a-f]{8}\.(npz|json|xml|rrd)")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 WRITING = 6e-3
@@ -57,6 +58,8 @@ def check_complete(path: Path) -> None:
         assert len(arrays["position"]) == len(arrays["time"]) == 6
     elif path.suffix == ".json":
         assert json.loads(path.read_text())["scene"] == "four_bar"
+    elif path.suffix == ".xml":
+        assert ElementTree.parse(path).getroot().tag == "testsuites"
     else:
         reader = RrdReader(path)
         assert len(reader.recordings()) == 1
@@ -123,7 +126,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
         capsys, "run", scene_file(tmp_path, good, "four_bar.yaml"), "--engines", "pinocchio", "--output", out
     )
     assert status == 0
-    files = {"pinocchio.npz", "summary.json", "four_bar.rrd"}
+    files = {"pinocchio.npz", "summary.json", "junit.xml", "four_bar.rrd"}
     # somebody may still be writing the young one
     assert {path.name for path in out.iterdir()} == files | {path.name for path in (*others, young)}
 
@@ -142,7 +145,12 @@ def test_a_folder_with_a_summary_is_complete_while_it_is_written(tmp_path, capsy
 
     monkeypatch.setattr(Path, "replace", recorded)
     assert run(capsys, *arguments)[0] == 0
-    assert came == [("four_bar.rrd", False), ("pinocchio.npz", False), ("summary.json", False)]
+    assert came == [
+        ("four_bar.rrd", False),
+        ("pinocchio.npz", False),
+        ("junit.xml", False),
+        ("summary.json", False),
+    ]
 
 
 def limited(size: int):

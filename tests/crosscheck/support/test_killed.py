@@ -160,7 +160,7 @@ def test_processes_on_one_cold_cache_and_one_folder(tmp_path: Path, count: int) 
     assert {process.wait(timeout=600) for process in running} == {0}
     check_complete(tmp_path)
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"newton_euler.npz", "pinocchio.npz", "summary.json", "four_bar.rrd"}
+    assert names == {"newton_euler.npz", "pinocchio.npz", "summary.json", "junit.xml", "four_bar.rrd"}
     alone = newton_euler.simulate(load(str(tmp_path / "four_bar.yaml")))
     arrays = load_arrays(tmp_path / "out" / "newton_euler.npz")
     np.testing.assert_array_equal(arrays["position"], alone.position)

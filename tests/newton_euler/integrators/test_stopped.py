@@ -44,7 +44,7 @@ INTEGRATORS = {
     "Euler": {"integrator": "Euler", "step": 1e-3},
 }
 
-FILES = {"newton_euler.npz", "mujoco.npz", "summary.json"}
+FILES = {"newton_euler.npz", "mujoco.npz", "summary.json", "junit.xml"}
 
 ENGINES = {
     **{
@@ -225,7 +225,12 @@ def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_pa
     assert status == UNFINISHED
     assert verdict.startswith("UNFINISHED: newton_euler: 10 s of pendulum: given up after 1 s of processor t")
     assert summary["unfinished"][0]["time"] is None
-    assert {path.name for path in tmp_path.iterdir()} == {"mujoco.npz", "summary.json", "pendulum.rrd"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "mujoco.npz",
+        "summary.json",
+        "junit.xml",
+        "pendulum.rrd",
+    }
     assert "accelerations and reactions" in levels(summary, "newton_euler", "mujoco")
     assert "drift" in levels(summary, "mujoco")
 
