@@ -378,14 +378,19 @@ def _file_names(
     # actuators whose force is proportional to the control: `gains` are forces on joint coordinates per unit;
     # with activation dynamics, the force depends on earlier controls
     for actuator, drive in drives.items():
-        name, limits = model.actuator(actuator).name, (-np.inf, np.inf)
+        name, gain = model.actuator(actuator).name, float(model.actuator_gainprm[actuator, 0])
+        low, high = -np.inf, np.inf
         if model.actuator_ctrllimited[actuator]:
             low, high = model.actuator_ctrlrange[actuator].tolist()
-            limits = low, high
+        # a limit of a force that depends on the control alone is one of the control
+        is_motor = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+        if model.actuator_forcelimited[actuator] and is_motor:
+            ends = model.actuator_forcerange[actuator] / gain
+            low, high = max(low, float(np.min(ends))), min(high, float(np.max(ends)))
         if name and drive.has_dynamics:
             names.activated.append(name)
         elif name:
-            names.inputs[name] = FileInput(drive.control, drive.gains, limits)
+            names.inputs[name] = FileInput(drive.control, gain, drive.gains, (low, high))
     return names
 
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from crosscheck.compare.activity import acting_events, watched
 from crosscheck.loading.load import is_scene, load_scene
+from crosscheck.logs.columns import LogData
+from crosscheck.logs.inputs import with_logged_forces
 from crosscheck.logs.judge import LogJudgement, judge_log
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -48,16 +50,17 @@ def judge_logs(
     # also compare the scene with the model as MuJoCo or Pinocchio compiles it, which judges no log
     scene, report = load_scene(model, given, verified=False)
 
-    def watch(simulated: Scene, run: Trajectory) -> Sequence[Event]:
+    def watch(simulated: Scene, run: Trajectory, data: LogData) -> Sequence[Event]:
         """Return the elements of the file that would act in the reference but are not simulated there.
 
         Args:
             simulated: the scene from the start of the log.
             run: the reference.
+            data: the log.
         """
         if report is None:
             return ()
-        return acting_events(watched(simulated, report, run))
+        return acting_events(watched(simulated, with_logged_forces(report, data), run))
 
     judgements = {}
     file_names = report.names if report else None  # names of joints and bodies in the file

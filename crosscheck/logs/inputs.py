@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import replace
 from math import comb
 from typing import Any
@@ -18,7 +19,9 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.splines import Piecewise, Steps
+from newton_euler.reading.activity import Bounds
 from newton_euler.reading.file_names import FileNames
+from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 
 ELEMENTS = ("motions", "control", "forces")
@@ -91,13 +94,12 @@ def with_inputs(scene: Scene, data: LogData, names: FileNames | None) -> Scene:
     # controls of actuators: the scene's laws have the forces of the controls that the file sets for its start
     # (`start`; 0 if there is no law). Added are the sums of the differences from them, by joint coordinate
     added: dict[Key, Array] = {}
-    for name, each in data.inputs.items():
+    for name in data.inputs:
         assert names is not None
-        actuator = names.inputs[name]
-        for key, gain in actuator.gains.items():
+        changes = _control_changes(data, names, name)
+        for key, gain in names.inputs[name].gains.items():
             if key not in forces:
-                controls = np.clip(each.values, *actuator.limits)  # as the engine does
-                added[key] = added.get(key, 0.0) + gain * (controls - actuator.start)
+                added[key] = added.get(key, 0.0) + gain * changes
     for key, values in added.items():
         control = [_with_feedforward(data.where, law, key, times, values) for law in control]
         if key not in {law.key for law in control}:
@@ -126,6 +128,49 @@ def held_inputs(data: LogData, names: FileNames | None) -> tuple[str, ...]:
     return (*without, *activated)
 
 
+def with_logged_forces(report: ImportReport, data: LogData) -> ImportReport:
+    """Return an import report whose tests of limits of actuator forces have the inputs of a log.
+
+    Logged forces on joints are those within the limits of the actuators, so that no test remains.
+
+    Args:
+        report: import report of a file, with tests for the controls of the file.
+        data: the log.
+    """
+    names, found = report.names, copy(report)
+    found.watches = dict(report.watches)
+    # elements that may have limits of forces: coordinates on which the force acts, and the force per unit of
+    # the control of each actuator that adds to it
+    limited: dict[str, tuple[set[Key], dict[str, float]]] = {}
+    for name, actuator in names.inputs.items():
+        limited[f"actuator {name!r}"] = set(actuator.gains), {name: actuator.gain}
+    for joint, (key, _) in names.coordinates.items():
+        gains = {name: actuator.gains.get(key, 0.0) for name, actuator in names.inputs.items()}
+        limited[f"joint {joint!r}"] = {key}, gains
+    for number, watches in report.watches.items():
+        keys, gains = limited.get(report.entries[number].element, (set(), {}))
+        forces = [watch for watch in watches if isinstance(watch, Bounds) and watch.is_of_force]
+        if not (keys and forces):
+            continue
+        if keys <= data.forces.keys():
+            found.watches[number] = ()
+            continue
+        change = np.zeros(len(data.time))
+        for name in gains.keys() & data.inputs.keys():
+            change += gains[name] * _control_changes(data, names, name)
+        times = data.time - data.time[0]
+        found.watches[number] = [
+            replace(each, constant=_with_steps(each.constant, times, change)) for each in forces
+        ]
+    return found
+
+
+def _control_changes(data: LogData, names: FileNames, name: str) -> Array:
+    """Return the controls (n,) of an actuator in a log minus that at the start, clipped as by the engine."""
+    actuator = names.inputs[name]
+    return np.asarray(np.clip(data.inputs[name].values, *actuator.limits) - actuator.start)
+
+
 def _force_law(key: Key, times: Array, values: Array) -> PD:
     """Return a control law without feedback that applies forces (n,) at times (n,) to a joint coordinate."""
     joint, coordinate = key
@@ -139,9 +184,14 @@ def _with_feedforward(where: str, law: Any, key: Key, times: Array, values: Arra
         return law
     if not isinstance(law, DeclaredLaw):
         raise SourceError(where, f"has inputs of {law.element}, a controller in Python; leave them out")
-    given = law.feedforward
-    steps = _steps(times, values + (0.0 if isinstance(given, TimeFunction) else given))
-    return replace(law, feedforward=Sum((given, steps)) if isinstance(given, TimeFunction) else steps)  # type: ignore[type-var]
+    return replace(law, feedforward=_with_steps(law.feedforward, times, values))  # type: ignore[type-var]
+
+
+def _with_steps(given: Any, times: Array, values: Array) -> TimeFunction:
+    """Add values (n,) that hold from times (n,) on to a number or a function of time."""
+    if isinstance(given, TimeFunction):
+        return Sum((given, _steps(times, values)))
+    return _steps(times, given + values)
 
 
 def _steps(times: Array, values: Array) -> Steps:

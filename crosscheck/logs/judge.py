@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.logs.columns import LogData
 from crosscheck.logs.inputs import held_inputs
 from crosscheck.logs.mistakes import Mistake, find_mistakes, mistake_line
 from crosscheck.logs.names import Origin
@@ -39,8 +40,9 @@ Stepper = Callable[[State, Array], Any]
 """Function of a user that simulates: from a start state and times (n,), s, to the states at these times, as a
 sequence of `State`, a `Trajectory`, or a table like a log."""
 
-Watch = Callable[[Scene, Trajectory], Sequence[Event]]
-"""Function that finds elements of a file that act in a run of a scene and that the scene does not have."""
+Watch = Callable[[Scene, Trajectory, LogData], Sequence[Event]]
+"""Function that finds elements of a file that act in a run of a scene and that the scene does not have. The
+scene has the inputs of the log."""
 
 _VELOCITIES = (("linear_velocity", "xyz"), ("angular_velocity", "xyz"))
 """Arrays of velocities of a trajectory, with the names of their components."""
@@ -159,7 +161,7 @@ def judge_log(
     names: FileNames | None,
     name: str,
     log: Log | Stepper | Any,
-    watch: Watch = lambda scene, run: (),
+    watch: Watch = lambda scene, run, data: (),
 ) -> LogJudgement:
     """Judge a log.
 
@@ -195,7 +197,9 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         raise reading.table.error("; ".join(map(mistake_line, mistakes))) from failure
     mistakes = find_mistakes(reading, options, data, compared)
     # the comparison ends when an element acts that the reference does not have, and in chaos
-    events = tuple(sorted(watch(compared.scene, compared.reference), key=lambda event: event.time))
+    events = tuple(
+        sorted(watch(compared.scene, compared.reference, compared.data), key=lambda event: event.time)
+    )
     until = comparable_until(compared.scene, compared.reference)
     ends = [event.time for event in events if event.time > 0.0] + ([] if until is None else [until])
     error, run, rows, scale = compared.error, compared.run, len(compared.run.time), compared.motion_scale

@@ -235,6 +235,11 @@ class Bounds:
     by_value: float = 1.0
     by_rate: float = 0.0
 
+    @property
+    def is_of_force(self) -> bool:
+        """True for a limit of forces or torques, False for one of coordinates or rates."""
+        return self.unit not in ABSOLUTE_UNITS
+
     def judge(self, motion: SampledMotion) -> Activity:
         """Report whether the limit is passed at any time of a motion."""
         # Sum the terms and their interpolation errors; the error of a rate is estimated as the error of the
@@ -270,7 +275,7 @@ class Bounds:
         if np.isinf(room[worst]):
             return Activity("no limit")
         limits = [abs(limit) for limit in (self.low, self.high) if np.isfinite(limit)]
-        scale = 1.0 if self.unit in ABSOLUTE_UNITS else max(limits)
+        scale = max(limits) if self.is_of_force else 1.0
         # Times at which the limit is passed, except a start at the limit from which the value moves inwards
         is_passed = room < -LIMIT_TOLERANCE * scale
         inside_from, inwards_until = _way_inwards(room, START_LIMIT_TOLERANCE * scale)

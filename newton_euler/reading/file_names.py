@@ -49,11 +49,13 @@ class FileInput(NamedTuple):
 
     Attributes:
         start: control input at the start, in the unit of the file.
+        gain: force of the actuator per unit of the control input.
         gains: force on joint coordinates of the scene per unit of the control input, N or N m.
-        limits: smallest and largest control; the engine clips others.
+        limits: smallest and largest control with an effect; the engine clips others, or their force.
     """
 
     start: float
+    gain: float
     gains: Mapping[Key, float]
     limits: tuple[float, float]
 

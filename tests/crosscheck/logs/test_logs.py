@@ -12,6 +12,7 @@ import crosscheck
 from crosscheck.compare.activity import acting_events, watched
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
+from crosscheck.logs.inputs import with_logged_forces
 from crosscheck.logs.judge import Log, judge_log
 from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.errors import Band
@@ -356,8 +357,8 @@ def log_of(tmp_path, text, run, columns):
     path.write_text(text)
     scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
 
-    def watch(simulated, found):
-        return acting_events(watched(simulated, report, found))
+    def watch(simulated, found, data):
+        return acting_events(watched(simulated, with_logged_forces(report, data), found))
 
     return judge_log(scene, report.names, "log", dict(zip(columns, run, strict=True)), watch)
 
@@ -368,6 +369,53 @@ def test_controls_beyond_their_range_are_clipped_as_by_the_engine(tmp_path):
     found = log_of(tmp_path, CLAMPED, [time, q[:, 0], v[:, 0], control[:, 0]], columns)
     assert found.error.relative < 1e-6
     assert found.held_inputs == ()
+
+
+@pytest.mark.parametrize(
+    "limits", ['forcerange="-1 1"', 'forcerange="-1 1" ctrlrange="-2 2"', 'ctrlrange="-1 1"']
+)
+def test_forces_of_a_motor_are_limited_as_by_the_engine(tmp_path, limits):
+    text = CLAMPED.replace('ctrllimited="true" ctrlrange="-1 1"', limits)
+    _, (time, q, v, *_, control) = run_of(text, 1000, 1, control=lambda t: 3.0 * np.sin(8.0 * t))
+    found = log_of(tmp_path, text, [time, q[:, 0], v[:, 0], control[:, 0]], ["time", "h", "h_vel", "u.ctrl"])
+    assert found.error.relative < 1e-6
+    assert found.events == ()
+
+
+LIMITED = {
+    "force of a servo": (
+        '<position name="u" joint="h" kp="2" forcerange="-1 1"/>',
+        "",
+        "limit of the force of actuator 'u'",
+        lambda control, q: 2.0 * (control - q),
+    ),
+    "forces on a joint": (
+        '<motor name="u" joint="h"/>',
+        'actuatorfrclimited="true" actuatorfrcrange="-1 1"',
+        "limit of actuator forces of joint 'h'",
+        lambda control, q: control,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LIMITED)
+def test_a_limit_that_forces_by_logged_controls_reach_ends_the_comparison(tmp_path, case):
+    actuator, joint, element, force_of = LIMITED[case]
+    text = CLAMPED.replace('<motor name="u" joint="h" ctrllimited="true" ctrlrange="-1 1"/>', actuator)
+    text = text.replace('<joint name="h"', f'<joint name="h" {joint}')
+    _, (time, q, v, *_, control) = run_of(text, 1000, 1, control=lambda t: 3.0 * np.sin(4.0 * t))
+    table = [time, q[:, 0], v[:, 0]]
+    found = log_of(tmp_path, text, [*table, control[:, 0]], ["time", "h", "h_vel", "u.ctrl"])
+    (event,) = found.events
+    force = force_of(control[:, 0], q[:, 0])
+    # the control holds during a step of 1 ms, in which the hinge turns by less than 0.01 rad
+    assert event.time == pytest.approx(time[np.argmax(np.abs(force) > 1.0)], abs=1.5e-3)
+    assert event.element == element
+    assert found.error.relative < 1e-4
+    # logged forces are within the limits
+    forces = np.clip(force, -1.0, 1.0)
+    found = log_of(tmp_path, text, [*table, forces], ["time", "h", "h_vel", "h.effort"])
+    assert (found.events, found.rows) == ((), 1001)
 
 
 def test_an_actuator_without_its_input_is_named(tmp_path):
