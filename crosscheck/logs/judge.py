@@ -208,7 +208,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         run = run.first(rows)
         # errors are parts of the motion up to the end of the comparison
         count = max(2, int(np.searchsorted(compared.reference.time, run.time[-1], side="right")))
-        scale = MotionScale.of(compared.reference.first(count), compared.scene.mechanism.size)
+        scale = MotionScale.of(compared.reference.first(count), compared.scene.mechanism)
         error = run_error(run, compared.reference_at(run.time), scale)
     return LogJudgement(
         engine=reading.table.where,

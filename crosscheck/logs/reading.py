@@ -145,7 +145,7 @@ class LogReading:
             outputs=frozenset({"velocities", "energy"}),
         )
         reference = _reference(scene)
-        scale = MotionScale.of(reference, scene.mechanism.size)
+        scale = MotionScale.of(reference, scene.mechanism)
         run, poses, has_energy = self._run(scene, rows, points, reference, times)
         expected = of_bodies(interpolated(reference, run.time), run.body_names)
         error = run_error(run, expected if has_energy else without_energies(expected), scale)

@@ -41,15 +41,21 @@ class ErrorKind(StrEnum):
         """Return this error of a judged run; infinite for a run that diverged, if only as it stands."""
         if _divergence(judgement):
             return math.inf
-        error = judgement.error
-        return {
-            ErrorKind.RELATIVE: error.relative,
-            ErrorKind.POSITION: error.position,
-            ErrorKind.ROTATION: error.rotation,
-            ErrorKind.OPENING: judgement.loop_error.opening,
-            ErrorKind.LOOP_ANGLE: judgement.loop_error.angle,
-            ErrorKind.ENERGY: error.energy,
-        }[self]
+        match self:
+            case ErrorKind.RELATIVE:
+                return judgement.error.relative
+            case ErrorKind.POSITION:
+                return max(error.largest_position for error in judgement.errors)
+            case ErrorKind.ROTATION:
+                return max(error.largest_rotation for error in judgement.errors)
+            case ErrorKind.OPENING:
+                return judgement.loop_error.opening
+            case ErrorKind.LOOP_ANGLE:
+                return judgement.loop_error.angle
+            case ErrorKind.ENERGY:
+                return max(error.energy for error in judgement.errors)
+            case _:
+                assert_never(self)
 
 
 RATIOS = {"": 1.0, "%": 0.01}

@@ -8,6 +8,7 @@ has these elements switched off.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -62,10 +63,10 @@ class Comparison:
         simulation: the file in its own engine.
         scene: scene of the reference, with the output times of the comparison.
         reference: reference solution.
-        scale: extent of the motion, by which errors are divided.
+        scale: extent of the motion up to `until`, by which errors are divided.
         every: number of the file's time steps from one output to the next.
         steps: number of the file's time steps in the compared time.
-        until: time, s, at which the comparison ends because the motion is chaotic; None for the whole run.
+        until: time, s, at which the comparison ends; None for the whole run.
     """
 
     simulation: FileSimulation[Any]
@@ -94,14 +95,14 @@ class Comparison:
         """
         step = simulation.settings.timestep
         scene = simulation.scene
-        # a multiple of four, so that RK4 at four times the step (the same number of evaluations) has the same
-        # outputs
+        # if possible a multiple of four, so that RK4 at four times the step (the same number of evaluations)
+        # has the same outputs
         every = 4 * round(scene.output_period / step / 4.0) or max(1, round(scene.output_period / step))
         # evaluations of the equations of motion: the limit of a run, and the number per simulated second
         max_duration = simulation.max_evaluations / simulation.evaluations(simulation.settings)
         duration = min(scene.duration, max_duration, MAX_STEPS * step)
         steps = int(duration / step * (1.0 + 1e-9)) // every * every
-        steps = max(steps, every)
+        steps = max(steps, math.lcm(every, 4))  # RK4 at four times the step needs one output
         sampled = replace(
             scene,
             output_period=every * step,
@@ -111,8 +112,19 @@ class Comparison:
         reference = simulate(sampled, **(method or newton_euler_options(sampled)))
         if method is None:
             until = comparable_until(sampled, reference)
-        scale = MotionScale.of(reference, scene.mechanism.size)
-        return cls(simulation, sampled, reference, scale, every, steps, until)
+        whole = MotionScale.of(reference, scene.mechanism)
+        compared = cls(simulation, sampled, reference, whole, every, steps, None)
+        return compared if until is None else compared.ending_at(until)
+
+    def ending_at(self, until: float) -> Comparison:
+        """Return the comparison up to a time, s, which divides errors by the motion up to then."""
+        ending = replace(self, until=until)
+        scale = MotionScale.of(ending.until_end(self.reference), self.scene.mechanism)
+        return replace(ending, scale=scale)
+
+    def reaches(self, time: float) -> bool:
+        """Return True if the comparison goes on at a time, s, and has outputs between the start and then."""
+        return time > self.reference.time[1] and (self.until is None or time < self.until)
 
     def run(
         self, settings: Any, reduced: bool = True, simulation: FileSimulation[Any] | None = None
@@ -124,10 +136,14 @@ class Comparison:
             reduced: True to switch off all elements that the reference does not simulate.
             simulation: simulation of a changed model; that of the file if None.
         """
-        ratio = self.simulation.settings.timestep / settings.timestep
-        every = max(1, round(self.every * ratio))
-        steps = self.steps // self.every * every
-        return (simulation or self.simulation).run(settings, steps, every, reduced)
+        own_step = self.simulation.settings.timestep
+        every = self.every * own_step / settings.timestep
+        # outputs at every, every second or every fourth output time of the reference: steps are at most four
+        # times those of the file, and may be too long for all of them
+        stride = next(n for n in (1, 2, 4) if round(n * every, 6).is_integer())
+        outputs = self.steps // self.every // stride
+        every = round(stride * every)
+        return (simulation or self.simulation).run(settings, outputs * every, every, reduced)
 
     def run_once(self, settings: Any) -> FileRun:
         """Return the reduced run with some settings; it is simulated at the first call."""
@@ -164,4 +180,6 @@ class Comparison:
 
     def until_end(self, run: Trajectory) -> Trajectory:
         """Return a run up to the time at which the comparison ends."""
-        return run if self.until is None else run.first(int(np.searchsorted(run.time, self.until)))
+        if self.until is None:
+            return run
+        return run.first(max(1, int(np.searchsorted(run.time, self.until))))

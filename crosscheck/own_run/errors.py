@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, assert_never
@@ -10,6 +9,7 @@ from typing import Literal, assert_never
 import numpy as np
 
 from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import LoopErrors
 from newton_euler.scalars import Array
@@ -58,13 +58,16 @@ class RunError:
     """Largest errors of a run.
 
     Attributes:
-        position: largest error of a body's center of mass, m.
+        position: error of the center of mass of the body whose error is the largest part of the motion, m.
         position_at: body and time, s, of that error.
-        rotation: largest error of a body's orientation, rad.
+        rotation: error of the orientation of the body whose error is the largest part of the motion, rad.
         rotation_at: body and time, s, of that error.
         energy: largest error of the change of total energy, divided by `MotionScale.energy`.
-        relative_position: `position`, divided by `MotionScale.length`.
-        relative_rotation: `rotation`, divided by `MotionScale.angle`.
+        relative_position: `position`, divided by the body's scale in `MotionScale.lengths`.
+        relative_rotation: `rotation`, divided by the body's scale in `MotionScale.angles`.
+        largest_position: largest error of any center of mass, m. It is larger than `position` if a body of
+            another mechanism that moves farther has this error.
+        largest_rotation: largest error of any orientation, rad.
     """
 
     position: float
@@ -74,6 +77,8 @@ class RunError:
     energy: float
     relative_position: float
     relative_rotation: float
+    largest_position: float
+    largest_rotation: float
 
     @property
     def relative(self) -> float:
@@ -119,66 +124,91 @@ class LoopError:
         if not found.names:
             return cls()
         openings, angles = found.openings[: len(times)], found.angles[: len(times)]
-        return cls(*_worst(openings, found.names, times), *_worst(angles, found.names, times))
+        (opened, loop), (turned, other) = _largest_at(openings), _largest_at(angles)
+        return cls(
+            opening=float(openings[opened, loop]),
+            opening_at=(found.names[loop], float(times[opened])),
+            angle=float(angles[turned, other]),
+            angle_at=(found.names[other], float(times[turned])),
+        )
 
 
 @dataclass(frozen=True)
 class MotionScale:
     """Extent of a motion, by which errors are divided.
 
+    Bodies that joints connect without the ground are one mechanism, and have one scale. A small mechanism
+    beside one that falls far is judged by its own motion.
+
     Attributes:
-        length: largest displacement of a center of mass, m.
-        angle: largest rotation, at most 1 rad.
-        energy: largest kinetic energy plus the range of the potential energy, J.
+        lengths: for each body, ground first: largest displacement of a center of mass of its mechanism, m.
+        angles: for each body, ground first: largest rotation of a body of its mechanism, at most 1 rad.
+        energy: largest kinetic energy plus the range of the potential energy of all bodies, J.
     """
 
-    length: float
-    angle: float
+    lengths: tuple[float, ...]
+    angles: tuple[float, ...]
     energy: float
 
     @classmethod
-    def of(cls, reference: Trajectory, size: float) -> MotionScale:
+    def of(cls, reference: Trajectory, mechanism: Mechanism) -> MotionScale:
         """Measure a reference solution.
 
         Args:
             reference: run with energies.
-            size: size of the mechanism, m.
+            mechanism: mechanism of the run.
         """
-        moved = float(np.max(np.linalg.norm(reference.position - reference.position[0], axis=2)))
+        lengths = np.max(np.linalg.norm(reference.position - reference.position[0], axis=2), axis=0)
         start = np.broadcast_to(reference.quaternion[0], reference.quaternion.shape)
-        turned = float(np.max(angle_between(reference.quaternion, start)))
+        angles = np.max(angle_between(reference.quaternion, start), axis=0)
+        extents = np.array(mechanism.extents)
+        for bodies in mechanism.connected_bodies:  # indices of the bodies of one mechanism
+            group = list(bodies)
+            lengths[group] = max(np.max(lengths[group]), MIN_SCALE * np.max(extents[group]))
+            angles[group] = np.clip(np.max(angles[group]), MIN_SCALE, MAX_ANGLE_SCALE)
+        lengths[0], angles[0] = np.max(lengths), np.max(angles)  # the ground has no error
         kinetic, potential = _energies(reference)
-        return cls(
-            max(moved, MIN_SCALE * size),
-            float(np.clip(turned, MIN_SCALE, MAX_ANGLE_SCALE)),
-            float(np.max(kinetic) + np.ptp(potential)),
-        )
+        energy = float(np.max(kinetic) + np.ptp(potential))
+        return cls(tuple(lengths.tolist()), tuple(angles.tolist()), energy)
+
+    @property
+    def length(self) -> float:
+        """Largest displacement of any center of mass, m."""
+        return max(self.lengths)
+
+    @property
+    def angle(self) -> float:
+        """Largest rotation of any body, at most 1 rad."""
+        return max(self.angles)
 
 
 def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> RunError:
     """Compare a run with a reference solution at the output times that both have.
 
     Args:
-        run: run with the same bodies and output times; it may end early.
+        run: run with the same bodies; it may end early.
         reference: reference solution.
         scale: extent of the reference's motion.
     """
-    position, rotation = errors_over_time(run, reference)
-    count = len(position)
+    run, reference = run.common_outputs(reference)
     energy_changes = []  # of the run and of the reference: total energy (n,), J, minus that of the start
     for each in (run, reference):
-        kinetic, potential = _energies(each.first(count))
+        kinetic, potential = _energies(each)
         energy_changes.append(kinetic + potential - kinetic[0] - potential[0])
     energy_error = float(np.max(np.abs(energy_changes[0] - energy_changes[1])))
-    worst_position, worst_rotation = (
-        _worst(errors, run.body_names, run.time) for errors in (position, rotation)
-    )
+    position, rotation = errors_over_time(run, reference)
+    # output and body of the largest errors relative to the motion
+    worst, turned = _largest_at(position / scale.lengths), _largest_at(rotation / scale.angles)
     return RunError(
-        *worst_position,
-        *worst_rotation,
-        energy_error / scale.energy if scale.energy else 0.0,
-        worst_position[0] / scale.length,
-        worst_rotation[0] / scale.angle,
+        position=float(position[worst]),
+        position_at=(run.body_names[worst[1]], float(run.time[worst[0]])),
+        rotation=float(rotation[turned]),
+        rotation_at=(run.body_names[turned[1]], float(run.time[turned[0]])),
+        energy=energy_error / scale.energy if scale.energy else 0.0,
+        relative_position=float(position[worst]) / scale.lengths[worst[1]],
+        relative_rotation=float(rotation[turned]) / scale.angles[turned[1]],
+        largest_position=float(np.max(position)),
+        largest_rotation=float(np.max(rotation)),
     )
 
 
@@ -189,15 +219,15 @@ def errors_over_time(run: Trajectory, reference: Trajectory) -> tuple[Array, Arr
         run: run with the bodies and output times of the reference; it may end early.
         reference: reference solution.
     """
-    count = min(len(run.time), len(reference.time))
-    position = np.linalg.norm(run.position[:count] - reference.position[:count], axis=2)
-    return position, angle_between(run.quaternion[:count], reference.quaternion[:count])
+    run, reference = run.common_outputs(reference)
+    position = np.linalg.norm(run.position - reference.position, axis=2)
+    return position, angle_between(run.quaternion, reference.quaternion)
 
 
-def _worst(errors: Array, names: Sequence[str], times: Array) -> tuple[float, tuple[str, float]]:
-    """Return the largest of errors (n, k) of k named elements at n times, s, and its element and time."""
+def _largest_at(errors: Array) -> tuple[int, int]:
+    """Return the indices of the largest one of errors (n, k): output time and element."""
     output, element = np.unravel_index(int(np.argmax(errors)), errors.shape)
-    return float(errors[output, element]), (names[int(element)], float(times[output]))
+    return int(output), int(element)
 
 
 def _energies(run: Trajectory) -> tuple[Array, Array]:

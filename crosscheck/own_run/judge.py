@@ -51,8 +51,12 @@ class Judgement:
         stopped: reason why the run ended early; "" for a complete run.
         events: elements of the file that act and that the reference does not have, in the order of time. If
             there are any, the judged run is without them.
-        until: time, s, at which the comparison ends because the motion is chaotic or unstable; None if the
-            comparison ends with the run.
+        until: time, s, at which the comparison ends: the motion is chaotic or unstable from then on, or the
+            first of `events` acts (`ends_with_event`); None if the comparison ends with the run.
+        ends_with_event: True if the comparison ends with the first of `events`. It does so if the error until
+            then is a larger part of the motion until then than the error of the whole run without `events`.
+        other_error: the error of the whole run if the comparison ends with an event, or else the error until
+            the first event; None if no event is after the start.
         causes: error by property of the settings, largest first; empty for an accurate run.
         harmless: tested properties without which no run is closer to the reference.
         remedies: settings with a smaller error, cheapest first; empty for an accurate run.
@@ -90,6 +94,13 @@ class Judgement:
     are_assumed: bool = False
     harmless: tuple[str, ...] = ()
     unjudged_from: float | None = None
+    ends_with_event: bool = False
+    other_error: RunError | None = None
+
+    @property
+    def errors(self) -> tuple[RunError, ...]:
+        """The error of the judgement, and that of the other comparison if there is one."""
+        return (self.error,) if self.other_error is None else (self.error, self.other_error)
 
     @property
     def errors_cancel(self) -> bool:
@@ -137,14 +148,20 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     Raises:
         NewtonEulerError: if the scene has no reference solution.
     """
-    compared = Comparison.of(simulation)
+    compared = whole = Comparison.of(simulation)
     # the run as it stands; if something acts that the reference does not have, the run without such elements
     run = compared.run(simulation.settings, reduced=False)
     as_it_stands = run.stopped
     events = merged(run.events, acting)
     if events:
         run = compared.run_once(simulation.settings)  # reduced, and kept for later calls
-    error = compared.error(run)
+    error, other_error = compared.error(run), None
+    # until the first event both runs are the same; the larger one of both errors is judged
+    if events and not run.stopped and compared.reaches(events[0].time):
+        until_event = compared.ending_at(events[0].time)
+        other_error = until_event.error(run)
+        if other_error.relative > error.relative:
+            compared, error, other_error = until_event, other_error, error
     causes: tuple[MeasuredCause, ...] = ()
     harmless: tuple[str, ...] = ()
     remedies: tuple[MeasuredRemedy, ...] = ()
@@ -162,7 +179,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         engine=simulation.engine,
         settings=simulation.words(),
         error=error,
-        loop_error=LoopError.of(run.loop_errors, compared.until_end(run.trajectory).time),
+        loop_error=LoopError.of(run.loop_errors, whole.until_end(run.trajectory).time),
         stopped=run.stopped,
         events=events,
         until=compared.until,
@@ -178,6 +195,8 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         are_assumed=simulation.are_assumed,
         harmless=harmless,
         unjudged_from=compared.unjudged_from,
+        ends_with_event=compared is not whole,
+        other_error=other_error,
     )
 
 

@@ -92,12 +92,13 @@ def _completed(compared: Comparison, run: FileRun, kinds: Iterable[tuple[float, 
         kinds: divisors of the file's time step, and settings.
     """
     simulation = compared.simulation
+    own = compared.run_once(simulation.settings)  # reduced and timed like the other runs
     for divisor, settings in kinds:
         tried = compared.run_once(settings)
         if tried.stopped:
             continue
         evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
-        run_time = evaluations if run.stopped else tried.trajectory.wall_time / run.trajectory.wall_time
+        run_time = evaluations if run.stopped else tried.trajectory.wall_time / own.trajectory.wall_time
         # the fields of `MeasuredSettings`: changes, fragment (text for the file), error
         measured = compared.measured(settings, tried)
         remedy = MeasuredRemedy(*measured, evaluations=evaluations, run_time=run_time)

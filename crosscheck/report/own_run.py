@@ -70,8 +70,8 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
         limits = ", ".join(f"{each.kind} {in_unit(each.largest, each.kind)}" for each in met)
         yield f"  allowed {limits}: met"
     if judgement.events:
-        yield f"  note    judged without {unsimulated_text(judgement.events)}"
-    if judgement.until is not None:
+        yield f"  note    {_events_text(judgement)}"
+    if judgement.until is not None and not judgement.ends_with_event:
         yield f"  note    {chaos_text(judgement.until)}, and no run with other steps can match"
     if judgement.unjudged_from is not None:
         yield f"  note    judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"
@@ -129,6 +129,17 @@ def unsimulated_text(events: Sequence[Event]) -> str:
     first, *others = events
     more = f" and {len(others)} more" if others else ""
     return f"{first.element}{more}: it acts from {first.time:.3g} s on and the reference does not simulate it"
+
+
+def _events_text(judgement: Judgement) -> str:
+    """Tell what acts in the file and not in the reference, and what that means for the judgement."""
+    found, other = unsimulated_text(judgement.events), judgement.other_error
+    if other is None:
+        return f"judged without {found}"
+    error = f"{sizes(other)} ({percent(other.relative)})"
+    if judgement.ends_with_event:
+        return f"judged until {judgement.until:.3g} s, because of {found}; without it, to the end: {error}"
+    return f"judged without {found}; until then: {error}"
 
 
 def chaos_text(until: float) -> str:
@@ -222,7 +233,11 @@ def headline(judgement: Judgement) -> str:
         return "DIVERGED with what acts in the file and not in the reference"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
     shares = dict.fromkeys(percent(error.relative_by(by_position)) for by_position in _stated(error))
-    return f"{word} {sizes(error)}, {' and '.join(shares)} of the motion"
+    # a body of another mechanism may have the largest error, and a smaller one relative to its motion
+    is_largest = error.position == error.largest_position and error.rotation == error.largest_rotation
+    place = error.position_at if error.stated_by_position else error.rotation_at
+    motion = "the motion" if is_largest else f"the motion of the mechanism of {place[0]}"
+    return f"{word} {sizes(error)}, {' and '.join(shares)} of {motion}"
 
 
 def sizes(error: RunError) -> str:
@@ -258,8 +273,8 @@ def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
     """
     error, loops = judgement.error, judgement.loop_error
     for name, value, text, (place, time) in (
-        ("position", error.position, length(error.position), error.position_at),
-        ("rotation", error.rotation, angle(error.rotation), error.rotation_at),
+        ("position", error.position, _with_largest(error, True), error.position_at),
+        ("rotation", error.rotation, _with_largest(error, False), error.rotation_at),
         ("loop opening", loops.opening, length(loops.opening), loops.opening_at),
         ("loop angle", loops.angle, angle(loops.angle), loops.angle_at),
     ):
@@ -267,6 +282,13 @@ def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
             yield f"{name} {text} at {place}, {time:.3g} s"
     if has_energy:
         yield f"energy {percent(error.energy)}"
+
+
+def _with_largest(error: RunError, by_position: bool) -> str:
+    """Format the error of positions or rotations, and the largest one if another mechanism has it."""
+    text = size(error, by_position)
+    largest = length(error.largest_position) if by_position else angle(error.largest_rotation)
+    return text if largest == text else f"{text} (largest of all mechanisms {largest})"
 
 
 def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:

@@ -411,15 +411,16 @@ class Mechanism:
         )
 
     @cached_property
-    def largest_extent(self) -> float:
-        """Largest extent of a body from its center of mass, m.
+    def extents(self) -> tuple[float, ...]:
+        """Extent of each body from its center of mass, m, ground first; that of the ground is 0.
 
-        The extent is the distance to a joint with constraint equations, or the root mean square distance of
-        the body's mass from the center of mass. Unlike `size`, it does not depend on where floating bodies
-        are.
+        The extent is the largest distance to a joint with constraint equations, or the root mean square
+        distance of the body's mass from the center of mass if that is larger. Unlike `size`, it does not
+        depend on where floating bodies are.
         """
-        # The integral of r^2 over the mass is half the trace of the inertia tensor
+        # the integral of r^2 over the mass is half the trace of the inertia tensor
         lengths = [float(np.sqrt(0.5 * np.trace(body.inertia) / body.mass)) for body in self.bodies[1:]]
+        lengths.insert(0, 0.0)
         for equations in self.equations:
             # the joint point fixed in the first body, and the one fixed in the second body
             ends = (
@@ -428,8 +429,29 @@ class Mechanism:
             )
             for index, point in ends:
                 if index > 0 and equations.count > 0:
-                    lengths.append(float(np.linalg.norm(point - self.bodies[index].center_of_mass)))
-        return max(lengths)
+                    distance = float(np.linalg.norm(point - self.bodies[index].center_of_mass))
+                    lengths[index] = max(lengths[index], distance)
+        return tuple(lengths)
+
+    @property
+    def largest_extent(self) -> float:
+        """Largest extent of a body from its center of mass, m, see `extents`."""
+        return max(self.extents)
+
+    @cached_property
+    def connected_bodies(self) -> tuple[tuple[int, ...], ...]:
+        """Groups of bodies, by their indices, that joints with constraint equations connect without the
+        ground."""
+        group_of = list(range(len(self.bodies)))  # number of the group of each body
+        for each in self.equations:
+            if each.first and each.second and each.count:
+                merged, kept = group_of[each.second], group_of[each.first]
+                group_of = [kept if group == merged else group for group in group_of]
+        groups: dict[int, list[int]] = {}
+        for body, group in enumerate(group_of):
+            if body:
+                groups.setdefault(group, []).append(body)
+        return tuple(tuple(bodies) for bodies in groups.values())
 
     @cached_property
     def _body_indices(self) -> dict[str, int]:

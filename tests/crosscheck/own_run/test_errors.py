@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from crosscheck.loading.load import load_scene
-from crosscheck.own_run.judge import judge
+from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
+from crosscheck.own_run.judge import horizon, judge
 
 STEP, DURATION = 0.004, 1.0
 FREQUENCY = 5.0  # rad/s, of the oscillator
@@ -118,6 +119,89 @@ def rotation(vector):
     x, y, z = vector / angle
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew
+
+
+BESIDE = """<mujoco><option timestep="{step}" gravity="0 0 -9.81"/><worldbody>
+  <body name="mass"><joint name="slide" type="slide" axis="1 0 0" stiffness="{stiffness}"/>
+    <inertial pos="0 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body>
+  <body name="stone" pos="0 5 0"><freejoint/>
+    <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+  <keyframe><key name="go" qvel="{speed} 0.1 0 0 0 0 0"/></keyframe></mujoco>"""
+
+
+def test_a_mechanism_is_judged_by_its_own_motion(tmp_path):
+    """An oscillator beside a stone, which falls almost 100 times as far as the oscillator moves."""
+    mass, frequency, speed = 2.0, 20.0, 1.0
+    found = judged(tmp_path, BESIDE, stiffness=mass * frequency**2, speed=speed)
+    times = found.reference.time
+    exact = speed / frequency * np.sin(frequency * times)
+    numeric = semi_implicit(0.0, speed, mass * frequency**2, 0.0, mass)
+    every = round(times[1] / STEP)
+    states = np.array([next(numeric) for _ in range(every * (len(times) - 1) + 1)])[::every]
+    error = np.max(np.abs(states - exact))
+    assert found.error.position_at[0] == "mass"
+    assert found.error.position == pytest.approx(error, rel=PERCENT)
+    assert found.error.relative_position == pytest.approx(error / np.max(np.abs(exact)), rel=PERCENT)
+    # of the stone, as in `test_error_of_a_fall`
+    assert found.error.largest_position == pytest.approx(0.5 * 9.81 * STEP * times[-1], rel=PERCENT)
+
+
+LANDING = """<mujoco><option timestep="{step}"/><worldbody><geom type="plane" size="9 9 1"/>
+  <body name="stone" pos="0 0 0.5"><joint name="z" type="slide" axis="0 0 1"/>
+    <geom name="stone" type="sphere" size="0.1" mass="1"/></body></worldbody>
+  <keyframe><key name="go"/></keyframe></mujoco>"""
+
+
+def test_a_contact_ends_the_comparison(tmp_path):
+    """The error of a fall is h/t of the motion: larger until the landing than to the end of a fall without
+    floor."""
+    found = judged(tmp_path, LANDING)
+    landing = np.sqrt(2.0 * 0.4 / 9.81)
+    assert found.ends_with_event
+    assert found.until == pytest.approx(landing, abs=2.0 * STEP)
+    last = found.error.position_at[1]  # time of the last compared output
+    assert last < found.until
+    assert found.error.relative == pytest.approx(STEP / last, rel=PERCENT)
+    assert found.other_error.relative == pytest.approx(STEP / found.reference.time[-1], rel=PERCENT)
+
+
+def test_a_method_with_long_steps_is_compared_at_equal_times(tmp_path):
+    """RK4 has four times the step of the file, which has two steps from one output to the next."""
+    path = tmp_path / "model.xml"
+    mass, stiffness = 2.0, 2.0 * 20.0**2
+    values = {"integrator": "Euler", "stiffness": stiffness, "damping": 0.0, "speed": SPEED}
+    path.write_text(OSCILLATOR.format(step=STEP, **values))
+    options = {"duration": "0.96", "output_period": str(2.0 * STEP), "excitation": "off"}
+    _, report = load_scene(str(path), options)
+    found = judge(report.simulation)
+    assert found.reference.time[1] == pytest.approx(2.0 * STEP)
+    # by hand: RK4 with 4 STEP, whose step k is step 4 k of the file
+    numeric = semi_implicit(0.0, SPEED, stiffness, 0.0, mass)
+    states = np.array([next(numeric) for _ in range(241)])[::4]
+    matrix = 4.0 * STEP * np.array([[0.0, 1.0], [-stiffness / mass, 0.0]])
+    powers = [np.linalg.matrix_power(matrix, k) / [1.0, 1.0, 2.0, 6.0, 24.0][k] for k in range(5)]
+    long_steps = [np.linalg.matrix_power(sum(powers), k) @ [0.0, SPEED] for k in range(61)]
+    expected = np.max(np.abs(states - np.array(long_steps)[:, 0]))
+    cause = next(each for each in found.causes if each.name == "integrator")
+    assert cause.error.position == pytest.approx(expected, rel=PERCENT)
+
+
+UPRIGHT = """<mujoco><option timestep="{step}" gravity="0 0 -9.81"/><worldbody>
+  <body name="rod"><joint name="hinge" axis="0 1 0"/>
+    <inertial pos="0 0 0.5" mass="1" diaginertia="0.05 0.05 0.01"/></body></worldbody>
+  <keyframe><key name="go"/></keyframe></mujoco>"""
+
+
+def test_horizon_of_an_unstable_equilibrium(tmp_path):
+    """A change of the angle grows by cosh(r t), and one of the speed by sinh(r t)/(r t)."""
+    path = tmp_path / "model.xml"
+    path.write_text(UPRIGHT.format(step=STEP))
+    _, report = load_scene(str(path), {"duration": "5", "excitation": "off"})
+    rate = np.sqrt(9.81 * 0.5 / (0.05 + 0.5**2))
+    first = np.arccosh(MAX_ERROR_GROWTH) / rate  # of a change of the angle alone
+    times = np.linspace(first, 3.0 * first, 1000)
+    last = times[np.argmax(np.sinh(rate * times) / (rate * times) > MAX_ERROR_GROWTH)]
+    assert first < horizon(report.simulation) < 0.5 * (first + last)  # of three mixed changes
 
 
 DRIVEN = """<mujoco><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/><worldbody>

@@ -152,7 +152,7 @@ def relative_error(run, scene):
     from crosscheck.own_run.errors import MotionScale, run_error
 
     exact = newton_euler.simulate(scene, rtol=1e-11, atol=1e-12)
-    return run_error(run, exact, MotionScale.of(exact, scene.mechanism.size)).relative
+    return run_error(run, exact, MotionScale.of(exact, scene.mechanism)).relative
 
 
 def test_the_settings_of_a_urdf_are_found_and_can_be_given(tmp_path):
