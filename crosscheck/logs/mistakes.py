@@ -201,8 +201,9 @@ def _delay(compared: ComparedLog) -> Iterator[Mistake]:
             if np.sum(inside) < 3:
                 continue
             # without energies, which `relative` does not contain
+            earlier = replace(at_outputs(run, np.flatnonzero(inside)), time=times[inside])
             delayed = run_error(
-                without_energies(at_outputs(run, np.flatnonzero(inside))),
+                without_energies(earlier),
                 without_energies(compared.reference_at(times[inside])),
                 compared.motion_scale,
             )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, assert_never
 
 import numpy as np
 
+from crosscheck.own_run.interpolation import common_outputs
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
@@ -141,13 +143,13 @@ class MotionScale:
     beside one that falls far is judged by its own motion.
 
     Attributes:
-        lengths: for each body, ground first: largest displacement of a center of mass of its mechanism, m.
-        angles: for each body, ground first: largest rotation of a body of its mechanism, at most 1 rad.
+        lengths: for each body, by name: largest displacement of a center of mass of its mechanism, m.
+        angles: for each body, by name: largest rotation of a body of its mechanism, at most 1 rad.
         energy: largest kinetic energy plus the range of the potential energy of all bodies, J.
     """
 
-    lengths: tuple[float, ...]
-    angles: tuple[float, ...]
+    lengths: Mapping[str, float]
+    angles: Mapping[str, float]
     energy: float
 
     @classmethod
@@ -168,18 +170,22 @@ class MotionScale:
             angles[group] = np.clip(np.max(angles[group]), MIN_SCALE, MAX_ANGLE_SCALE)
         lengths[0], angles[0] = np.max(lengths), np.max(angles)  # the ground has no error
         kinetic, potential = _energies(reference)
-        energy = float(np.max(kinetic) + np.ptp(potential))
-        return cls(tuple(lengths.tolist()), tuple(angles.tolist()), energy)
+        names = reference.body_names
+        return cls(
+            lengths=dict(zip(names, lengths.tolist(), strict=True)),
+            angles=dict(zip(names, angles.tolist(), strict=True)),
+            energy=float(np.max(kinetic) + np.ptp(potential)),
+        )
 
     @property
     def length(self) -> float:
         """Largest displacement of any center of mass, m."""
-        return max(self.lengths)
+        return max(self.lengths.values())
 
     @property
     def angle(self) -> float:
         """Largest rotation of any body, at most 1 rad."""
-        return max(self.angles)
+        return max(self.angles.values())
 
 
 def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> RunError:
@@ -190,23 +196,25 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
         reference: reference solution.
         scale: extent of the reference's motion.
     """
-    run, reference = run.common_outputs(reference)
+    run, reference = common_outputs(run, reference)
     energy_changes = []  # of the run and of the reference: total energy (n,), J, minus that of the start
     for each in (run, reference):
         kinetic, potential = _energies(each)
         energy_changes.append(kinetic + potential - kinetic[0] - potential[0])
     energy_error = float(np.max(np.abs(energy_changes[0] - energy_changes[1])))
     position, rotation = errors_over_time(run, reference)
+    names, times = run.body_names, run.time
+    lengths, angles = ([each[name] for name in names] for each in (scale.lengths, scale.angles))
     # output and body of the largest errors relative to the motion
-    worst, turned = _largest_at(position / scale.lengths), _largest_at(rotation / scale.angles)
+    worst, turned = _largest_at(position / lengths), _largest_at(rotation / angles)
     return RunError(
         position=float(position[worst]),
-        position_at=(run.body_names[worst[1]], float(run.time[worst[0]])),
+        position_at=(names[worst[1]], float(times[worst[0]])),
         rotation=float(rotation[turned]),
-        rotation_at=(run.body_names[turned[1]], float(run.time[turned[0]])),
+        rotation_at=(names[turned[1]], float(times[turned[0]])),
         energy=energy_error / scale.energy if scale.energy else 0.0,
-        relative_position=float(position[worst]) / scale.lengths[worst[1]],
-        relative_rotation=float(rotation[turned]) / scale.angles[turned[1]],
+        relative_position=float(position[worst]) / lengths[worst[1]],
+        relative_rotation=float(rotation[turned]) / angles[turned[1]],
         largest_position=float(np.max(position)),
         largest_rotation=float(np.max(rotation)),
     )
@@ -219,7 +227,7 @@ def errors_over_time(run: Trajectory, reference: Trajectory) -> tuple[Array, Arr
         run: run with the bodies and output times of the reference; it may end early.
         reference: reference solution.
     """
-    run, reference = run.common_outputs(reference)
+    run, reference = common_outputs(run, reference)
     position = np.linalg.norm(run.position - reference.position, axis=2)
     return position, angle_between(run.quaternion, reference.quaternion)
 

@@ -11,6 +11,9 @@ import numpy as np
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
+TIME_TOLERANCE = 1e-9
+"""Largest difference of two equal output times, s: above round-off, below any time step."""
+
 SAME_TIME = 1e-5
 """Largest distance of a time from an output, as a fraction of the output period, that is round-off."""
 
@@ -70,6 +73,14 @@ def at_outputs(run: Trajectory, outputs: Array) -> Trajectory:
         name: values[outputs] for name, values in run.arrays().items() if values.dtype.kind == "f"
     }
     return replace(run, **chosen)
+
+
+def common_outputs(one: Trajectory, two: Trajectory) -> tuple[Trajectory, Trajectory]:
+    """Return two runs at the output times that both have; times within `TIME_TOLERANCE` are equal."""
+    last = len(two.time) - 1
+    nearest = np.minimum(np.searchsorted(two.time, one.time - TIME_TOLERANCE), last)
+    common = np.abs(two.time[nearest] - one.time) < TIME_TOLERANCE
+    return at_outputs(one, np.flatnonzero(common)), at_outputs(two, nearest[common])
 
 
 def of_bodies(run: Trajectory, names: Sequence[str]) -> Trajectory:

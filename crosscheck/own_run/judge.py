@@ -32,11 +32,14 @@ class MeasuredCause:
         name: the property, such as "time step".
         error: difference of a run from a run without the error of the property.
         brings_back: whether the run completes without the property; False if the judged run does.
+        is_choice: whether the other run has another choice, such as another integrator, with an error of its
+            own; False if it is more exact.
     """
 
     name: str
     error: RunError
     brings_back: bool = False
+    is_choice: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +107,10 @@ class Judgement:
 
     @property
     def errors_cancel(self) -> bool:
-        """True if the largest cause alone has a clearly larger error than the run has."""
+        """True if an exact cause alone has a clearly larger error than the run has."""
         by_position = self.error.stated_by_position
-        largest = max((cause.error.relative_by(by_position) for cause in self.causes), default=0.0)
+        exact = [cause.error.relative_by(by_position) for cause in self.causes if not cause.is_choice]
+        largest = max(exact, default=0.0)
         return not self.stopped and largest > CANCELLATION * self.error.relative_by(by_position)
 
     @property
@@ -251,7 +255,7 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
     Args:
         compared: the file with its reference.
         run: the judged run.
-        of_position: whether causes are sorted by errors of positions, see `RunError.part`.
+        of_position: whether causes are sorted by errors of positions, else by errors of rotations.
 
     Returns:
         The largest cause first. If the judged run diverged, first the properties without which the run
@@ -264,13 +268,14 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
         kept = run if cause.against is None else compared.run_once(cause.against)
         if removed.stopped:
             continue
-        remaining = compared.error(removed).relative
-        is_closer = remaining < compared.error(kept).relative or bool(kept.stopped)
+        error, remaining = compared.error(kept), compared.error(removed)
+        is_closer = remaining.relative < error.relative or bool(kept.stopped)
         if cause.is_choice and not is_closer:
             continue
-        if cause.name not in best or remaining < best[cause.name][0]:
-            measured = MeasuredCause(cause.name, compared.apart(kept, removed), bool(kept.stopped))
-            best[cause.name] = remaining, measured
+        if cause.name not in best or remaining.relative < best[cause.name][0]:
+            apart = compared.apart(kept, removed)
+            measured = MeasuredCause(cause.name, apart, bool(kept.stopped), cause.is_choice)
+            best[cause.name] = remaining.relative, measured
 
     def place(pair: tuple[float, MeasuredCause]) -> tuple[bool, float]:
         remaining, cause = pair

@@ -152,7 +152,9 @@ def _without(own_run: Mapping[str, Any]) -> str:
     if events := own_run["events"]:
         others = f" and {len(events) - 1} more" if events[1:] else ""
         words.append(f"{events[0]['element']}{others}, from {events[0]['time']:.3g} s on")
-    if own_run["until"] is not None:
+    if own_run["ends_with_event"]:
+        words.append("judged until then")
+    elif own_run["until"] is not None:
         words.append(f"chaotic from {own_run['until']:.3g} s on")
     return "; ".join(words)
 

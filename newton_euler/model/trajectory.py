@@ -85,9 +85,6 @@ The letter c stands for the carried angles: hinge angles that a run integrates w
 ARCHIVE_ERRORS = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
 """Errors, in addition to ValueError, that `zipfile` and `numpy.load` raise for broken archives."""
 
-TIME_TOLERANCE = 1e-9
-"""Largest difference of two output times, s, that are the same: above round-off, below any time step."""
-
 COMPONENTS = {"3": "xyz", "4": "wxyz"}
 """Letters of the components of vectors and quaternions, by the character of their dimension in `SHAPES`."""
 
@@ -325,25 +322,12 @@ class Trajectory:
         Args:
             outputs: number of output times.
         """
-        return self if outputs >= len(self.time) else self._at(slice(outputs))
-
-    def _at(self, outputs: slice | Array) -> Trajectory:
-        """Return the run at some of its output times, given by a slice or by indices."""
-        numbers: dict[str, Any] = {
-            name: values[outputs] for name, values in self.arrays().items() if values.dtype.kind == "f"
+        if outputs >= len(self.time):
+            return self
+        shortened: dict[str, Any] = {
+            name: values[:outputs] for name, values in self.arrays().items() if values.dtype.kind == "f"
         }
-        return replace(self, **numbers)
-
-    def common_outputs(self, other: Trajectory) -> tuple[Trajectory, Trajectory]:
-        """Return this run and another one at the output times that both have.
-
-        Args:
-            other: another run; times that differ by less than `TIME_TOLERANCE` are equal.
-        """
-        last = len(other.time) - 1
-        nearest = np.minimum(np.searchsorted(other.time, self.time - TIME_TOLERANCE), last)
-        common = np.abs(other.time[nearest] - self.time) < TIME_TOLERANCE
-        return self._at(np.flatnonzero(common)), other._at(nearest[common])
+        return replace(self, **shortened)
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> None:
