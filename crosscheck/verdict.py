@@ -151,8 +151,8 @@ class Verdict:
     ) -> None:
         """Raise `AssertionError` if the run with the settings of the model has a larger error than allowed.
 
-        The message has the errors, the causes, and settings with a smaller error. `crosscheck run
-        --max-error` makes the same checks.
+        Runs of other simulators that `check` was given are limited instead. The message has the errors, the
+        causes, and settings with a smaller error. `crosscheck run --max-error` makes the same checks.
 
         Args:
             max_error: largest relative error, a fraction of the motion; None for no limit.

@@ -104,8 +104,9 @@ OUTPUT = Path("output")
     "max_errors",
     multiple=True,
     metavar="[ERROR=]VALUE",
-    help="Exit with 5 if the run with the settings of the file has a larger error: a part of the motion "
-    "such as 1e-3 or 0.1%, or position=1mm, rotation=0.1deg, opening=0.1mm, energy=1%. Repeatable.",
+    help="Exit with 5 if the run with the settings of the file has a larger error, or with --log if a log "
+    "has: a part of the motion such as 1e-3 or 0.1%, or position=1mm, rotation=0.1deg, opening=0.1mm, "
+    "energy=1%. Repeatable.",
 )
 @verbose_option
 @click.option(
@@ -290,9 +291,9 @@ def _engine_comparison(asked: _Options) -> _Comparison:
     # not verified here: the comparison has checks of the import, and reports all that fail
     scene, import_report = load_scene(asked.model, options, verified=False)
     # only a scene of a file has an import report, with the simulation of the file in its own engine
-    if allowed and (import_report is None or import_report.simulation is None):
+    if allowed and not logs and (import_report is None or import_report.simulation is None):
         raise CrosscheckError(
-            f"--max-error: {asked.model} has no run of its own to judge; needed: an MJCF or URDF file"
+            f"--max-error: {asked.model} has no run of its own; needed: an MJCF or URDF file, or --log"
         )
 
     def compute(progress: Progress) -> ComparisonResult:

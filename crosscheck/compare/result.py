@@ -29,7 +29,7 @@ from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
 from crosscheck.logs.judge import LogJudgement
-from crosscheck.own_run.allowed import AllowedError
+from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind
 from crosscheck.own_run.judge import Judgement
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import Scene
@@ -55,7 +55,7 @@ class EngineComparison(ComparisonResult):
         singular: singular configurations of the first engine's run; None if there are none.
         own_run: judgement of the own run of the model file; None for scenes of this package and for files
             without an engine of their own.
-        allowed_errors: largest errors that the user allows for the own run; empty if it cannot fail.
+        allowed_errors: largest errors that the user allows for the `limited_runs`; empty if they cannot fail.
         logs: judgements of logs (recorded motions of other simulators), by name.
     """
 
@@ -105,24 +105,50 @@ class EngineComparison(ComparisonResult):
         return Outcome.AGREE
 
     @property
-    def exceeded(self) -> list[AllowedError]:
-        """Allowed errors that the own run exceeds."""
-        run = self.own_run
-        return [allowed for allowed in self.allowed_errors if allowed.is_exceeded_by(run)] if run else []
+    def limited_runs(self) -> Mapping[str, Judgement]:
+        """Judged runs whose errors the user can limit, by name: the logs; without logs, the own run."""
+        return self.logs or ({OWN_RUN: self.own_run} if self.own_run else {})
+
+    def limits_of(self, name: str) -> Sequence[AllowedError]:
+        """Return the allowed errors of `OWN_RUN` or of a log, without kinds that the columns do not show."""
+        if not self.logs:
+            return self.allowed_errors
+        if name not in self.logs:
+            return ()
+        without = set() if self.logs[name].has_energy else {ErrorKind.ENERGY}
+        return [each for each in self.allowed_errors if each.kind not in without]
+
+    @property
+    def exceeded(self) -> dict[str, list[AllowedError]]:
+        """Allowed errors that runs exceed, by name of the run."""
+        found = {
+            name: [allowed for allowed in self.limits_of(name) if allowed.is_exceeded_by(run)]
+            for name, run in self.limited_runs.items()
+        }
+        return {name: exceeded for name, exceeded in found.items() if exceeded}
 
     def with_allowed_errors(self, allowed: Sequence[AllowedError]) -> Self:
-        """Return this result with largest errors that the own run may have.
+        """Return this result with largest errors that the `limited_runs` may have.
 
-        The result is unfinished if the own run, or its end, is not judged although the engines agree.
+        The result is unfinished if the own run, or its end, is not judged although the engines agree, or if a
+        log has no columns for an error.
         """
         stops = self.unfinished
+        if self.logs:
+            if any(each.kind is ErrorKind.ENERGY for each in allowed):
+                reason = "its columns do not determine the energy; needed: velocities of all joints or bodies"
+                stops = (
+                    *stops,
+                    *(Stop(name, reason) for name, log in self.logs.items() if not log.has_energy),
+                )
+            return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
         if allowed and self.own_run is None and not self.differs:
             needed = "not judged, as the scene has no run of its own; needed: an MJCF or URDF model"
             reason = next((note for note in self.notes if note.startswith(JUDGING)), needed)
-            stops = (*stops, Stop("your settings", reason.removeprefix(f"{JUDGING}: ")))
+            stops = (*stops, Stop(OWN_RUN, reason.removeprefix(f"{JUDGING}: ")))
         if allowed and self.own_run and self.own_run.unjudged_from is not None:
             end = f"not judged from {self.own_run.unjudged_from:.3g} s on, as the run has too many time steps"
-            stops = (*stops, Stop("your settings", f"{end}; needed: a shorter --set duration"))
+            stops = (*stops, Stop(OWN_RUN, f"{end}; needed: a shorter --set duration"))
         return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
 
     @property
@@ -140,9 +166,10 @@ class EngineComparison(ComparisonResult):
     def is_reduced(self) -> bool:
         """True if elements of the file act that are not simulated, so that results are on a reduced model.
 
-        The elements act in the compared motion, or in the own run if the user limits its errors.
+        The elements act in the compared motion, or in a run whose errors the user limits.
         """
-        return bool(self.acting or (self.allowed_errors and self.own_run and self.own_run.events))
+        limited = self.limited_runs.values() if self.allowed_errors else ()
+        return bool(self.acting or any(run.events for run in limited))
 
     @property
     def until(self) -> float | None:
@@ -196,7 +223,11 @@ class EngineComparison(ComparisonResult):
             "own_run": self.own_run.summary() if self.own_run else None,
             "logs": {name: judgement.summary() for name, judgement in self.logs.items()},
             "allowed_errors": [
-                {"kind": each.kind.value, "largest": each.largest, "exceeded": each in self.exceeded}
+                {
+                    "kind": each.kind.value,
+                    "largest": each.largest,
+                    "exceeded": any(each in exceeded for exceeded in self.exceeded.values()),
+                }
                 for each in self.allowed_errors
             ],
         }

@@ -19,11 +19,14 @@ from crosscheck.own_run.allowed import exceeded_text
 def verdict_of(result: EngineComparison) -> str:
     """Format the verdict in one line: agreement, or the outlier with the first failing check; then the
     engines and parts of the comparison that are missing."""
-    if result.outcome is Outcome.INACCURATE and result.own_run:
-        # the run with the file's settings exceeds errors that the user allows: append the verdict without it
+    if result.outcome is Outcome.INACCURATE:
+        # a run exceeds errors that the user allows: append the verdict without it
         verdict_of_engines = verdict_of(replace(result, allowed_errors=()))
-        exceeded = exceeded_text(result.own_run, result.exceeded)
-        return f"{Outcome.INACCURATE}: {exceeded}; {verdict_of_engines}"
+        texts = [
+            exceeded_text(name, result.limited_runs[name], exceeded)
+            for name, exceeded in result.exceeded.items()
+        ]
+        return f"{Outcome.INACCURATE}: {'; '.join(texts)}; {verdict_of_engines}"
     word, text = _judgment(result)
     for name, reason in result.left_out.items():
         text += f"; {name} left out: {reason}"

@@ -16,6 +16,9 @@ from typing import assert_never
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.errors import CrosscheckError
 
+OWN_RUN = "your settings"
+"""Name of the run with the settings of the model file, beside the names of logs."""
+
 NUMBER_AND_UNIT = re.compile(r"\s*([-+0-9.eE]+)\s*([a-z%]*)\s*")
 """Pattern of a value such as "1e-3", "0.1%" or "1 mm"."""
 
@@ -133,15 +136,22 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(names)
 
 
-def exceeded_text(judgement: Judgement, exceeded: Sequence[AllowedError]) -> str:
-    """Format the errors that exceed what the user allows, or why the run has no error."""
+def exceeded_text(name: str, judgement: Judgement, exceeded: Sequence[AllowedError]) -> str:
+    """Format the errors that exceed what the user allows, or why the run has no error.
+
+    Args:
+        name: `OWN_RUN`, or the name of a log.
+        judgement: judgement of the run.
+        exceeded: the largest errors that the user allows.
+    """
+    run = "the run with your settings" if name == OWN_RUN else f"the log {name}"
     if reason := _divergence(judgement):
-        return f"the run with your settings diverged: {reason}"
+        return f"{run} diverged: {reason}"
     parts = [
         f"{each.kind} {found_text(judgement, each.kind)}, allowed {in_unit(each.largest, each.kind)}"
         for each in exceeded
     ]
-    return f"errors of the run with your settings: {'; '.join(parts)}"
+    return f"errors of {run}: {'; '.join(parts)}"
 
 
 def found_text(judgement: Judgement, kind: ErrorKind) -> str:

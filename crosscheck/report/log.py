@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.logs.mistakes import mistake_line
-from crosscheck.own_run.allowed import length
-from crosscheck.report.own_run import angle, chaos_text, error_texts, headline, size
+from crosscheck.own_run.allowed import AllowedError, length
+from crosscheck.report.own_run import allowed_lines, angle, chaos_text, error_texts, headline, size
 from crosscheck.report.table import Lines
 
 MAX_NAMES = 4
@@ -25,12 +25,17 @@ POINTS = {"center": "centers of mass", "frame": "origins of body frames"}
 """Text for each point of a body whose positions a log may have."""
 
 
-def log_lines(judgement: LogJudgement) -> Lines:
-    """Format the judgement of a log, the result first, in the color of its accuracy."""
-    return Lines("", list(_lines(judgement)), verdict=judgement.band.verdict)
+def log_lines(judgement: LogJudgement, allowed: Sequence[AllowedError] = ()) -> Lines:
+    """Format the judgement of a log, the result first, in the color of its accuracy.
+
+    Args:
+        judgement: the judgement.
+        allowed: largest errors that the user allows.
+    """
+    return Lines("", list(_lines(judgement, allowed)), verdict=judgement.band.verdict)
 
 
-def _lines(judgement: LogJudgement) -> Iterator[str]:
+def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator[str]:
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     error, times = judgement.error, judgement.run.time
     yield f"{judgement.name}  {headline(judgement)}"
@@ -46,6 +51,7 @@ def _lines(judgement: LogJudgement) -> Iterator[str]:
     yield from (f"  mistake {mistake_line(mistake)}" for mistake in judgement.mistakes)
     if error.position or error.rotation:
         yield f"  errors  {'; '.join(error_texts(judgement, judgement.has_energy))}"
+    yield from allowed_lines(judgement, allowed)
     yield from (f"  note    {note}" for note in _notes(judgement))
 
 

@@ -66,9 +66,7 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
     error = judgement.error
     if (error.position or error.rotation) and not judgement.stopped:
         yield f"  errors  {'; '.join(error_texts(judgement))}"
-    if met := [each for each in allowed if not each.is_exceeded_by(judgement)]:
-        limits = ", ".join(f"{each.kind} {in_unit(each.largest, each.kind)}" for each in met)
-        yield f"  allowed {limits}: met"
+    yield from allowed_lines(judgement, allowed)
     if judgement.events:
         yield f"  note    {_events_text(judgement)}"
     if judgement.until is not None and not judgement.ends_with_event:
@@ -91,6 +89,13 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
         yield f"  {'fix' if k == 0 else '':<7} {fix}"
 
 
+def allowed_lines(judgement: Judgement, allowed: Sequence[AllowedError]) -> Iterator[str]:
+    """Yield a line with the allowed errors that a run does not exceed, if there are any."""
+    if met := [each for each in allowed if not each.is_exceeded_by(judgement)]:
+        limits = ", ".join(f"{each.kind} {in_unit(each.largest, each.kind)}" for each in met)
+        yield f"  allowed {limits}: met"
+
+
 def own_run_cases(judgement: Judgement | None, allowed: Sequence[AllowedError]) -> Rows:
     """Make the rows of test cases: each allowed error, or else the judgement, which no limit makes fail.
 
@@ -101,7 +106,7 @@ def own_run_cases(judgement: Judgement | None, allowed: Sequence[AllowedError]) 
     if judgement is None:
         return [[_limit(each), Cell("not judged", "doubtful")] for each in allowed]
     if not allowed:
-        return [["accuracy", Cell(f"{headline(judgement)}; no --max-error is given", "doubtful")]]
+        return [["accuracy", Cell(f"{headline(judgement)}; no --max-error limits it", "doubtful")]]
     rows: Rows = []
     for each in allowed:
         found, causes = found_text(judgement, each.kind), "; ".join(_causes(judgement))

@@ -25,6 +25,8 @@ from crosscheck.compare.runs import displacements
 from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
+from crosscheck.own_run.allowed import OWN_RUN
+from crosscheck.own_run.judge import Judgement
 from crosscheck.report import render
 from crosscheck.report.own_run import own_run_cases
 from crosscheck.report.summary import judged_runs, summary
@@ -111,7 +113,9 @@ def junit(result: ComparisonResult, whole: Report, name: str, allow_reduced: boo
     judged: Verdict = "holds" if result.outcome.passes(allow_reduced) else "fails"
     rows: Rows = [["outcome", Cell(result.verdict, judged)]]
     if isinstance(result, EngineComparison):
-        rows += ["your settings", *own_run_cases(result.own_run, result.allowed_errors)]
+        runs: dict[str, Judgement | None] = {OWN_RUN: result.own_run, **result.logs}
+        for run, judgement in runs.items():
+            rows += [run, *own_run_cases(judgement, result.limits_of(run))]
     parts = [Table("verdict", text_columns("", ""), rows), *whole.parts]
     named = [replace(part, title=f"{name}: {part.title}") for part in parts]
     return render.junit(replace(whole, parts=named))

@@ -20,6 +20,7 @@ from crosscheck.compare.check import (
 )
 from crosscheck.compare.comparison import ComparisonResult
 from crosscheck.compare.result import EngineComparison
+from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, number_columns, seconds
@@ -52,11 +53,13 @@ def judged_runs(result: ComparisonResult) -> list[Part]:
     """Format the judgements of other simulators' logs, and of the run with the settings of the model file."""
     if not isinstance(result, EngineComparison):
         return []
-    parts: list[Part] = [log_lines(judgement) for judgement in result.logs.values()]
+    parts: list[Part] = [
+        log_lines(judgement, result.limits_of(name)) for name, judgement in result.logs.items()
+    ]
     if result.own_run:
         # the line of the import report (`mapping`) on inputs and velocities that the file does not have
         excitation = result.mapping.excitation if result.mapping else ""
-        parts.append(own_run_lines(result.own_run, excitation, result.allowed_errors))
+        parts.append(own_run_lines(result.own_run, excitation, result.limits_of(OWN_RUN)))
     return parts
 
 

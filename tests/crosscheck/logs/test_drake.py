@@ -23,11 +23,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from crosscheck import check
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
 from crosscheck.logs.judge import Log, judge_log
 from crosscheck.logs.mistakes import mistake_line
 from crosscheck.logs.names import Elements, identified
+from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind
 from crosscheck.own_run.errors import Band
 from crosscheck.report.log import log_lines
 from newton_euler import simulate
@@ -205,3 +207,30 @@ def test_a_start_that_columns_do_not_determine_names_columns_that_were_not_read(
 def test_names_of_states_of_drake(name, kind, element):
     target = identified(name, Elements(load("tracker").mechanism, None)).target
     assert (target.kind, target.element) == (kind, element)
+
+
+@pytest.fixture(scope="module")
+def verdict(log, motions):
+    """The verdict on the model with both logs: that of states, and that of poses, which have no energy."""
+    runs = {"states": str(PATH), "poses": poses_of(log, motions)}
+    return check(MODEL, ["newton_euler", "mujoco"], runs=runs)
+
+
+def test_allowed_errors_are_those_of_logs(verdict):
+    # the run with the settings of the file has an error of 3 %, which no limit concerns beside logs
+    assert verdict.own_run.error.relative > 0.03
+    verdict.assert_accurate(0.02)
+    with pytest.raises(
+        AssertionError, match=r"errors of the log states: position 701 um, allowed 500 um; .* log poses"
+    ):
+        verdict.assert_accurate(None, position=5e-4)
+    result = verdict.crosscheck.with_allowed_errors([AllowedError(ErrorKind.POSITION, 5e-4)])
+    assert result.outcome.exit_status() == 5
+    assert set(result.exceeded) == {"states", "poses"}
+    assert [each["exceeded"] for each in result.summary()["allowed_errors"]] == [True]
+
+
+def test_the_energy_of_a_log_without_velocities_cannot_be_limited(verdict):
+    result = verdict.crosscheck.with_allowed_errors([AllowedError(ErrorKind.ENERGY, 0.1)])
+    assert [(stop.what, "velocities" in stop.reason) for stop in result.unfinished] == [("poses", True)]
+    assert (result.exceeded, result.limits_of("poses"), result.limits_of(OWN_RUN)) == ({}, [], ())

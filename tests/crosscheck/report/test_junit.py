@@ -66,7 +66,7 @@ def test_checks_of_engines_and_the_judgement_without_a_limit(cases):
     tag, message = results[SETTINGS, "accuracy"]
     assert tag == "skipped"  # it neither passes nor fails, as no error is limited
     assert message.startswith("your settings: accuracy: OFF BY ")
-    assert message.endswith("no --max-error is given")
+    assert message.endswith("no --max-error limits it")
     assert results["swing: engines compared.model", "mass, rel"] == ("passed", "")
 
 
