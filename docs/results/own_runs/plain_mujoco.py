@@ -101,7 +101,7 @@ def main(path: str, summary: str) -> None:
     with open(summary, encoding="utf-8") as file:
         own_run = json.load(file)["own_run"]
     inputs, until = own_run["run_inputs"], own_run["until"]
-    # `until` is the time from which on the motion is chaotic
+    # `until` is the time at which the comparison ends
     times = [now for now in inputs["output_times"] if until is None or now < until]
     step = compiled(path, inputs, {}).opt.timestep / FINE_STEP_DIVISOR
     stiff = {"solref": f"{2.0 * step} 1", "solimp": "0.9999 0.9999 0.001", "solver": "Newton"}
