@@ -1,8 +1,8 @@
 """crosscheck: simulate a closed-loop mechanism in several dynamics engines, and compare the results.
 
-The public names are `check` with its `Verdict` and `Outcome`, and `Log`, a run of another simulator. `sweep`
-with its `Sweep` makes Monte Carlo and design-of-experiments studies. `CrosscheckError` is the base class of
-errors.
+The public names are `check` with its `Verdict` and `Outcome`, and `Log`, a run of another simulator. `tune`
+with its `Tuning` finds the cheapest settings of an engine for an error. `sweep` with its `Sweep` makes Monte
+Carlo and design-of-experiments studies. `CrosscheckError` is the base class of errors.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from crosscheck.logs.judge import Log
     from crosscheck.support.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
+    from crosscheck.tuning import Tuning, tune
     from crosscheck.verdict import Verdict, check
 else:
 
@@ -25,6 +26,8 @@ else:
             raise AttributeError(f"module 'crosscheck' has no attribute {name!r}")
         if name in ("Sweep", "sweep"):
             from crosscheck.sweeps import sweep as module
+        elif name in ("Tuning", "tune"):
+            from crosscheck import tuning as module
         elif name == "CrosscheckError":
             from crosscheck.support import errors as module
         elif name == "Log":
@@ -37,4 +40,4 @@ else:
         return getattr(module, name)
 
 
-__all__ = ["CrosscheckError", "Log", "Outcome", "Sweep", "Verdict", "check", "sweep"]
+__all__ = ["CrosscheckError", "Log", "Outcome", "Sweep", "Tuning", "Verdict", "check", "sweep", "tune"]

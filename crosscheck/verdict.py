@@ -14,15 +14,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
 from crosscheck.compare.check import Check
 from crosscheck.compare.crosscheck import Crosscheck, crosscheck
 from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.logs import judge_logs
 from crosscheck.compare.outcome import Outcome
 from crosscheck.engines.engine import ENGINES, choose
-from crosscheck.loading.load import load_scene, with_excitation
+from crosscheck.loading.load import OptionValue, load_scene, option_texts, with_excitation
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.errors import ACCURATE_BELOW
@@ -34,9 +32,7 @@ from crosscheck.report.run import report
 from crosscheck.report.table import Report
 from crosscheck.support.files import check_writable, path_of
 from newton_euler.arguments import UNCHECKED, checked
-from newton_euler.errors import items_of
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.scalars import Floats
 
 if TYPE_CHECKING:
     from crosscheck.loading.load import Model
@@ -218,7 +214,7 @@ def check(
     advice: bool = False,
     runs: Annotated[Mapping[str, Any], UNCHECKED] = MappingProxyType({}),
     progress: Callable[[str], None] = lambda stage: None,
-    **options: str | float | Sequence[float] | Floats | Mapping[str, str | float],
+    **options: OptionValue,
 ) -> Verdict:
     """Simulate a model in several engines and compare them.
 
@@ -246,7 +242,7 @@ def check(
         True
     """
     chosen = choose(list(engines))
-    texts = {name: _text(value) for name, value in options.items()}
+    texts = option_texts(options)
     source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
     # by default, models from other tools start in motion, with driven actuators: a model at rest tests little
     scene_options = with_excitation(model, texts)
@@ -255,14 +251,3 @@ def check(
     scene, import_report = load_scene(model, scene_options, verified=False)
     found = crosscheck(scene, chosen, progress, source, scene_options, import_report, advice)
     return Verdict(replace(found, logs=logs))
-
-
-def _text(value: str | float | Sequence[float] | Floats | Mapping[str, str | float]) -> str:
-    """Return an option as text, as on the command line.
-
-    Numbers have all digits and are separated by commas. A mapping is YAML in braces.
-    """
-    if isinstance(value, Mapping):
-        return str(dict(value))
-    numbers = items_of(value)
-    return str(value) if numbers is None else ",".join(map(str, np.asarray(numbers).tolist()))

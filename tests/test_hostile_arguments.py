@@ -26,7 +26,7 @@ PUBLIC = [
     *(getattr(ne, name) for name in ne.__all__),
     *(mjcf.read, mjcf.simulate, mjcf.to_xml, mjcf.write),
     *(urdf.read, urdf.simulate, urdf.to_loops, urdf.to_urdf, urdf.write),
-    *(crosscheck.check, crosscheck.sweep, load),
+    *(crosscheck.check, crosscheck.sweep, crosscheck.tune, load),
 ]
 
 FUNCTIONS = [each for each in PUBLIC if inspect.isfunction(each)]

@@ -58,6 +58,7 @@ def known(run: Trajectory, body: Body, hinge: Revolute) -> None:
     assert_type(mjcf.read("arm.xml").scene, Scene)
     assert_type(urdf.read("arm.urdf").scene, Scene)
     assert_type(check("pendulum").trajectories["mujoco"], Trajectory)
+    assert_type(tune("arm.xml").own.error.relative, float)
 
 def refused(scene: Scene) -> None:
     newton_euler.simulat(scene)  # type: ignore[attr-defined]

@@ -24,7 +24,6 @@ from crosscheck.cli.shared import (
     warn_about_import,
 )
 from crosscheck.report.render import as_json
-from crosscheck.support.errors import CrosscheckError
 
 
 @cli.command("tune")
@@ -48,27 +47,19 @@ def tune_command(file: str, settings: tuple[str, ...], error: float, output: Pat
     The error is that of `crosscheck run`: the largest error of a position or an orientation, as a part of
     the motion. The exit status is 5 if no settings reach the error.
     """
-    from crosscheck.compare.activity import acting_events, watched_in_new_run
+    from crosscheck.compare.tuning import tune_model, with_engine
     from crosscheck.loading.load import load_scene, with_excitation
-    from crosscheck.own_run.tune import tune
     from crosscheck.report.tuning import report
     from crosscheck.support.files import write_files
-    from crosscheck.support.time_limits import limited
 
     # by default, the model starts in motion, with driven actuators: at rest, all settings are accurate
     options = with_excitation(file, scene_options(settings))
-    scene, import_report = load_scene(file, options)
-    # `simulation`: the file in its own engine
-    if import_report is None or import_report.simulation is None:
-        raise CrosscheckError(f"{file} has no settings of an engine; needed: an MJCF or a URDF file")
+    scene, read = load_scene(file, options)
+    import_report = with_engine(file, read)
     warn_about_import(file, import_report, scene)
     [path] = result_paths(output, parent="output/tune", kind="tuning", names=["tune.json"], sources=[file])
-    # added to the error message if the search exceeds its limit of processor time
-    advice = "a larger --error or a shorter --set duration may end"
-    with progress_shown() as progress, limited("tuning", advice, progress):
-        # elements that the reference does not simulate although they act, such as dry friction
-        acting = acting_events(watched_in_new_run(scene, import_report))
-        tuning = tune(import_report.simulation, error, acting, progress)
+    with progress_shown() as progress:
+        tuning = tune_model(scene, import_report, error, progress)
     found = report(scene.name, tuning)
     write_files({path: as_json({"source": file, "options": options, **tuning.summary()}, found)})
     show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")

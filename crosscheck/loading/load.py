@@ -8,15 +8,19 @@ URDF.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
 
 from crosscheck.library import load
 from crosscheck.library.model_files import is_model_file, read_model
 from crosscheck.library.size import check_scene
 from crosscheck.support.errors import CrosscheckError
+from newton_euler.errors import items_of
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportReport
+from newton_euler.scalars import Floats
 
 if TYPE_CHECKING:
     from mjcf.reader import MujocoModel
@@ -30,6 +34,25 @@ DEFAULT_OPTIONS = {"excitation": "on"}
 Most models are at rest at their start. The excitation drives their actuators and gives their joints a start
 velocity, so that a run tests more than equilibrium.
 """
+
+
+OptionValue: TypeAlias = str | float | Sequence[float] | Floats | Mapping[str, str | float]
+"""Value of an option in Python."""
+
+
+def option_texts(options: Mapping[str, OptionValue]) -> dict[str, str]:
+    """Return options as texts by name, as on the command line.
+
+    Numbers have all digits and are separated by commas. A mapping is YAML in braces.
+    """
+
+    def text(value: OptionValue) -> str:
+        if isinstance(value, Mapping):
+            return str(dict(value))
+        numbers = items_of(value)
+        return str(value) if numbers is None else ",".join(map(str, np.asarray(numbers).tolist()))
+
+    return {name: text(value) for name, value in options.items()}
 
 
 def non_default_options(options: Mapping[str, str]) -> dict[str, str]:

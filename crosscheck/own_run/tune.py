@@ -1,8 +1,9 @@
 """Find the cheapest settings with which a model file reaches a given error, on the motion of its scene.
 
 In: a file in its own engine (`newton_euler.reading.file_run.FileSimulation`) and a relative error, of the
-measure of `crosscheck.own_run.errors`. Out: a `Tuning` with settings, errors and costs, all of runs. The cost
-of settings is their number of evaluations of the equations of motion, so that results repeat exactly.
+measure of `crosscheck.own_run.errors`. Out: a `SettingsSearch` with settings, errors and costs, all of runs.
+The cost of settings is their number of evaluations of the equations of motion, so that results repeat
+exactly. `crosscheck.tuning` has the Python interface.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Tried(MeasuredSettings):
 
 
 @dataclass(frozen=True)
-class Tuning:
+class SettingsSearch:
     """Result of a search for settings.
 
     Attributes:
@@ -109,12 +110,12 @@ class _Candidate:
     settings: Any = field(compare=False)
 
 
-def tune(
+def search_settings(
     simulation: FileSimulation[Any],
     target: float,
     acting: Sequence[Event] = (),
     progress: Callable[[str], None] = lambda _: None,
-) -> Tuning:
+) -> SettingsSearch:
     """Find the cheapest settings whose run has at most a given error.
 
     The search tries settings in the order of their costs, and ends at the first ones that reach the target.
@@ -188,7 +189,7 @@ def tune(
     listed = tuple(
         replace(one, run_time=wall_time(settings) / own_time) for settings, one in _thinned(tradeoff)
     )
-    return Tuning(
+    return SettingsSearch(
         simulation.engine,
         simulation.words(),
         target,

@@ -4,8 +4,8 @@
 which the error of a run is below a target. The error is relative to the extent of the motion.
 
 If the motion is chaotic or unstable, the comparison with the reference solution ends early, at
-`Tuning.until`. `Tuning.events` are elements of the file that act in the run and that the reference does not
-simulate, such as contacts.
+`SettingsSearch.until`. `SettingsSearch.events` are elements of the file that act in the run and that the
+reference does not simulate, such as contacts.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from crosscheck.compare.outcome import Verdict
-from crosscheck.own_run.tune import Tried, Tuning
+from crosscheck.own_run.tune import SettingsSearch, Tried
 from crosscheck.report.own_run import chaos_text, percent, size, unsimulated_text
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 
 
-def report(name: str, tuning: Tuning) -> Report:
+def report(name: str, tuning: SettingsSearch) -> Report:
     """Make the report of a search for settings.
 
     Args:
@@ -35,7 +35,7 @@ def report(name: str, tuning: Tuning) -> Report:
     return Report(title, _verdict(tuning), judged, parts, summary=parts)
 
 
-def _verdict(tuning: Tuning) -> str:
+def _verdict(tuning: SettingsSearch) -> str:
     """Format the found settings; if there are none, the smallest error of all tried settings."""
     found = tuning.found
     if found is None:
@@ -66,7 +66,7 @@ def _cost(tried: Tried, of_file: Tried) -> str:
     return f"{ratio:.3g} times the evaluations of your settings"
 
 
-def _table(tuning: Tuning) -> Table:
+def _table(tuning: SettingsSearch) -> Table:
     """Make the table of the file's settings, and of settings with smaller errors than all cheaper ones."""
 
     def row(settings: str, tried: Tried) -> list[str | Cell]:
@@ -85,7 +85,7 @@ def _table(tuning: Tuning) -> Table:
     )
 
 
-def _notes(tuning: Tuning) -> Iterator[str]:
+def _notes(tuning: SettingsSearch) -> Iterator[str]:
     """Yield how the settings were found, and the limits of the result."""
     yield (
         f"{tuning.runs} runs, the cheapest settings first, by evaluations of the equations of motion; errors "

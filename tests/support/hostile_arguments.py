@@ -151,7 +151,7 @@ VALUES = NUMBERS | TEXTS | CONTAINERS | OBJECTS
 """Functions that make hostile values, by their names in messages."""
 
 LONG = (
-    *("mjcf.read", "urdf.read", "crosscheck.check", "crosscheck.sweep"),
+    *("mjcf.read", "urdf.read", "crosscheck.check", "crosscheck.sweep", "crosscheck.tune"),
     *("Verdict.save", "Sweep.check", "Sweep.save"),
 )
 """Names of targets that take seconds: other processes, files and pictures."""
@@ -359,6 +359,11 @@ def functions(folder: Path) -> list[Target]:
         (
             crosscheck.check,
             {"model": str(folder / "swing.xml"), "engines": ["newton_euler"], "duration": 0.05}
+            | {"output_period": 0.01, "excitation": "off", "key": "qpos0"},
+        ),
+        (
+            crosscheck.tune,
+            {"model": str(folder / "swing.xml"), "error": 0.5, "progress": print, "duration": 0.05}
             | {"output_period": 0.01, "excitation": "off", "key": "qpos0"},
         ),
         (load, {"name": "chain", "N": 2}),

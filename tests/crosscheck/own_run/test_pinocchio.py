@@ -8,6 +8,7 @@ import pytest
 import yaml
 from scipy.integrate import solve_ivp
 
+import crosscheck
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.errors import Band
@@ -226,6 +227,18 @@ def test_gains_of_constraints_in_memory():
     pasted = yaml.safe_load(best.fragment)
     _, again = load_scene((model, [constraint]), options | {"own_run": str(pasted)})
     assert judge(again.simulation).error.relative == pytest.approx(best.error.relative, rel=1e-3)
+
+
+def test_settings_for_an_error_of_a_model_in_memory():
+    """The found settings reach the error if they are given as options."""
+    model, constraint, q = crank_and_constraint()
+    arguments = {"error": 1e-2, "q": q, "duration": 0.5}
+    tuning = crosscheck.tune((model, [constraint]), **arguments)
+    assert tuning.found.error.relative <= 1e-2 < tuning.own.error.relative
+    own_run = yaml.safe_load(tuning.found.fragment)
+    again = crosscheck.tune((model, [constraint]), own_run=own_run, **arguments)
+    # at other times, as the outputs are at multiples of the time step
+    assert again.own.error.relative == pytest.approx(tuning.found.error.relative, rel=0.1)
 
 
 MIMIC = """<robot name="gripper"><link name="palm"/>

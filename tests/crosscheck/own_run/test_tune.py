@@ -12,13 +12,16 @@ import pytest
 from command_line import run, verdict_of
 from mjcf_models import FOUR_BAR_BODIES
 
+import crosscheck
 import newton_euler
 from crosscheck.compare.outcome import ExitStatus
 from crosscheck.loading.load import load_scene
 from crosscheck.own_run import tune as tuning
 from crosscheck.own_run.judge import judge
-from crosscheck.own_run.tune import tune
+from crosscheck.own_run.tune import search_settings
+from crosscheck.support.errors import CrosscheckError
 from mjcf.reading.softness import equalities_with_own_softness
+from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
 
 TARGET = 1e-3
@@ -104,7 +107,7 @@ def plain_error(text, scene):
 
 def test_found_settings_reach_the_error_when_pasted(path):
     scene, simulation = loaded(path)
-    found = tune(simulation, TARGET)
+    found = search_settings(simulation, TARGET)
     assert found.own.error.relative > TARGET
     assert found.found is not None
     text = path.read_text()
@@ -123,7 +126,7 @@ def test_found_settings_reach_the_error_when_pasted(path):
 @pytest.mark.parametrize("target", [1e-2, 1e-3, 1e-4])
 def test_no_settings_of_a_grid_cost_less_than_half(path, target):
     scene, simulation = loaded(path)
-    found = tune(simulation, target)
+    found = search_settings(simulation, target)
     assert found.found is not None
     outputs = round(scene.duration / scene.output_period)
     for steps in range(1, 400):
@@ -164,7 +167,7 @@ def test_the_settings_of_a_urdf_are_found_and_can_be_given(tmp_path):
         "</joint></robot>"
     )
     _, simulation = loaded(path)
-    found = tune(simulation, 1e-6).found
+    found = search_settings(simulation, 1e-6).found
     assert found is not None
     (tmp_path / "own.yaml").write_text(found.fragment)
     _, again = loaded(path, own_run=str(tmp_path / "own.yaml"))
@@ -186,6 +189,57 @@ def test_command(capsys, tmp_path):
     assert result["report"]["verdict"].startswith("REACHED")
 
 
+def test_python_finds_what_the_command_finds(capsys, tmp_path):
+    path, out = tmp_path / "model.xml", tmp_path / "out"
+    path.write_text(FOUR_BAR)
+    limits = [word for key, value in OPTIONS.items() for word in ("--set", f"{key}={value}")]
+    run(capsys, "tune", path, *limits, "--error", "1e-2", "--output", out)
+    command = json.loads((out / "tune.json").read_text())
+    tuning = crosscheck.tune(path, 1e-2, duration=0.5, output_period=0.01)
+    assert isinstance(tuning, crosscheck.Tuning)
+    assert tuning.found.fragment == command["found"]["fragment"]
+    assert dict(tuning.found.changes) == command["found"]["changes"]
+    assert tuning.found.error.relative == command["found"]["error"]["relative_rotation"] <= 1e-2
+    assert tuning.own.error.position == command["own"]["error"]["position"]
+    assert [each.evaluations for each in tuning.tradeoff] == [e["evaluations"] for e in command["tradeoff"]]
+    assert repr(tuning) == f"<{command['report']['verdict']}>"
+    assert tuning.found.fragment in str(tuning)
+    assert "REACHED" in tuning._repr_html_()
+
+
+@pytest.mark.parametrize("read", [mujoco.MjModel.from_xml_string, mujoco.MjSpec.from_string])
+def test_models_in_memory(read):
+    tuning = crosscheck.tune(read(GYROSCOPE), TARGET, duration=0.5)
+    assert tuning.found.changes["integrator"] == "RK4"  # the others are of order 1
+    assert tuning.found.error.relative <= TARGET < tuning.own.error.relative
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "message"),
+    [
+        ("pendulum", {}, "pendulum has no settings of an engine; needed: an MJCF or URDF model"),
+        (
+            GYROSCOPE,
+            {"error": 0.0},
+            "error is 0.0; needed: a number between 0 and 1, a fraction of the motion",
+        ),
+        (
+            GYROSCOPE,
+            {"error": 1.0},
+            "error is 1.0; needed: a number between 0 and 1, a fraction of the motion",
+        ),
+        (GYROSCOPE, {"error": "1mm"}, "crosscheck.tune: error is '1mm'; needed: a finite number"),
+        (GYROSCOPE, {"nix": 1}, "no option 'nix'; choose from: duration, output_period"),
+    ],
+)
+def test_wrong_arguments_are_one_line(model, options, message):
+    given = model if model == "pendulum" else mujoco.MjModel.from_xml_string(model)
+    with pytest.raises((CrosscheckError, NewtonEulerError)) as raised:
+        crosscheck.tune(given, **options)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
 def test_an_error_that_cannot_be_reached(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(tuning, "MAX_COST", 4.0)
     path = tmp_path / "model.xml"
@@ -198,7 +252,7 @@ def test_an_error_that_cannot_be_reached(capsys, tmp_path, monkeypatch):
 def test_scenes_without_an_engine_of_their_own_are_refused(capsys, tmp_path):
     status, out, err = run(capsys, "tune", "pendulum", "--output", tmp_path / "out")
     assert (status, out) == (2, "")
-    assert "pendulum has no settings of an engine; needed: an MJCF or a URDF file" in err
+    assert "pendulum has no settings of an engine; needed: an MJCF or URDF model" in err
 
 
 def test_equalities_of_included_files(tmp_path):
