@@ -1,0 +1,246 @@
+"""Description of a robot in the terms of its model file: bodies, joints, loops, couplings and drives.
+
+Readers of file formats make a `Robot` without the checks and the simplifications of an import: bodies that
+are fixed to each other stay apart, frames and zeros are those of the file. `crosscheck diff` compares two.
+The number of digits in the file limits what a comparison can tell: a `RobotFile` has the robot as it is
+written, and the same robot read from texts whose numbers are changed by half a unit of their last digit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.scalars import Array
+
+
+class Placement(NamedTuple):
+    """Position and orientation of a frame in another frame.
+
+    Attributes:
+        position: (3,) m, origin of the frame.
+        rotation: (3, 3) matrix whose columns are the axes of the frame; it takes components along them to
+            components in the other frame.
+    """
+
+    position: Array
+    rotation: Array
+
+    def __matmul__(self, inner: Placement) -> Placement:
+        """Return where a frame inside this frame is in the other frame."""
+        return Placement(self.position + self.rotation @ inner.position, self.rotation @ inner.rotation)
+
+    def inverse(self) -> Placement:
+        """Return where the other frame is in this frame."""
+        return Placement(-self.rotation.T @ self.position, self.rotation.T)
+
+
+class JointKind(StrEnum):
+    """Motion that a joint of a model file allows."""
+
+    HINGE = "hinge"
+    """Rotation about the axis."""
+    SLIDE = "slide"
+    """Translation along the axis."""
+    BALL = "ball"
+    """Rotation about the point."""
+    FREE = "free"
+    """Any motion; the body is not held by its parent."""
+
+
+class LoopKind(StrEnum):
+    """Constraint between two bodies that closes a loop of a model file."""
+
+    POINT = "point"
+    """The two points coincide."""
+    WELD = "weld"
+    """The two points and the axes of the two frames coincide."""
+    HINGE = "hinge"
+    """The two points coincide, and the x axes of the two frames are parallel."""
+    SLIDE = "slide"
+    """One body moves along the x axis of the first frame without rotation."""
+    ROD = "rod"
+    """The distance of the two points stays."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileJoint:
+    """Joint of a model file between a body and its parent.
+
+    Attributes:
+        name: name in the file; "" for a joint without name.
+        kind: its motion.
+        axis: (3,) unit vector of a hinge or slide, in the frame of its body; zeros for other kinds.
+        point: (3,) m, a point of the axis or the center of a ball, in the frame of its body.
+        zero: coordinate of a hinge or slide in the pose of the file, rad or m.
+        damping: force per velocity, N s/m or N m s/rad.
+        armature: inertia of the drive's rotor, seen at the joint, kg or kg m^2.
+        friction: largest force of dry friction, N or N m.
+        stiffness: of a spring at the joint, N/m or N m/rad.
+        rest: coordinate at which the spring has no force, rad or m.
+        limits: smallest and largest coordinate, rad or m; infinite without limit.
+        effort: largest force or torque of all drives together, N or N m; infinite without limit.
+        speed: largest velocity, m/s or rad/s; infinite without limit.
+    """
+
+    name: str
+    kind: JointKind
+    axis: Array
+    point: Array
+    zero: float = 0.0
+    damping: float = 0.0
+    armature: float = 0.0
+    friction: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    limits: tuple[float, float] = (-math.inf, math.inf)
+    effort: float = math.inf
+    speed: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class FileBody:
+    """Body of a model file.
+
+    Attributes:
+        name: name in the file.
+        parent: index of the parent in `Robot.bodies`; -1 for the ground.
+        placement: of the body's frame in the frame of its parent, all joints in the pose of the file.
+        joints: joints between parent and body, the first one next to the parent; none for a fixed body.
+        mass: kg.
+        center: (3,) m, center of mass in the body's frame.
+        inertia: (3, 3) kg m^2 about the center of mass, along the axes of the body's frame.
+    """
+
+    name: str
+    parent: int
+    placement: Placement
+    joints: tuple[FileJoint, ...]
+    mass: float
+    center: Array
+    inertia: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FileLoop:
+    """Constraint of a model file that closes a loop.
+
+    Attributes:
+        name: name in the file.
+        kind: kind of the constraint.
+        first, second: indices of the two bodies in `Robot.bodies`; -1 for the ground.
+        first_frame, second_frame: frame of the constraint in the frame of each body. Its rotation counts for
+            welds, hinges and slides.
+        length: distance of the points of a rod, m; 0 for other kinds.
+    """
+
+    name: str
+    kind: LoopKind
+    first: int
+    second: int
+    first_frame: Placement
+    second_frame: Placement
+    length: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FileCoupling:
+    """Coupling of a joint coordinate to another one, such as a mimic joint or a gear.
+
+    Attributes:
+        name: name in the file.
+        follower: name of the joint that follows.
+        leader: name of the joint that it follows; "" if the coupling holds the follower at a value.
+        powers: coefficients of the powers 0, 1, 2 ... of the leader's coordinate, from its zero, in the
+            follower's coordinate, from its zero.
+    """
+
+    name: str
+    follower: str
+    leader: str
+    powers: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FileDrive:
+    """Actuator of a model file.
+
+    Attributes:
+        name: name in the file.
+        gears: force on each joint per unit of the actuator's force, by name of the joint. An actuator that
+            acts on a body instead of joints has none.
+        gain: force of the actuator per unit of its control.
+        stiffness: force of the actuator per length of the actuator, negative for a position servo: -kp.
+        damping: force of the actuator per velocity of the actuator, negative for a damping servo: -kv.
+        constant: force of the actuator without control, at length zero.
+        control_limits: smallest and largest control; infinite without limit.
+        force_limits: smallest and largest force of the actuator; infinite without limit.
+        other: what else the file says of the actuator, such as activation dynamics, by name.
+    """
+
+    name: str
+    gears: Mapping[str, float]
+    gain: float
+    stiffness: float = 0.0
+    damping: float = 0.0
+    constant: float = 0.0
+    control_limits: tuple[float, float] = (-math.inf, math.inf)
+    force_limits: tuple[float, float] = (-math.inf, math.inf)
+    other: Mapping[str, float | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot as its file describes it.
+
+    Attributes:
+        name: name of the model in the file.
+        bodies: bodies; a parent comes before its children.
+        loops: constraints that close loops.
+        couplings: couplings of joint coordinates.
+        drives: actuators.
+        gravity: (3,) m/s^2; None if the format has none, as URDF.
+    """
+
+    name: str
+    bodies: tuple[FileBody, ...]
+    loops: tuple[FileLoop, ...] = ()
+    couplings: tuple[FileCoupling, ...] = ()
+    drives: tuple[FileDrive, ...] = ()
+    gravity: Array | None = None
+
+    def placements(self) -> list[Placement]:
+        """Return where the frame of each body is in the world, in the pose of the file."""
+        found: list[Placement] = []
+        ground = Placement(np.zeros(3), np.eye(3))
+        for body in self.bodies:
+            found.append((found[body.parent] if body.parent >= 0 else ground) @ body.placement)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFile:
+    """A robot and the uncertainty of its numbers.
+
+    Attributes:
+        robot: the robot as it is written.
+        variants: the robot read from texts in which each number is changed by plus or minus half a unit of
+            its last digit, at most of its sixth significant digit; the signs are random. Zeros and whole
+            numbers are exact. Empty for a model without text, such as one in memory.
+        source: path of the file; "" for a model in memory.
+        format: "MJCF", "URDF" or "scene file".
+        lines: line of an element in the file, by its tag and its name, such as ("joint", "knee").
+        notes: what the file has and the description has not, one sentence each.
+    """
+
+    robot: Robot
+    variants: tuple[Robot, ...] = ()
+    source: str = ""
+    format: str = ""
+    lines: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
