@@ -372,9 +372,12 @@ def _file_names(
             continue
         # frame of the file's body in the frame of the scene's body
         body = bodies_by_name[bodies.names[k]]
-        point = rotation(body.quaternion).T @ (data.xpos[k] - body.center_of_mass)
+        point, center = (
+            rotation(body.quaternion).T @ (place - body.center_of_mass)
+            for place in (data.xpos[k], data.xipos[k])
+        )
         turn = product(conjugate(body.quaternion), data.xquat[k] / np.linalg.norm(data.xquat[k]))
-        names.frames[name] = FileFrame(body.name, point, turn)
+        names.frames[name] = FileFrame(body.name, point, center, turn)
     # actuators whose force is proportional to the control: `gains` are forces on joint coordinates per unit;
     # with activation dynamics, the force depends on earlier controls
     for actuator, drive in drives.items():

@@ -397,10 +397,39 @@ def _file_names(start: RobotAtStart, tree: Tree) -> FileNames:
             continue
         # frame of the link in the frame of the scene's body
         body = bodies[owner]
-        point = rotation(body.quaternion).T @ (pose.translation - body.center_of_mass)
+        point, center = (
+            rotation(body.quaternion).T @ (place - body.center_of_mass)
+            for place in (pose.translation, _own_center(model, start.data, frame, pose))
+        )
         turn = product(conjugate(body.quaternion), pin.SE3ToXYZQUAT(pose)[W_X_Y_Z])
-        names.frames[str(frame.name)] = FileFrame(body.name, point, turn)
+        names.frames[str(frame.name)] = FileFrame(body.name, point, center, turn)
     return names
+
+
+def _own_center(model: Any, data: Any, frame: Any, pose: Any) -> Array:
+    """Return the center of mass (3,), world frame, of a link alone; the origin of a link without mass.
+
+    Pinocchio merges links that fixed joints connect. It keeps the inertia of a link behind a fixed joint in
+    the frame of this joint; the rest of the merged inertia is that of the first link.
+
+    Args:
+        model, data: Pinocchio's model, and data with the frames at the start.
+        frame: frame of the link.
+        pose: pose of the frame at the start.
+    """
+    parent = model.frames[frame.parentFrame]
+    if parent.type == pin.FrameType.FIXED_JOINT:
+        center = data.oMf[frame.parentFrame].act(parent.inertia.lever)
+        return np.array(center if parent.inertia.mass else pose.translation)
+    merged = model.inertias[frame.parentJoint]
+    mass, moment = merged.mass, merged.mass * merged.lever  # kg, and kg m in the frame of the joint
+    for each in model.frames:
+        if each.parentJoint == frame.parentJoint:
+            mass -= each.inertia.mass
+            moment = moment - each.inertia.mass * each.placement.act(each.inertia.lever)
+    if mass <= 1e-12 * merged.mass:  # round-off of the difference
+        return np.array(pose.translation)
+    return np.array(data.oMi[frame.parentJoint].act(moment / mass))
 
 
 def _scene(

@@ -96,6 +96,7 @@ class LogJudgement(Judgement):
             distances (m and rad) between both.
         scene: scene that was simulated, from the start of the log.
         solution: reference solution of all bodies, at its own output times.
+        reference_stop: why the reference stopped before the end of the log; "" if it did not.
         missing: bodies that the log does not determine, with the joint coordinates that it lacks there.
         compared: names of the compared bodies.
         rows: number of compared rows.
@@ -114,6 +115,7 @@ class LogJudgement(Judgement):
     start: LogStart | None = None
     scene: Scene | None = None
     solution: Trajectory | None = None
+    reference_stop: str = ""
     missing: tuple[str, ...] = ()
     compared: tuple[str, ...] = ()
     rows: int = 0
@@ -144,6 +146,7 @@ class LogJudgement(Judgement):
         result["mistakes"] = [asdict(mistake) | {"text": mistake_line(mistake)} for mistake in self.mistakes]
         names = (
             "name",
+            "reference_stop",
             "compared",
             "missing",
             "rows",
@@ -227,6 +230,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         start=compared.start,
         scene=compared.scene,
         solution=compared.reference,
+        reference_stop=compared.reference_stop,
         missing=reading.missing(compared),
         compared=run.body_names,
         rows=rows,

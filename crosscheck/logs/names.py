@@ -94,7 +94,10 @@ Its other letters, `q` and `v`, are such words."""
 COMPONENT = re.compile(r"(q|p|pos|t|v|w)?([wxyz]|[0-3])")
 """Last word of a column of a vector or quaternion: a component, with a letter for the quantity in front."""
 
-Origin = Literal["", "center", "frame"]
+Origin = Literal["", "center", "frame", "scene"]
+"""Point of a body whose position a log has: "center" of mass of the file's body, origin of the body "frame",
+or center of mass of the "scene"'s body, which merges bodies of the file that are fixed to each other. "" if
+nothing states the point."""
 
 
 class Target(NamedTuple):
@@ -151,7 +154,7 @@ class Elements:
         for key, label in mechanism.coordinate_labels.items():
             self.coordinates[label] = key, 0.0
         self.frames: dict[str, FileFrame] = {
-            name: FileFrame(name, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+            name: FileFrame(name, np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
             for name in mechanism.body_names[1:]  # without the ground
         }
         self.inputs: tuple[str, ...] = ()
@@ -230,7 +233,7 @@ def stated(text: str, name: str, elements: Elements) -> FoundColumn | None:
     element, _, letter = rest.rpartition(".")
     if kind in COMPONENTS_OF and element in elements.frames and letter and letter in COMPONENTS_OF[kind]:
         # columns named as in tables of trajectories have centers of mass; a text of the user states no point
-        point: Origin = "center" if kind == "position" and text == name else ""
+        point: Origin = "scene" if kind == "position" and text == name else ""
         return FoundColumn(name, Target(kind, element, COMPONENTS_OF[kind].index(letter), point), unit, 0)
     return None
 

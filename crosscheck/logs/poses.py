@@ -44,6 +44,9 @@ class BodyPose(NamedTuple):
         return self.position is not None or self.quaternion is not None
 
 
+ROUND_OFF = 1e-12
+"""Largest distance of a point from the center of mass, sizes of the mechanism, that counts as none."""
+
 Poses = dict[int, BodyPose]
 """Known poses by the index of the body; the ground is always known."""
 
@@ -55,8 +58,7 @@ class LoggedQuantities(NamedTuple):
         row_count: number n of times.
         coordinates: joint coordinates (n,) of the scene.
         frames: logged poses, by name of the frame.
-        points: logged point of each frame, by its name: "center" of mass of the body or origin of the
-            "frame"; "" if the names of the columns do not state a point.
+        points: logged point of each frame, by its name; "" if the names of the columns do not state a point.
     """
 
     row_count: int
@@ -86,7 +88,7 @@ def body_poses(elements: Elements, quantities: LoggedQuantities, default: Origin
     Args:
         elements: joint coordinates and frames of the scene that columns of the log can belong to.
         quantities: logged coordinates and poses of frames.
-        default: point of positions whose columns do not state a point, "center" or "frame".
+        default: point of positions whose columns do not state a point.
     """
     mechanism, count = elements.mechanism, quantities.row_count
     ground = mechanism.bodies[0]
@@ -96,19 +98,19 @@ def body_poses(elements: Elements, quantities: LoggedQuantities, default: Origin
         )
     }
     # logged poses of frames; `frame.point` and `frame.quaternion` are the fixed pose of a frame relative to
-    # the body's center of mass and body frame. A frame with another name than the body belongs to a link that
-    # is a part of the body, so that the link's center of mass is another one
+    # the body's center of mass and body frame
     for name, logged in quantities.frames.items():
         frame = elements.frames[name]
         body = mechanism.body_index(frame.body)
         quaternion = position = None
         if logged.quaternion is not None:
             quaternion = quaternion_products(logged.quaternion, conjugate(frame.quaternion))
-        at_center = (quantities.points[name] or default) == "center" and frame.body == name
-        if logged.position is not None and (at_center or not np.any(frame.point)):
+        points = {"frame": frame.point, "center": frame.center, "scene": np.zeros(3)}
+        point = points[quantities.points[name] or default]
+        if logged.position is not None and np.max(np.abs(point)) <= ROUND_OFF * mechanism.size:
             position = logged.position
         elif logged.position is not None and quaternion is not None:
-            position = logged.position - _rotated(quaternion, frame.point)
+            position = logged.position - _rotated(quaternion, point)
         known = poses.get(body, BodyPose(None, None))
         poses[body] = BodyPose(
             position if known.position is None else known.position,

@@ -115,8 +115,7 @@ def velocities(
             log can have.
         quantities: logged coordinates and poses of frames at n times.
         rates: their rates.
-        default: "center" if logged positions are centers of mass of bodies, "frame" if they are origins of
-            frames; for columns whose names do not state the point.
+        default: point of positions whose columns do not state a point.
 
     Returns:
         By number of the body, in the world frame: m/s and rad/s.

@@ -54,6 +54,7 @@ class ComparedLog:
         start: start of the reference.
         scene: scene of the reference.
         reference: reference solution, at its own output times.
+        reference_stop: why the reference stopped before the end of the log; "" if it did not.
         motion_scale: extent of the reference's motion, by which errors are divided.
         run: logged motion of the known bodies at the compared times.
         points: point of a body that logged positions are of: the "center" of mass, or the origin of the body
@@ -67,6 +68,7 @@ class ComparedLog:
     start: LogStart
     scene: Scene
     reference: Trajectory
+    reference_stop: str
     motion_scale: MotionScale
     run: Trajectory
     points: Origin
@@ -144,13 +146,24 @@ class LogReading:
             output_period=_output_period(times),
             outputs=frozenset({"velocities", "energy"}),
         )
-        reference = _reference(scene)
+        reference, stop = _reference(scene)
+        scene = replace(scene, duration=float(reference.time[-1]))
         scale = MotionScale.of(reference, scene.mechanism)
         run, poses, has_energy = self._run(scene, rows, points, reference, times)
         expected = of_bodies(interpolated(reference, run.time), run.body_names)
         error = run_error(run, expected if has_energy else without_energies(expected), scale)
         return ComparedLog(
-            data, start, scene, reference, scale, run, points if data.frames else "", poses, has_energy, error
+            data=data,
+            start=start,
+            scene=scene,
+            reference=reference,
+            reference_stop=stop,
+            motion_scale=scale,
+            run=run,
+            points=points if data.frames else "",
+            poses=poses,
+            has_energy=has_energy,
+            error=error,
         )
 
     def _point(self, data: LogData) -> Origin:
@@ -158,9 +171,9 @@ class LogReading:
 
         It is the "frame", unless the largest violation for "center" is less than half as large.
         """
-        # `point` of a frame: vector from the center of mass to the origin of the frame. If all are zero, both
-        # choices give the same poses
-        if not any(np.any(self.elements.frames[name].point) for name in data.frames):
+        # if all origins are centers of mass, both choices give the same poses
+        frames = [self.elements.frames[name] for name in data.frames]
+        if all(np.array_equal(frame.point, frame.center) for frame in frames):
             return "center"
         first_row = logged_quantities(data, count=1)
         gaps = dict[Origin, float]()
@@ -221,7 +234,7 @@ class LogReading:
             data = compared.data
             points = compared.points or "frame"
             start = log_start(compared.scene, self.elements, data, points, rows=RATE_ROWS - 1)
-            other = _reference(replace(compared.scene, initial_state=start.state))
+            other, _ = _reference(replace(compared.scene, initial_state=start.state))
         except NewtonEulerError:
             return None
         return run_error(without_energies(other), without_energies(compared.reference), compared.motion_scale)
@@ -266,14 +279,14 @@ def _output_period(times: Array) -> float:
     return duration / min(MAX_ROWS, max(MIN_PERIODS, 4 * count))
 
 
-def _reference(scene: Scene) -> Trajectory:
-    """Simulate the reference in newton_euler at default tolerances.
+def _reference(scene: Scene) -> tuple[Trajectory, str]:
+    """Simulate the reference in newton_euler at default tolerances; also return why it stopped, or "".
 
     A run that stops early counts up to its end if it has `MIN_ROWS` outputs.
     """
     try:
-        return simulate(scene, **newton_euler_options(scene))
+        return simulate(scene, **newton_euler_options(scene)), ""
     except StoppedError as error:
         if error.partial is None or len(error.partial.time) < MIN_ROWS:
             raise
-        return error.partial
+        return error.partial, error.reason

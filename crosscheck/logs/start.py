@@ -62,8 +62,7 @@ def log_start(
         scene: the scene.
         elements: joint coordinates and frames of the scene that columns of the log can belong to.
         data: the log.
-        default: point of a body ("center" of mass, or origin of its "frame") that positions belong to if the
-            names of their columns do not state it.
+        default: point of positions whose columns do not state a point.
         rows: number of first rows for rates that the log does not have.
 
     Raises:

@@ -63,6 +63,9 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         yield f"{first.element} acts from {first.time:.3g} s on and the reference does not simulate it: {end}"
     if judgement.until is not None:  # time, s, from which on the motion is chaotic or unstable
         yield chaos_text(judgement.until)
+    if judgement.reference_stop and judgement.solution:
+        end = f"{judgement.solution.time[-1]:.3g} s"
+        yield f"the reference stops after {end}: {judgement.reference_stop}; compared until then"
     start = judgement.start
     if start and judgement.scene:
         gap = start.moved / judgement.scene.mechanism.size

@@ -33,11 +33,14 @@ class FileFrame(NamedTuple):
     Attributes:
         body: body of the scene that carries the frame.
         point: (3,) from the center of mass of the scene's body to the origin of the frame, m, body frame.
+        center: (3,) from there to the center of mass of the file's body, m, body frame. It is zero unless the
+            scene merges bodies.
         quaternion: (4,) orientation of the frame in the frame of the scene's body, (w, x, y, z).
     """
 
     body: str
     point: Array
+    center: Array
     quaternion: Array
 
 

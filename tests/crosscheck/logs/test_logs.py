@@ -12,6 +12,7 @@ import crosscheck
 from crosscheck.compare.activity import acting_events, watched
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
+from crosscheck.logs import reading
 from crosscheck.logs.inputs import with_logged_forces
 from crosscheck.logs.judge import Log, judge_log
 from crosscheck.logs.mistakes import mistake_line
@@ -20,6 +21,7 @@ from crosscheck.report.log import log_lines
 from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.source_file import SourceError
+from newton_euler.model.trajectory import IntegrationError
 
 FOUR_BAR = """<mujoco><option timestep="{step}" integrator="{integrator}"/>
   <default><equality solref="{softness} 1"/></default><worldbody>
@@ -433,3 +435,65 @@ def test_errors_are_parts_of_the_motion_that_is_compared(tmp_path):
     found = log_of(tmp_path, FALLING.format(gravity=-9.81), [time, q[:, 0], v[:, 0]], ["time", "z", "z_vel"])
     assert [event.time for event in found.events] == [pytest.approx(np.sqrt(0.2 / 9.81), abs=2e-3)]
     assert found.error.relative == pytest.approx(0.05, rel=0.02)
+
+
+MERGED = """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body name="rod" pos="0 0 1">
+  <joint name="h" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".02" contype="0"/>
+  <body name="tool" pos=".5 0 0" euler="0 30 0">
+  <geom type="capsule" fromto="0 0 0 .3 .1 0" size=".03" contype="0"/></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("body", ["rod", "tool"])
+@pytest.mark.parametrize(("column", "point"), [("com", "xipos"), ("frame", "xpos")])
+def test_positions_of_a_part_of_a_body_are_of_the_part(tmp_path, body, column, point):
+    model, (time, _, _, frame, turn, center, _) = run_of(MERGED, 500, 1)
+    number = model.body(body).id
+    position = {"xpos": frame, "xipos": center}[point][:, number]
+    names = [f"{body}.{column}.{c}" for c in "xyz"] + [f"{body}.q{c}" for c in "wxyz"]
+    found = log_of(tmp_path, MERGED, [time, *position.T, *turn[:, number].T], ["time", *names])
+    # steps of 1 ms by RK4
+    assert found.error.relative < 1e-8
+    assert found.compared == ("rod",)
+
+
+MERGED_LINKS = """<robot name="arm"><link name="base"/>
+  <link name="rod"><inertial><origin xyz=".25 0 0"/><mass value="1"/>
+    <inertia ixx=".01" iyy=".02" izz=".02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tool"><inertial><origin xyz=".1 0 0"/><mass value=".5"/>
+    <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="h" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+  <joint name="grip" type="fixed"><origin xyz=".5 0 0" rpy="0 .5 0"/><parent link="rod"/><child link="tool"/>
+  </joint></robot>"""
+
+
+def test_centers_of_links_that_are_parts_of_a_body(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(MERGED_LINKS)
+    scene, report = load_scene(str(path), {"excitation": "off", "duration": "0.5"}, verified=False)
+    run = simulate(scene)
+    angle, zero = run.joint("h").coordinates[:, 0], np.zeros(len(run.time))
+    # center of mass of the tool: 0.5 m along the rod, then 0.1 m along the tool, at 0.5 rad from the rod
+    x = 0.5 * np.cos(angle) + 0.1 * np.cos(angle + 0.5)
+    z = -0.5 * np.sin(angle) - 0.1 * np.sin(angle + 0.5)
+    half = 0.5 * (angle + 0.5)
+    columns = dict(zip("xyz", (x, zero, z), strict=True))
+    table = {"time": run.time} | {f"tool.com.{c}": values for c, values in columns.items()}
+    turns = dict(zip("wxyz", (np.cos(half), zero, np.sin(half), zero), strict=True))
+    table |= {f"tool.q{c}": values for c, values in turns.items()}
+    found = judge_log(scene, report.names, "log", table)
+    assert found.error.relative < 1e-6
+    assert found.start.moved < 1e-12
+
+
+def test_a_reference_that_stops_ends_the_comparison_with_a_note(four_bar, monkeypatch):
+    def stopping(scene, **options):
+        error = IntegrationError(0.26, "joint 'elbow' is too fast")
+        error.partial = simulate(scene, **options).first(51)
+        raise error
+
+    monkeypatch.setattr(reading, "simulate", stopping)
+    found = judged(four_bar, four_bar[3])
+    assert (found.rows, found.error.relative < 2e-4) == (51, True)
+    assert found.summary()["reference_stop"] == "joint 'elbow' is too fast"
+    (note,) = (line for line in log_lines(found).lines if "reference stops" in line)
+    assert "0.25 s: joint 'elbow' is too fast" in note
