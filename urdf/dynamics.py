@@ -169,7 +169,8 @@ class PinocchioSystem:
         analysis = mobility(scene)
         needs_elimination = len(self._rows.units) > 0 or len(analysis.exchangeable) > 0
         self._eliminates = needs_elimination or analysis.residual > 0.0
-        # state and result of the latest elimination
+        # states and results of the latest evaluation of actuators and springs, and of the latest elimination
+        self._latest_actuation: tuple[Any, Array] = None, np.zeros(0)
         self._latest_solution: tuple[Any, Solution] | None = None
         self._latest_jacobian: tuple[bytes, Array] = b"", np.zeros((0, 0))
         if not self._eliminates:
@@ -256,7 +257,21 @@ class PinocchioSystem:
         return q[self._measured_q], v[self._measured_v]
 
     def actuation(self, q: Array, v: Array) -> Array:
-        """Compute the forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
+        """Compute the forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`.
+
+        The latest forces are kept: the power and the accelerations of a state both need them.
+        """
+        state = self._key(q, v)
+        if self._latest_actuation[0] != state:
+            self._latest_actuation = state, self._actuation(q, v)
+        return self._latest_actuation[1]
+
+    def _key(self, q: Array, v: Array) -> tuple[Scene, float, bytes, bytes]:
+        """Return a key of a state for results that are kept; it includes the scene and the time."""
+        return self.scene, self.time, q.tobytes(), v.tobytes()
+
+    def _actuation(self, q: Array, v: Array) -> Array:
+        """Compute the forces (a,) of `actuation`."""
         (x, rate), model_forces = self._measured(q, v), NO_FORCES
         if self._model_control:  # computed torque and gravity compensation
             accelerations = self._laws.commands(self.scene.control, x, rate, self.time)
@@ -325,7 +340,7 @@ class PinocchioSystem:
             acceleration = self._checked(self._proximal.acceleration(q, v, force))
             return Solution(self.velocity_units * acceleration, np.zeros(0), np.zeros(0))
         # keep the latest solution, which the power of prescribed motions also needs
-        state = self.scene, q.tobytes(), v.tobytes(), self.time
+        state = self._key(q, v)
         if self._latest_solution is None or self._latest_solution[0] != state:
             self._latest_solution = state, self._solve_by_elimination(q, v)
         _, solution = self._latest_solution
@@ -335,9 +350,10 @@ class PinocchioSystem:
         """Solve the linear system of accelerations and multipliers."""
         mass, force = self.mass_and_force(q, v)  # also computes frames and joint Jacobians
         jacobian = self._jacobian(q)
-        # Baumgarte's stabilization: J dv/dt = gamma - K_D dPhi/dt - K_P Phi, K_D = 2 alpha, K_P = alpha^2
-        stabilization = 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
-        gamma = self._gamma(q, v) - stabilization
+        gamma = self._gamma(q, v)
+        if self._alpha:
+            # Baumgarte's stabilization: J dv/dt = gamma - K_D dPhi/dt - K_P Phi, K_D = 2 alpha, K_P = alpha^2
+            gamma -= 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
         try:
             acceleration, multipliers = solve_constrained(
                 mass,

@@ -96,9 +96,9 @@ class JointLaws:
 
     def _feedback_force(self, law: DeclaredLaw, x: Array, rate: Array, time: float) -> float:
         """Return feedforward plus feedback of a law, N or N m; for the arguments see `force`."""
-        force = float(law.feedforward_at(time))
+        force, references = float(law.feedforward_at(time)), law.references(time)
         for key, (k_p, k_d) in law.feedback.items():
-            k, reference = self._index_of_key[key], law.references(time)[key]
+            k, reference = self._index_of_key[key], references[key]
             force += k_p * (reference.value - x[k]) + k_d * (reference.rate - rate[k])
         return force
 
