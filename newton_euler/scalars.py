@@ -83,6 +83,9 @@ class Stack:
     def arctan2(self, x: Any) -> Stack:
         return Stack(np.arctan2(self.numbers, _numbers(x)))
 
+    def minimum(self, other: Any) -> Stack:
+        return Stack(np.minimum(self.numbers, _numbers(other)))
+
 
 def _numbers(scalar: Any) -> Any:
     """Return the array of a `Stack`, or a plain number unchanged."""
@@ -97,22 +100,28 @@ def unstacked(scalars: Sequence[Any] | Array, count: int) -> Array:
     return floats
 
 
-def mapped(function: Callable[[Array], Array], array: Array) -> Array:
-    """Apply a function for float arrays to an array of floats, or of `Stack`s.
+def mapped(function: Callable[..., Array], *arrays: Array) -> Array:
+    """Apply a function for float arrays to arrays of floats, or of `Stack`s.
 
     Args:
-        function: converts an array of floats with the shape of `array` to an array of floats (m,).
-        array: floats or `Stack`s of n numbers.
+        function: converts arrays of floats with the shapes of `arrays` to an array of floats (m,).
+        arrays: floats or `Stack`s of n numbers.
 
     Returns:
         The result (m,). For `Stack`s the function is called n times, and the result has `Stack`s of n
         numbers.
     """
-    if array.dtype != object:
-        return function(array)
-    count = max(len(scalar.numbers) for scalar in array.flat if isinstance(scalar, Stack))
-    rows = [function(row.reshape(array.shape)) for row in unstacked(array.ravel(), count)]
-    return objects([Stack(column) for column in np.transpose(rows)])
+    if all(array.dtype != object for array in arrays):
+        return function(*arrays)
+    stacks = (each for array in arrays for each in array.flat if isinstance(each, Stack))
+    count = max(len(stack.numbers) for stack in stacks)
+    rows = [unstacked(array.ravel(), count).reshape(count, *array.shape) for array in arrays]
+    return stacked_rows([function(*row) for row in zip(*rows, strict=True)])
+
+
+def stacked_rows(rows: Sequence[Array] | Array) -> Array:
+    """Combine n arrays of floats (m,) to one array (m,) of `Stack`s of n numbers."""
+    return objects([Stack(column) for column in np.ascontiguousarray(np.transpose(rows))])
 
 
 def objects(scalars: Sequence[Any]) -> Array:
@@ -174,7 +183,7 @@ def arctan2(y: Scalar, x: Scalar) -> Scalar:
 
 
 def minimum(x: Scalar, y: Scalar) -> Scalar:
-    """Return the smaller of two scalars: floats, or symbols with a method `minimum`, but no `Stack`s."""
+    """Return the smaller of two scalars: floats, or generic scalars with a method `minimum`."""
     if isinstance(x, float) and isinstance(y, float):
         return min(x, y)
     return y.minimum(x) if isinstance(x, float) else x.minimum(y)

@@ -21,11 +21,15 @@ from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.compiled.equations import CompiledEquations
+from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.system import at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.projection import check_still_closed
 from newton_euler.model.trajectory import IntegrationError, check_finite
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Stack, stacked_rows, unstacked
+
+REACTION_BLOCK = 256
+"""Number of states at which Python computes reactions at once; more states would need much memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,15 +262,43 @@ class Outputs:
         rows = np.arange(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0))
         if not len(rows):
             return
-        system_of_run = code.float_system(self._x[run])  # the equations with the parameters of this run
-        for row in rows:
-            system, state = at_time(system_of_run, float(times[row])), self._states[run, row]
+        system = code.float_system(self._x[run])  # the equations with the parameters of this run
+
+        def recompute(rows: Array) -> None:
+            """Overwrite the reactions in some rows; raise `IntegrationError` for the first that has none."""
             try:
-                evaluation = system.evaluate(state[: system.nq], state[system.nq :])
+                found = minimum_norm_reactions(system, times[rows], self._states[run, rows])
             except NewtonEulerError as error:
-                raise IntegrationError(float(times[row]), str(error)) from error
-            arrays["reaction_force"][row] = evaluation.reaction_force
-            arrays["reaction_torque"][row] = evaluation.reaction_torque
+                if len(rows) == 1:
+                    raise IntegrationError(float(times[rows[0]]), str(error)) from error
+                for row in rows:
+                    recompute(np.array([row]))
+            else:
+                arrays["reaction_force"][rows], arrays["reaction_torque"][rows] = found
+
+        for start in range(0, len(rows), REACTION_BLOCK):
+            recompute(rows[start : start + REACTION_BLOCK])
+
+
+def minimum_norm_reactions(system: Formulation, times: Array, states: Array) -> tuple[Array, Array]:
+    """Compute the reactions of minimum-norm multipliers by dense linear algebra, at several states at once.
+
+    Args:
+        system: the equations of motion.
+        times: (n,) s.
+        states: (n, nq + nv).
+
+    Returns:
+        Forces and torques on the second bodies of the j joints, (n, j, 3) each; see `Formulation.reactions`.
+    """
+    count, time, state = len(times), times[0], states[0]
+    if count > 1:  # each number is a `Stack`
+        time, state = Stack(times), stacked_rows(states)
+    system, q, v = at_time(system, time), state[: system.nq], state[system.nq :]
+    vdot, multipliers = system.solve(q, v)
+    found = system.reactions(q, v, vdot, system.body_accelerations(q, v, vdot), multipliers)
+    forces, torques = (unstacked(each.ravel(), count).reshape(count, *each.shape) for each in found)
+    return forces, torques
 
 
 def named(code: CompiledEquations, results: Array) -> dict[str, Array]:

@@ -36,7 +36,7 @@ from newton_euler.model.euler_parameters import matrix_g, matrix_l
 from newton_euler.model.joint import Key
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.scalars import Array, Scalar, sqrt
+from newton_euler.scalars import Array, Scalar, mapped, sqrt
 
 
 class Cartesian(CartesianTerms):
@@ -84,12 +84,20 @@ class Cartesian(CartesianTerms):
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Solve equation (21) for the accelerations qddot (7 n,) and the multipliers lambda (k,).
 
-        If constraints are redundant, lambda is the minimum-norm solution.
+        The numbers are floats or `newton_euler.scalars.Stack`s. If constraints are redundant, lambda is the
+        minimum-norm solution.
 
         Raises:
             SingularityError: if qddot is not unique, naming the joint with dependent constraints.
         """
-        matrix, right = self.equation_21(q, v)
+        found = mapped(self._solution, *self.equation_21(q, v), q, v)
+        return found[: self.nv], found[self.nv :]
+
+    def _solution(self, matrix: Array, right: Array, q: Array, v: Array) -> Array:
+        """Return qddot and lambda at the state q, v as one vector, over floats.
+
+        `matrix` and `right` are those of equation (21).
+        """
         # constraint rows begin after the 6 n rows of the bodies and the n rows of the quaternions' norms;
         # rows that are almost redundant are replaced by zeros
         start, left_out = self.nv, rows_left_out(self)
@@ -109,7 +117,7 @@ class Cartesian(CartesianTerms):
         if not np.isfinite(qddot).all():
             joint = fastest_joint(self.mechanism, self.state(q, v))
             raise SingularityError(joint, "equation (21) or its solution is not finite")
-        return qddot, multipliers
+        return np.concatenate([qddot, multipliers])
 
     def _weakest_joint(self, q: Array) -> str:
         """Find the joint with the largest share in the combination of constraint rows closest to zero."""

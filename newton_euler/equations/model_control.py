@@ -53,7 +53,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.variable import altered
 from newton_euler.model.wind import WindLoad
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array, Scalar, Stack
 
 
 class Roles(NamedTuple):
@@ -264,7 +264,8 @@ def _solve(
     if system.in_use is not None:
         servos = servos.with_flags(system.in_use.flags)
     forces, pivot_ratio = model.servo_forces(model.coordinates_from(system, q), v, servos, accelerations)
-    if isinstance(pivot_ratio, float) and not pivot_ratio > 0.0:
+    smallest = np.min(pivot_ratio.numbers) if isinstance(pivot_ratio, Stack) else pivot_ratio
+    if isinstance(smallest, float) and not smallest > 0.0:
         joint = servos.coordinates[0][0]
         raise SingularityError(joint, "control laws cannot choose the accelerations there")
     return dict(zip(servos.coordinates, forces, strict=True))

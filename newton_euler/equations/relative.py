@@ -50,7 +50,7 @@ from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, 
 from newton_euler.errors import SingularityError
 from newton_euler.model import balls
 from newton_euler.model.joint import Key
-from newton_euler.scalars import Array, Scalar, cross, symmetric, zeros
+from newton_euler.scalars import Array, Scalar, cross, mapped, symmetric, zeros
 
 
 class Relative(TreeKinematics):
@@ -238,29 +238,35 @@ class Relative(TreeKinematics):
         return rows
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Solve for accelerations qddot (nv,) and multipliers lambda (k,) with dense matrices, over floats.
+        """Solve for accelerations qddot (nv,) and multipliers lambda (k,) with dense matrices.
+
+        The numbers are floats or `newton_euler.scalars.Stack`s.
 
         Raises:
             SingularityError: if M is singular to working precision or not finite, naming a joint.
         """
-        mass, force = self.mass_and_force(q, v)
         rows, right = self.constraints(q, v)
-        # rows that are almost redundant are replaced by zeros
-        left_out = rows_left_out(self)
-        jacobian = with_zero_rows(sparse.to_array(rows, self.nv), left_out)
-        right = with_zero_rows(right, left_out)
-        try:
-            return dense.solve_constrained(
-                mass,
-                force,
-                jacobian,
-                right,
-                row_units=self.phi_units,
-                column_units=self.velocity_units,
-                max_rank=constraint_rank(self),
-            )
-        except np.linalg.LinAlgError as error:
-            raise self._singularity(mass, force) from error
+        jacobian, left_out = sparse.to_array(rows, self.nv), rows_left_out(self)
+
+        def solution(mass: Array, force: Array, jacobian: Array, right: Array) -> Array:
+            """Return qddot and lambda as one vector, over floats."""
+            try:
+                return np.concatenate(
+                    dense.solve_constrained(
+                        mass,
+                        force,
+                        with_zero_rows(jacobian, left_out),  # rows that are almost redundant
+                        with_zero_rows(right, left_out),
+                        row_units=self.phi_units,
+                        column_units=self.velocity_units,
+                        max_rank=constraint_rank(self),
+                    )
+                )
+            except np.linalg.LinAlgError as error:
+                raise self._singularity(mass, force) from error
+
+        found = mapped(solution, *self.mass_and_force(q, v), jacobian, right)
+        return found[: self.nv], found[self.nv :]
 
     def _singularity(self, mass: Array, force: Array) -> SingularityError:
         """Return the error for a singular mass matrix M (nv, nv) or a force (nv,) that is not finite.

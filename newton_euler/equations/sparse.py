@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from newton_euler.scalars import NUMBERS, Array, Scalar, minimum
+from newton_euler.scalars import NUMBERS, Array, Scalar, Stack, minimum
 
 SINGULAR_PIVOT_RATIO = 1e-11
 """Ratio of a pivot to its reference magnitude below which the pivot counts as zero, mostly round-off."""
@@ -41,8 +41,9 @@ Rows = list[dict[int, Any]]
 
 
 def to_array(rows: Rows, columns: int) -> Array:
-    """Convert a sparse matrix of floats to an array (rows, columns)."""
-    matrix = np.zeros((len(rows), columns))
+    """Convert a sparse matrix of floats or `Stack`s to an array (rows, columns)."""
+    stacks = any(isinstance(x, Stack) for row in rows for x in row.values())
+    matrix = np.zeros((len(rows), columns), dtype=object if stacks else float)
     for i, row in enumerate(rows):
         for j, x in row.items():
             matrix[i, j] = x

@@ -175,7 +175,7 @@ class System(Protocol):
 S = TypeVar("S", bound=System)
 
 
-def at_time(system: S, time: float) -> S:
+def at_time(system: S, time: Scalar) -> S:
     """Return a copy of a system that is evaluated at a time, s."""
     changed = copy.copy(system)
     changed.time = time

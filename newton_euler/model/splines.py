@@ -17,7 +17,7 @@ from newton_euler.errors import MechanismError, quoted, real_array
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.smooth_functions import Piece
 from newton_euler.model.variable import Change, Function
-from newton_euler.scalars import Scalar
+from newton_euler.scalars import Scalar, Stack, stacked_rows
 
 SPLINE_DEGREE = 5
 """Degree of the polynomials of splines; accelerations then have two continuous derivatives."""
@@ -87,14 +87,21 @@ class Piecewise(Function):
         """
         return Piece(tuple(numbers[1:]), numbers[0])
 
-    def value(self, time: float) -> float:
-        return float(self.on_piece(self.piece(time)).value(time))
+    def value(self, time: Scalar) -> Scalar:
+        return self._piece_at(time).value(time)
 
-    def rate(self, time: float) -> float:
-        return float(self.on_piece(self.piece(time)).rate(time))
+    def rate(self, time: Scalar) -> Scalar:
+        return self._piece_at(time).rate(time)
 
-    def acceleration(self, time: float) -> float:
-        return float(self.on_piece(self.piece(time)).acceleration(time))
+    def acceleration(self, time: Scalar) -> Scalar:
+        return self._piece_at(time).acceleration(time)
+
+    def _piece_at(self, time: Scalar) -> Piece:
+        """Return the polynomial around a time in s; its numbers are `Stack`s if the time is one."""
+        if isinstance(time, Stack):
+            pieces = [self.piece(each) for each in time.numbers.tolist()]
+            return self.on_piece(stacked_rows(np.array(pieces)).tolist())
+        return self.on_piece(self.piece(time))
 
 
 class Spline(Piecewise):

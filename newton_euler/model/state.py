@@ -18,7 +18,7 @@ from newton_euler.model.description import description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.scalars import Array, Floats, Scalar, Stack, objects
+from newton_euler.scalars import Array, Floats, Scalar, stacked_rows
 
 
 @description  # a frozen dataclass, compared by identity
@@ -113,5 +113,4 @@ def stacked_frames(*arrays: Array) -> list[Frame]:
 def _stacks(array: Array) -> Array:
     """Convert an array (n, b, k) of floats to an array (b, k) of `Stack` scalars with n numbers each."""
     count, *shape = array.shape
-    columns = np.ascontiguousarray(array.reshape(count, -1).T)
-    return objects([Stack(column) for column in columns]).reshape(shape)
+    return stacked_rows(array.reshape(count, -1)).reshape(shape)
