@@ -170,12 +170,13 @@ class Inputs:
         """True if no control follows a sine."""
         return not len(self._control_indices)
 
-    def at(self, now: float) -> Array:
-        """Return the controls (nu,) at a time, s."""
-        control, phase = self.control.copy(), self._frequency * now
+    def at(self, times: float | Array) -> Array:
+        """Return the controls (nu,) at a time, s, or (n, nu) at n times."""
+        phase = np.multiply.outer(times, self._frequency)
+        controls = np.broadcast_to(self.control, (*phase.shape[:-1], len(self.control))).copy()
         sines = self._by_sine * np.sin(phase) + self._by_cosine * np.cos(phase)
-        control[self._control_indices] += sines
-        return control
+        controls[..., self._control_indices] += sines
+        return controls
 
     @property
     def terms(self) -> dict[str, list[float]]:
@@ -415,15 +416,20 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         with collected_warnings(data) as warnings:
             recorder.record()
             for _ in range(steps // every):
-                for _ in range(every // steps_per_call):
-                    if not self._inputs.are_constant:
-                        # held during the step: its middle, as an earlier time would delay the input
-                        data.ctrl[:] = self._inputs.at(data.time + 0.5 * settings.timestep)
-                    start = time.thread_time()
+                # times of the steps, summed as MuJoCo sums them. Controls are held during a step: those of
+                # its middle, as an earlier time would delay the input
+                periods = np.full(every // steps_per_call, settings.timestep)
+                periods[0] = data.time
+                controls = self._inputs.at(np.cumsum(periods) + 0.5 * settings.timestep)
+                start = time.thread_time()
+                for control in controls:
+                    data.ctrl[:] = control
                     mujoco.mj_step(model, data, steps_per_call)
-                    thread_time += time.thread_time() - start
                     if events is not None:
+                        paused = time.thread_time()
                         events.record()
+                        start += time.thread_time() - paused
+                thread_time += time.thread_time() - start
                 # MuJoCo checks only the state before each step
                 mujoco.mj_checkPos(model, data)
                 mujoco.mj_checkVel(model, data)
