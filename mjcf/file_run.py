@@ -526,7 +526,12 @@ class _Recorder:
 
     def __init__(self, model: Any, data: Any, groups: list[tuple[int, Array]]) -> None:
         """Take a model and the data of the run; `groups` are root body and members of each rigid group."""
-        self._model, self._data, self._groups = model, data, groups
+        self._model, self._data = model, data
+        self._roots = np.array([root for root, _ in groups], dtype=int)
+        # mass of each body of the model as a fraction of the mass of each group (g, nbody)
+        self._mass_fractions = np.zeros((len(groups), model.nbody))
+        for fractions, (_, members) in zip(self._mass_fractions, groups, strict=True):
+            fractions[members] = model.body_mass[members] / max(model.body_mass[members].sum(), 1e-300)
         self._output_data = mujoco.MjData(model)  # so that outputs do not change the warm start of the run
         self.times: list[float] = []
         self.positions: list[Array] = []
@@ -549,11 +554,8 @@ class _Recorder:
         mujoco.mj_energyPos(model, output)
         mujoco.mj_energyVel(model, output)
         self.times.append(self._data.time)
-        mass = model.body_mass
-        self.positions.append(
-            np.array([mass[k] @ output.xipos[k] / max(mass[k].sum(), 1e-300) for _, k in self._groups])
-        )
-        self.quaternions.append(np.array([output.xquat[root] for root, _ in self._groups]))
+        self.positions.append(self._mass_fractions @ output.xipos)
+        self.quaternions.append(output.xquat[self._roots])
         self.energies.append(np.array(output.energy))
         self._record_loops()
 
