@@ -36,13 +36,11 @@ from crosscheck.compare.check import ERROR_PER_CHANGE, POSES, ROUND_OFF, Check, 
 from crosscheck.compare.joint_loads import JointLoads
 from crosscheck.compare.runs import orientations_apart, positions_apart
 from crosscheck.engines.engine import (
-    FORCE_OUTPUTS,
     MAX_RELATIVE_ERROR,
     native_refined,
     native_run,
     newton_euler_options,
 )
-from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError
@@ -173,9 +171,6 @@ class _ChangedRuns:
         if "velocities" not in scene.outputs:
             scene = replace(scene, outputs=scene.outputs | {"velocities"})
         run = _run_or_partial(native_run, scene)
-        # reactions under redundant constraints take time in Python, and are not needed of the refined run
-        if mobility(scene).redundant:
-            scene = replace(scene, outputs=scene.outputs - FORCE_OUTPUTS)
         finer = _run_or_partial(native_refined, scene)
         self.run = run if end is None else run.first(end)
         # Keep the energy output if the scene has it, so that compiled code of the scene can be used again
