@@ -121,6 +121,14 @@ class LogData:
             forces=chosen(self.forces),
         )
 
+    def with_inputs_of(self, rows: Array) -> LogData:
+        """Return the log with the inputs of other rows: of `rows[k]` in row k."""
+        return replace(
+            self,
+            inputs={name: each.at(rows) for name, each in self.inputs.items()},
+            forces={key: each.at(rows) for key, each in self.forces.items()},
+        )
+
 
 def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> LogData:
     """Find the quantities of a log and convert them to SI units.
@@ -170,6 +178,8 @@ def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> Lo
     if options.inputs == "scene":
         data.inputs.clear()
         data.forces.clear()
+    elif options.inputs == "before":  # the input of a row holds from the row before
+        data = data.with_inputs_of(np.append(np.arange(1, len(data.time)), len(data.time) - 1))
     if not (data.coordinates or data.frames):
         problem = f"no column is a joint coordinate or a pose: {listed(table.columns):.300}"
         raise table.error(f"{problem}; needed: columns such as coordinate.JOINT, or --log-map")

@@ -20,10 +20,10 @@ from crosscheck.logs.mistakes import Mistake, find_mistakes, mistake_line
 from crosscheck.logs.names import Origin
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import loop_errors
-from crosscheck.logs.reading import LogReading
+from crosscheck.logs.reading import LogReading, OtherInputs
 from crosscheck.logs.start import LogStart
 from crosscheck.logs.table import read_table
-from crosscheck.own_run.errors import LoopError, MotionScale, RunError, run_error
+from crosscheck.own_run.errors import Band, LoopError, MotionScale, RunError, run_error
 from crosscheck.own_run.horizon import comparable_until
 from crosscheck.own_run.judge import Judgement
 from newton_euler.errors import NewtonEulerError, check_choices, quoted
@@ -73,7 +73,8 @@ class Log:
                 `length` and `time` are units that the names of columns do not have, such as "deg".
                 `offset` is the time of the log, s, at which the scene starts. `position` is "center" or
                 "frame". `zero` is "start" for joint coordinates that are zero at the start of the scene.
-                `inputs` is "scene" to ignore inputs of the log. `columns` maps columns to quantities.
+                `inputs` is "scene" to ignore inputs of the log, and "before" if the input of a row belongs to
+                the step before. `columns` maps columns to quantities.
 
         Raises:
             UnknownNameError, OptionError: for an unknown statement or value.
@@ -105,6 +106,8 @@ class LogJudgement(Judgement):
         has_inputs: True if the reference has inputs of the log.
         held_inputs: actuators whose controls the reference holds at their start, see
             `crosscheck.logs.inputs.held_inputs`.
+        other_inputs: comparisons with inputs at other times; None without inputs, and for a log
+            that is accurate or has mistakes.
         start_error: error that another fit of the start velocities causes; None if they are not fitted.
         unused: columns that belong to no quantity.
         dropped: number of rows without some of the numbers.
@@ -123,6 +126,7 @@ class LogJudgement(Judgement):
     has_energy: bool = False
     has_inputs: bool = False
     held_inputs: tuple[str, ...] = ()
+    other_inputs: OtherInputs | None = None
     start_error: RunError | None = None
     unused: tuple[str, ...] = ()
     dropped: int = 0
@@ -142,6 +146,12 @@ class LogJudgement(Judgement):
                 "differences": list(start.differences),
                 "is_fitted": start.is_fitted,
             }
+        other = self.other_inputs
+        result["other_inputs"] = other and {
+            "option": other.option,
+            "error": asdict(other.error),
+            "thinned": asdict(other.thinned),
+        }
         result["start_error"] = asdict(self.start_error) if self.start_error else None
         result["mistakes"] = [asdict(mistake) | {"text": mistake_line(mistake)} for mistake in self.mistakes]
         names = (
@@ -213,6 +223,9 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         count = max(2, int(np.searchsorted(compared.reference.time, run.time[-1], side="right")))
         scale = MotionScale.of(compared.reference.first(count), compared.scene.mechanism)
         error = run_error(run, compared.reference_at(run.time), scale)
+    other_inputs = None
+    if error.band is not Band.ACCURATE and not mistakes:
+        other_inputs = reading.other_inputs(options, compared)
     return LogJudgement(
         engine=reading.table.where,
         settings="",
@@ -238,6 +251,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         has_energy=compared.has_energy,
         has_inputs=bool(data.inputs or data.forces),
         held_inputs=held_inputs(data, reading.names),
+        other_inputs=other_inputs,
         start_error=reading.start_error(compared),
         unused=data.unused,
         dropped=data.dropped,

@@ -166,6 +166,13 @@ def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> I
         columns = tuple(name for each in data.coordinates.values() for name in each.columns)
         other = replace(options, zero="start")
         yield OtherReading(other, columns, "coordinates from the start of the file", "--log-set zero=start")
+    # steps that logged inputs belong to
+    if (data.inputs or data.forces) and options.inputs == "log":
+        columns = tuple(
+            name for each in (*data.inputs.values(), *data.forces.values()) for name in each.columns
+        )
+        what = "inputs of the step before each row"
+        yield OtherReading(replace(options, inputs="before"), columns, what, "--log-set inputs=before")
     # unit of times, and time zero of the scene
     if options.time == "s":
         for unit in ("ms", "us", "ns"):

@@ -31,7 +31,8 @@ class LogOptions:
             chooses the point for which the poses in the first row close the joints better.
         zero: where joint coordinates in the log are zero: as in the model "file", or at the "start" of the
             scene.
-        inputs: "log" takes inputs of actuators from the log if it has some, "scene" those of the scene.
+        inputs: "log" takes inputs of actuators and joints from the log if it has some. Each of them holds
+            until the next row; with "before", from the row before. "scene" takes those of the scene.
         columns: quantity by the name of a column, such as `coordinate.crank` or `quaternion.rod.w`.
     """
 
@@ -42,7 +43,7 @@ class LogOptions:
     offset: float = 0.0
     position: Origin = ""
     zero: Literal["file", "start"] = "file"
-    inputs: Literal["log", "scene"] = "log"
+    inputs: Literal["log", "before", "scene"] = "log"
     columns: Mapping[str, str] = field(default_factory=dict)
 
     ALLOWED: ClassVar = {
@@ -52,7 +53,7 @@ class LogOptions:
         "time": ("s", "ms", "us", "ns"),
         "position": ("", "center", "frame"),
         "zero": ("file", "start"),
-        "inputs": ("log", "scene"),
+        "inputs": ("log", "before", "scene"),
     }
 
     def __post_init__(self) -> None:

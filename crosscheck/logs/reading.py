@@ -8,7 +8,7 @@ the names of its columns do not show.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -82,6 +82,20 @@ class ComparedLog:
         return found if self.has_energy else without_energies(found)
 
 
+class OtherInputs(NamedTuple):
+    """Comparisons with inputs that hold at other times than those of a log.
+
+    Attributes:
+        option: option by which each input holds from the row before, or else until the next row.
+        error: error of the log with that option.
+        thinned: change of the reference if only the inputs of every second row are used.
+    """
+
+    option: str
+    error: RunError
+    thinned: RunError
+
+
 class LogReading:
     """A log that can be read in different ways.
 
@@ -114,10 +128,7 @@ class LogReading:
         """
         data = _from_offset(self.data(options), options.offset)
         points = options.position or self._point(data)
-        # The scene, with its functions of time, begins at the first row of the log; its time is zero at the
-        # time `offset` of the log. Logged inputs replace those of the scene
-        scene = started_at(self.scene, float(data.time[0]) - options.offset)
-        scene = with_inputs(scene, data, self.names)
+        scene = with_inputs(self._scene_at(data, options), data, self.names)  # logged inputs replace its own
         start = log_start(scene, self.elements, data, points)
         found = self._beside_reference(scene, data, points, start)
         if start.is_fitted:
@@ -238,6 +249,31 @@ class LogReading:
         except NewtonEulerError:
             return None
         return run_error(without_energies(other), without_energies(compared.reference), compared.motion_scale)
+
+    def other_inputs(self, options: LogOptions, compared: ComparedLog) -> OtherInputs | None:
+        """Compare with inputs that hold at other times; None without inputs or without such references."""
+        if not (compared.data.inputs or compared.data.forces):
+            return None
+        inputs: Literal["log", "before"] = "log" if options.inputs == "before" else "before"
+        try:
+            other = self.compared(replace(options, inputs=inputs))
+            # inputs of rows 0, 0, 2, 2, ...
+            thinned = compared.data.with_inputs_of(np.arange(len(compared.data.time)) // 2 * 2)
+            given = with_inputs(self._scene_at(thinned, options), thinned, self.names)
+            reference, _ = _reference(
+                replace(compared.scene, mechanism=given.mechanism, control=given.control)
+            )
+        except NewtonEulerError:
+            return None
+        change = run_error(reference, compared.reference, compared.motion_scale)
+        return OtherInputs(f"--log-set inputs={inputs}", other.error, change)
+
+    def _scene_at(self, data: LogData, options: LogOptions) -> Scene:
+        """Return the scene with its functions of time, from the first row of a log on.
+
+        The time of the scene is zero at the time `LogOptions.offset` of the log.
+        """
+        return started_at(self.scene, float(data.time[0]) - options.offset)
 
     def missing(self, compared: ComparedLog) -> tuple[str, ...]:
         """Name bodies that the log does not determine, with columns that would determine them.

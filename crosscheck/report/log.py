@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.allowed import AllowedError, length
-from crosscheck.report.own_run import allowed_lines, angle, chaos_text, error_texts, headline, size
+from crosscheck.report.own_run import allowed_lines, angle, chaos_text, error_texts, headline, percent, size
 from crosscheck.report.table import Lines
 
 MAX_NAMES = 4
@@ -20,6 +20,10 @@ MAX_NAMES = 4
 MIN_MOVED = 1e-5
 """Smallest distance of the first row from the start of the reference that is reported, sizes of the mechanism
 or rad. In files with six digits the distance is smaller."""
+
+INPUTS_FACTOR = 0.5
+"""Inputs at other times are reported if they reduce the error of a log to this part, or change the reference
+by this part of the error."""
 
 POINTS = {"center": "centers of mass", "frame": "origins of body frames"}
 """Text for each point of a body whose positions a log may have."""
@@ -84,6 +88,14 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
         )
     elif start and start.differences and not start.is_fitted:
         yield "no columns of velocities: the reference starts with those of the model"
+    if (other := judgement.other_inputs) is not None:
+        error = judgement.error.relative
+        if other.error.relative <= INPUTS_FACTOR * error:
+            yield f"with {other.option}, the error is {percent(other.error.relative)} of the motion"
+        elif other.thinned.relative >= INPUTS_FACTOR * error:
+            change = f"{percent(other.thinned.relative)} of the motion"
+            advice = "log them at each step of the simulation, beginning with the first"
+            yield f"inputs of every second row only change the reference by {change}: {advice}"
     if judgement.held_inputs:
         yield f"no input in the log, held at the start: {_name_list(judgement.held_inputs)}"
     if judgement.missing:

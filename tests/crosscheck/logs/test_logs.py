@@ -497,3 +497,49 @@ def test_a_reference_that_stops_ends_the_comparison_with_a_note(four_bar, monkey
     assert found.summary()["reference_stop"] == "joint 'elbow' is too fast"
     (note,) = (line for line in log_lines(found).lines if "reference stops" in line)
     assert "0.25 s: joint 'elbow' is too fast" in note
+
+
+MOTOR = CLAMPED.replace('ctrllimited="true" ctrlrange="-1 1"', "")
+
+
+def motor_log(tmp_path, every, shift=0, **options):
+    """Judge a run whose control is logged in every n-th row, or in rows after that of its step."""
+    path = tmp_path / "motor.xml"
+    path.write_text(MOTOR)
+    _, (time, q, v, *_, control) = run_of(MOTOR, 1000, 1, control=lambda t: 3.0 * np.cos(8.0 * t))
+    control = np.append(np.zeros(shift), control[: len(control) - shift, 0])
+    columns = dict(zip(("time", "h", "h_vel", "u.ctrl"), (time, q[:, 0], v[:, 0], control), strict=True))
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+    table = {name: column[::every] for name, column in columns.items()}
+    return judge_log(scene, report.names, "log", Log(table, **options))
+
+
+def test_inputs_of_every_step_need_no_note(tmp_path):
+    found = motor_log(tmp_path, 1)
+    assert found.error.relative < 1e-6
+    assert found.other_inputs is None
+
+
+def test_inputs_that_are_logged_after_their_step_name_the_option(tmp_path):
+    found = motor_log(tmp_path, 1, shift=1)
+    # the first control, 3 N m, acts 1 ms too late on an inertia of about 0.2 kg m^2: 0.015 rad/s of 5 rad/s
+    assert 1e-3 < found.error.relative < 0.05
+    (line,) = (line for line in log_lines(found).lines if "inputs=before" in line)
+    assert line.startswith("  mistake column 'u.ctrl': inputs of the step before each row: an error of")
+    assert motor_log(tmp_path, 1, shift=1, inputs="before").error.relative < 1e-6
+
+
+def test_a_usable_log_has_a_note_on_inputs_after_their_step(tmp_path):
+    found = motor_log(tmp_path, 1, shift=1, offset=0.8)  # an error of 0.4 %
+    assert found.band is Band.USABLE
+    (line,) = (line for line in log_lines(found).lines if "inputs=before" in line)
+    assert line.startswith("  note    with --log-set inputs=before, the error is")
+    assert found.other_inputs.error.relative < 1e-6
+
+
+def test_inputs_of_rows_that_are_far_apart_are_named(tmp_path):
+    found = motor_log(tmp_path, 20)
+    assert found.error.relative > 1e-3
+    # an input that holds for twice as long has about twice the error, so that the change is the error
+    assert found.other_inputs.thinned.relative == pytest.approx(found.error.relative, rel=0.5)
+    assert any("log them at each step" in line for line in log_lines(found).lines)
