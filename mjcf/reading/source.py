@@ -138,6 +138,24 @@ def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
     return model, dict(enumerate(sizes))
 
 
+def read_texts(path: str) -> dict[str, str]:
+    """Read and check an MJCF file and the files that it includes, but not its meshes and textures.
+
+    Args:
+        path: path of the file; a URDF is accepted too, as MuJoCo reads both.
+
+    Returns:
+        The texts by real path, the top file first.
+
+    Raises:
+        SourceError: for a file that cannot be read, that is not MJCF, or that includes a file outside of its
+            folder.
+    """
+    checked_file = _Scan(path, None, root_tag=None if path.lower().endswith(".urdf") else "mujoco")
+    checked_file.scan_texts()
+    return checked_file.texts
+
+
 def check_memory(where: str, model: Any) -> None:
     """Raise `SourceError` if the copies of a compiled model need more than the free memory.
 
@@ -318,11 +336,19 @@ class _Scan:
     Attributes:
         asset_bytes: total size of all files other than XML that MuJoCo may read.
         keyframe_sizes: for each keyframe, the number of values by field ("qpos", "ctrl", ...).
+        texts: texts of the XML files by real path, the top file first.
     """
 
-    def __init__(self, path: str, root: str | None) -> None:
-        """Prepare the check of the file `path`; `root` is the folder that must contain all files, or None."""
-        self._top_file = path
+    def __init__(self, path: str, root: str | None, root_tag: str | None = "mujoco") -> None:
+        """Prepare the check of the file `path`.
+
+        Args:
+            path: path of the file.
+            root: folder that must contain all files, or None.
+            root_tag: required tag of the file's root element; None allows any tag.
+        """
+        self._top_file, self._root_tag = path, root_tag
+        self.texts: dict[str, str] = {}
         self._home = os.path.dirname(os.path.realpath(path))
         # without a root, included files must be in the folder of the file; assets may also be in neighboring
         # folders, unless the parent folder is the root of the disk
@@ -345,10 +371,14 @@ class _Scan:
 
     def run(self) -> None:
         """Check all files; raises `SourceError` for the first problem."""
-        self._scan_file(self._top_file, ())
+        self.scan_texts()
         # `<compiler>` may follow the assets, so that folders are known at the end
         for reference in self._assets:
             self._check_asset(reference)
+
+    def scan_texts(self) -> None:
+        """Check the XML files only; raises `SourceError` for the first problem."""
+        self._scan_file(self._top_file, ())
 
     def _scan_file(self, path: str, including: tuple[str, ...]) -> None:
         """Check an XML file and the files that it includes.
@@ -390,8 +420,9 @@ class _Scan:
 
         text = read_text(path, "file_size", SourceError, before=self._bytes)
         self._bytes += len(text)
+        self.texts[real_path] = text
         # the root element of an included file can have any tag
-        root_tag = None if including else "mujoco"
+        root_tag = None if including else self._root_tag
         scan(path, text, root_tag, check_element, SourceError)
         for reference in included:
             found = self._find_included(reference, os.path.dirname(real_path))
