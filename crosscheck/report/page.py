@@ -20,6 +20,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from pydantic import BaseModel, field_validator, model_validator
 
+from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report import plots
 from crosscheck.report.render import printable
 from crosscheck.report.table import Part, Report
@@ -142,8 +143,8 @@ class ErrorOverTime(BaseModel):
         return self
 
 
-class OwnRun(BaseModel):
-    """The fields that a page needs of the judgement of the run with the settings of a model file."""
+class JudgedRun(BaseModel):
+    """The fields that a page needs of the judgement of a run: with the settings of a model file, or a log."""
 
     error_over_time: ErrorOverTime
 
@@ -155,11 +156,13 @@ class CrosscheckFile(ResultFile):
         engines: run time and error by engine.
         checks: checks whose tolerances are drawn in the plots.
         own_run: error of the run with the settings of the file, if it was judged.
+        logs: errors of logs by name.
     """
 
     engines: dict[str, EngineCost] = {}
     checks: list[CheckTolerance] = []
-    own_run: OwnRun | None = None
+    own_run: JudgedRun | None = None
+    logs: dict[str, JudgedRun] = {}
 
 
 @dataclass(frozen=True)
@@ -340,10 +343,12 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     # plots of errors, run times and runs
-    if isinstance(results, CrosscheckFile) and results.own_run is not None:
-        errors = results.own_run.error_over_time
-        drawn = plots.own_run(errors.time, errors.position, errors.rotation)
-        entry.pictures.extend(Picture(content, caption) for content, caption in drawn)
+    if isinstance(results, CrosscheckFile):
+        own = {OWN_RUN: results.own_run} if results.own_run is not None else {}
+        for name, run in {**own, **results.logs}.items():
+            errors = run.error_over_time
+            drawn = plots.run_errors(errors.time, errors.position, errors.rotation, name)
+            entry.pictures.extend(Picture(content, caption) for content, caption in drawn)
     if runs:
         progress("plots")
         costs, tolerances = {}, {}

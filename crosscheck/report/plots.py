@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from crosscheck.compare.check import CONSTRAINT_VIOLATION, POSES
+from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report.table import seconds
 from crosscheck.support.palette import palette
 from newton_euler.model.euler_parameters import angle_between
@@ -23,10 +24,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-OWN_RUN = "your settings"
-"""Name of the run with the settings of a model file."""
+LOG = "log"
+"""Label of the curves of a log; the caption has its name."""
 
-DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 1.8), OWN_RUN: ("-", 1.6)}
+DASHES = {
+    "newton_euler": ("-", 2.6),
+    "mujoco": ("--", 1.6),
+    "pinocchio": (":", 1.8),
+    OWN_RUN: ("-", 1.6),
+    LOG: ("-", 1.6),
+}
 """Dash pattern and width (points) of each engine's curves: thick solid under thin dashed, so that all of
 several equal curves are visible."""
 
@@ -130,10 +137,10 @@ def pictures(runs: Runs, tolerances: Tolerances) -> Iterator[tuple[bytes, str]]:
     yield from _energy(runs)
 
 
-def own_run(
-    time: Sequence[float], position: Sequence[float], rotation: Sequence[float]
+def run_errors(
+    time: Sequence[float], position: Sequence[float], rotation: Sequence[float], name: str
 ) -> Iterator[tuple[bytes, str]]:
-    """Draw the errors of the run with the settings of a model file, largest over the bodies.
+    """Draw the errors of the run with the settings of a model file, or of a log, largest over the bodies.
 
     Errors are deviations from the accurate reference run of newton_euler.
 
@@ -141,13 +148,15 @@ def own_run(
         time: output times (n,), s.
         position: errors of the centers of mass (n,), m.
         rotation: errors of the orientations (n,), rad.
+        name: `OWN_RUN`, or the name of the log.
 
     Yields:
         Pictures (PNG) with their captions.
     """
+    label, what = (OWN_RUN, "run with your settings") if name == OWN_RUN else (LOG, f"log {name}")
     errors = (("error of position, m", position), ("error of orientation, rad", rotation))
-    curves = [Curve(label, OWN_RUN, np.array(time), np.array(values)) for label, values in errors]
-    yield from _draw(curves, palette([OWN_RUN]), "run with your settings, largest over the bodies")
+    curves = [Curve(quantity, label, np.array(time), np.array(values)) for quantity, values in errors]
+    yield from _draw(curves, palette([label]), f"{what}, largest over the bodies")
 
 
 @own_style()

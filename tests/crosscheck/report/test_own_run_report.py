@@ -26,11 +26,17 @@ def verdict(tmp_path_factory):
 
 
 @pytest.fixture
-def folder(verdict, tmp_path, monkeypatch):
+def without_views(monkeypatch):
+    """Make pages without pictures of recordings."""
+
     def no_driver(*_):
         raise CrosscheckError("no Vulkan driver")
 
     monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", no_driver)
+
+
+@pytest.fixture
+def folder(verdict, tmp_path, without_views):
     verdict.save(tmp_path)
     return tmp_path
 
@@ -71,6 +77,20 @@ def test_the_page_has_the_judgement_and_its_error_over_time(folder, verdict):
     assert pictures == [
         "error of position, m: run with your settings, largest over the bodies",
         "error of orientation, rad: run with your settings, largest over the bodies",
+    ]
+
+
+def test_the_page_has_the_error_of_a_log_over_time(tmp_path, without_views):
+    path = tmp_path / "loop.xml"
+    path.write_text(LOOP.format(reach=0.4))
+    options = {"duration": 0.05, "excitation": "off"}
+    run = crosscheck.check(path, ["newton_euler"], **options).trajectories["newton_euler"]
+    logged = crosscheck.check(path, ["newton_euler"], runs={"mine": lambda state, times: run}, **options)
+    logged.save(tmp_path / "out")
+    write_report(tmp_path / "out", lambda _: None)
+    assert [image for image in Page(tmp_path / "out" / PAGE).images if ": log " in image] == [
+        "error of position, m: log mine, largest over the bodies",
+        "error of orientation, rad: log mine, largest over the bodies",
     ]
 
 
