@@ -120,7 +120,7 @@ def frame_jacobian(model: Any, data: Any, frame: int) -> Array:
     Columns are in Pinocchio's order; `data` needs joint Jacobians and frame placements.
     """
     jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-    return np.reshape(jacobian, (6, model.nv))  # Pinocchio returns a single column as a vector
+    return np.asarray(jacobian.reshape(6, -1))  # Pinocchio returns a single column as a vector
 
 
 def power_sums(powers: Array, x: Array, derivative: int) -> Array:
@@ -190,6 +190,8 @@ class Rows:
 
         `data` needs `computeJointJacobians` and `updateFramePlacements` at tree coordinates q.
         """
+        if not len(self.units):
+            return np.zeros((0, self._model.nv))
         rows = []
         for rod in self._rods:
             first, second = (frame_jacobian(self._model, data, frame) for frame in rod)
@@ -202,6 +204,8 @@ class Rows:
 
     def gamma(self, data: Any, q: Array, v: Array, time: float) -> Array:
         """Return gamma (r,) of Phi_q qddot = gamma; `data` needs `forwardKinematics` at qddot = 0."""
+        if not len(self.units):
+            return np.zeros(0)
         model, axes = self._model, pin.LOCAL_WORLD_ALIGNED
         of_rods = []
         for rod in self._rods:
