@@ -11,6 +11,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from typing import Any
 
 from crosscheck.own_run.comparison import Comparison, MeasuredSettings, merged
@@ -32,8 +33,16 @@ MAX_LONG_RUN = 10.0
 MAX_STEPS_BETWEEN_OUTPUTS = 100_000
 """Largest number of time steps between two outputs."""
 
+MIN_OUTPUTS = 10
+"""Smallest number of outputs at which a run is compared whose time step is longer than the time between two
+outputs of the scene."""
+
 MIN_RATIO = 2.0
 """Smallest ratio of the errors of listed settings."""
+
+MAX_LISTED_ERROR = 1.0
+"""Relative error from which settings are not listed, unless they have the smallest error: an error as large
+as the motion."""
 
 TIMINGS = 3
 """Number of runs of which the shortest run time is reported."""
@@ -100,13 +109,13 @@ class _Candidate:
     Attributes:
         evaluations: evaluations per second of motion.
         kind: index of the kind of settings: integrator, solver, and softness or gains of loop closures.
-        steps: number of time steps between two outputs.
+        steps: number of time steps between two outputs; 1/k for a step of k times the time between outputs.
         settings: the settings.
     """
 
     evaluations: float
     kind: int
-    steps: int
+    steps: float
     settings: Any = field(compare=False)
 
 
@@ -119,9 +128,9 @@ def search_settings(
     """Find the cheapest settings whose run has at most a given error.
 
     The search tries settings in the order of their costs, and ends at the first ones that reach the target.
-    Time steps of each kind of settings divide the time between two outputs by products of twos and fives. A
-    step is not tried if the error at a longer step excludes that it reaches the target, with convergence of
-    order `MAX_ORDER`.
+    Time steps of each kind of settings divide the time between two outputs by products of twos and fives, or
+    multiply it. Runs with longer steps are compared at fewer outputs. A step is not tried if the error at a
+    longer step excludes that it reaches the target, with convergence of order `MAX_ORDER`.
 
     Args:
         simulation: the file in its own engine.
@@ -139,29 +148,44 @@ def search_settings(
     reduced = bool(events)
     runs = 0
 
+    @cache
+    def at_each(factor: int) -> Comparison:
+        """Return the comparison at each `factor`-th output."""
+        return _thinned_comparison(compared, factor)
+
+    def comparison_of(settings: Any) -> Comparison:
+        """Return the comparison at all outputs, or at those that a longer time step has."""
+        return at_each(max(1, round(settings.timestep / compared.scene.output_period)))
+
     def tried(settings: Any) -> Tried:
         nonlocal runs
         runs += 1
         evaluations = simulation.evaluations(settings)
         progress(f"run {runs}: {evaluations:.0f} evaluations per second of motion")
-        run = compared.run(settings, reduced)
-        return Tried(*compared.measured(settings, run), run.stopped, evaluations)
+        comparison = comparison_of(settings)
+        run = comparison.run(settings, reduced)
+        return Tried(*comparison.measured(settings, run), run.stopped, evaluations)
 
     own = tried(simulation.settings)
     steps_of_file = compared.every  # number of the file's time steps between two outputs
-    numbers = list(_numbers_of_steps(steps_of_file))
+    numbers = _numbers_of_steps(steps_of_file, outputs=compared.steps // compared.every)
     kinds = list(simulation.alternatives(divisor=1))  # with the file's time step
 
-    def candidate(kind: int, least: float) -> _Candidate | None:
-        """Return settings of a kind with `least` or more steps between outputs; None if there are none."""
-        number = next((number for number in numbers if number >= least), None)
+    def candidate(kind: int, above: float = 0.0, least: float = 0.0) -> _Candidate | None:
+        """Return settings of a kind with the next number of steps between outputs; None if there is none.
+
+        Args:
+            kind: index of the kind.
+            above, least: the number is larger than `above`, and `least` or more.
+        """
+        number = next((number for number in numbers if number > above and number >= least), None)
         if number is None:
             return None
         settings = simulation.at_divisor(kinds[kind], divisor=number / steps_of_file)
         return _Candidate(simulation.evaluations(settings), kind, number, settings)
 
     # each kind of settings has one candidate at a time: its longest step that can still reach the target
-    waiting = [first for kind in range(len(kinds)) if (first := candidate(kind, 1)) is not None]
+    waiting = [first for kind in range(len(kinds)) if (first := candidate(kind)) is not None]
     heapq.heapify(waiting)
     most = _largest_cost(compared)
     tradeoff: list[tuple[Any, Tried]] = []
@@ -175,14 +199,16 @@ def search_settings(
             found = result
         is_far = result.stopped or result.error.relative >= MIN_SATURATED
         refined = 1.0 if is_far else (result.error.relative / target) ** (1.0 / MAX_ORDER)
-        if (finer := candidate(each.kind, max(each.steps + 1, refined * each.steps))) is not None:
+        if (finer := candidate(each.kind, each.steps, refined * each.steps)) is not None:
             heapq.heappush(waiting, finer)
     if found is not None and not reduced:
-        events = compared.run(tradeoff[-1][0], reduced=False).events
+        settings = tradeoff[-1][0]
+        events = comparison_of(settings).run(settings, reduced=False).events
 
     # measured run times, of the listed settings only
     def wall_time(settings: Any) -> float:
-        return min(compared.run(settings, reduced).trajectory.wall_time for _ in range(TIMINGS))
+        comparison = comparison_of(settings)
+        return min(comparison.run(settings, reduced).trajectory.wall_time for _ in range(TIMINGS))
 
     progress("measuring run times")
     own_time = wall_time(simulation.settings)
@@ -217,19 +243,40 @@ def _thinned(tradeoff: list[tuple[Any, Tried]]) -> list[tuple[Any, Tried]]:
     """
     kept: list[tuple[Any, Tried]] = []
     for settings, one in reversed(tradeoff):
-        if not kept or one.error.relative >= MIN_RATIO * kept[-1][1].error.relative:
+        if not kept or MIN_RATIO * kept[-1][1].error.relative <= one.error.relative < MAX_LISTED_ERROR:
             kept.append((settings, one))
     return kept[::-1]
 
 
-def _numbers_of_steps(own: int) -> list[int]:
+def _numbers_of_steps(own: int, outputs: int) -> list[float]:
     """List numbers of time steps between two outputs: products of twos and fives, and those of the file.
 
-    The steps are then short decimal numbers, if the file's own step is one.
+    The steps are then short decimal numbers, if the file's own step is one. A number 1/k is a step of k times
+    the time between two outputs.
 
     Args:
         own: number of the file's own steps between two outputs.
+        outputs: number of outputs after the start.
     """
-    numbers = {own * 2**k for k in range(20)}
-    numbers |= {2**k * 5**m for k in range(20) for m in range(10)}
+    products = {2**k * 5**m for k in range(20) for m in range(10)}
+    parts = [1.0 / k for k in products if outputs // k >= MIN_OUTPUTS]
+    numbers = {*parts, *products, *(own * 2**k for k in range(20))}
     return sorted(number for number in numbers if number <= MAX_STEPS_BETWEEN_OUTPUTS)
+
+
+def _thinned_comparison(compared: Comparison, factor: int) -> Comparison:
+    """Return a comparison at each `factor`-th output."""
+    reference, step = compared.reference, compared.simulation.settings.timestep
+    every = factor * compared.every
+    steps = compared.steps // every * every
+    kept: dict[str, Any] = {
+        name: values[::factor] for name, values in reference.arrays().items() if values.dtype.kind == "f"
+    }
+    return replace(
+        compared,
+        scene=replace(compared.scene, output_period=every * step, duration=steps * step),
+        reference=replace(reference, **kept),
+        every=every,
+        steps=steps,
+        _runs={},
+    )
