@@ -168,7 +168,8 @@ def search_settings(
 
     own = tried(simulation.settings)
     steps_of_file = compared.every  # number of the file's time steps between two outputs
-    numbers = _numbers_of_steps(steps_of_file, outputs=compared.steps // compared.every)
+    judged_outputs = len(compared.until_end(compared.reference).time) - 1  # after the start
+    numbers = _numbers_of_steps(steps_of_file, judged_outputs)
     kinds = list(simulation.alternatives(divisor=1))  # with the file's time step
 
     def candidate(kind: int, above: float = 0.0, least: float = 0.0) -> _Candidate | None:
@@ -256,7 +257,7 @@ def _numbers_of_steps(own: int, outputs: int) -> list[float]:
 
     Args:
         own: number of the file's own steps between two outputs.
-        outputs: number of outputs after the start.
+        outputs: number of outputs after the start that are compared.
     """
     products = {2**k * 5**m for k in range(20) for m in range(10)}
     parts = [1.0 / k for k in products if outputs // k >= MIN_OUTPUTS]

@@ -164,6 +164,17 @@ def test_steps_may_be_longer_than_the_time_between_outputs(tmp_path):
     assert scene.output_period < float(found.changes["timestep"]) <= scene.duration / tuning.MIN_OUTPUTS
 
 
+def test_a_chaotic_motion_has_ten_compared_outputs_too(tmp_path, monkeypatch):
+    """At long steps the comparison would end before the first one."""
+    path = tmp_path / "model.xml"
+    path.write_text(PENDULUM)
+    scene, simulation = loaded(path)
+    monkeypatch.setattr("crosscheck.own_run.comparison.comparable_until", lambda *_: 0.055)
+    search = search_settings(simulation, TARGET)
+    assert search.until == 0.055
+    assert float(search.found.changes["timestep"]) <= scene.output_period
+
+
 def grid(own, step):
     """Yield integrators, softness and solvers at a time step."""
     default = {"solver": "Newton", "iterations": 100, "tolerance": 1e-8}
