@@ -165,6 +165,11 @@ class Elements:
             self.coordinates |= {name: (found.key, found.start) for name, found in known.items()}
             self.inputs = tuple(names.inputs)
 
+    @property
+    def labels(self) -> dict[Key, str]:
+        """Name of each joint coordinate for messages: that of the file if there is one."""
+        return {key: name for name, (key, _) in self.coordinates.items()}
+
     def joint_letter(self, name: str) -> str:
         """Return the key of `JOINT_LETTERS` for a coordinate; "" for a slide with the name of a body."""
         slides = self.mechanism.is_slide(*self.coordinates[name][0])
@@ -189,8 +194,8 @@ def identified(name: str, elements: Elements) -> FoundColumn | None:
     best: FoundColumn | None = None
     longest = 0
     kinds: tuple[tuple[Iterable[str], Callable[[str, list[str]], tuple[Target, int] | None]], ...] = (
+        (elements.coordinates, _joint_target),  # before an actuator of the same name
         (elements.inputs, _input_target),
-        (elements.coordinates, _joint_target),
         (elements.frames, _body_target),
     )
     for known, find in kinds:

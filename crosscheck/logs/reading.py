@@ -130,12 +130,18 @@ class LogReading:
         points = options.position or self._point(data)
         scene = with_inputs(self._scene_at(data, options), data, self.names)  # logged inputs replace its own
         start = log_start(scene, self.elements, data, points)
-        found = self._beside_reference(scene, data, points, start)
-        if start.is_fitted:
-            # velocities that no column has may be those of the scene's own start; most runs start at rest
+        if not start.is_fitted:
+            return self._beside_reference(scene, data, points, start)
+        # velocities that no column has may be those of the scene's own start; most runs start at rest
+        try:
             own = self._beside_reference(scene, data, points, with_own_velocities(scene, start))
-            found = own if own.error.relative <= MIN_FIT_GAIN * found.error.relative else found
-        return found
+        except NewtonEulerError:  # such as rest at a singular configuration
+            return self._beside_reference(scene, data, points, start)
+        try:
+            fitted = self._beside_reference(scene, data, points, start)
+        except NewtonEulerError:  # fitted velocities of round-off can open loops
+            return own
+        return own if own.error.relative <= MIN_FIT_GAIN * fitted.error.relative else fitted
 
     def _beside_reference(self, scene: Scene, data: LogData, points: Origin, start: LogStart) -> ComparedLog:
         """Simulate a scene from the start of a log, and compare.
@@ -287,9 +293,7 @@ class LogReading:
                 if name in (joint.first, joint.second):
                     keys = [(joint.name, k) for k in range(len(joint.coordinate_kinds))]
                     lacking = [key for key in keys if key not in compared.data.coordinates]
-                    ways.append(
-                        " and ".join(f"coordinate.{mechanism.coordinate_labels[key]}" for key in lacking)
-                    )
+                    ways.append(" and ".join(f"coordinate.{self.elements.labels[key]}" for key in lacking))
             columns = " or ".join(way for way in ways if way)
             found.append(f"{name} ({columns or f'pose of {name}'} is missing)")
         return tuple(sorted(found))

@@ -77,7 +77,7 @@ def log_start(
     moving = velocities(elements, first_row, rates, default)
     guess = initial_state(scene)
     if len(known) < len(scene.mechanism.bodies):
-        guess = _completed(scene, data, rates, known)
+        guess = _completed(scene, elements, data, rates, known)
     arrays = [array.copy() for array in guess.arrays]
     for body in known.keys() - {0}:
         for array, values in zip(arrays, (*known[body], *moving[body]), strict=True):
@@ -128,7 +128,7 @@ def _fitted(
     return fitted_velocities(scene, state, times, position, quaternion, list(poses))
 
 
-def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State:
+def _completed(scene: Scene, elements: Elements, data: LogData, rates: Rates, known: Poses) -> State:
     """Find a state with the logged coordinates for a scene of which not all bodies are known.
 
     Raises:
@@ -162,7 +162,7 @@ def _completed(scene: Scene, data: LogData, rates: Rates, known: Poses) -> State
         more = np.concatenate([chosen, effect([key])])
         if np.linalg.matrix_rank(more, RANK_TOLERANCE) > count:
             if key not in data.coordinates:
-                label = mechanism.coordinate_labels[key]
+                label = elements.labels[key]
                 problem = f"column coordinate.{label} is missing: no column determines joint {quoted(label)}"
                 problem += _unread(data)
                 needed = (

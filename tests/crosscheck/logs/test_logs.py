@@ -543,3 +543,13 @@ def test_inputs_of_rows_that_are_far_apart_are_named(tmp_path):
     # an input that holds for twice as long has about twice the error, so that the change is the error
     assert found.other_inputs.thinned.relative == pytest.approx(found.error.relative, rel=0.5)
     assert any("log them at each step" in line for line in log_lines(found).lines)
+
+
+def test_missing_joints_have_their_names_in_the_file():
+    scene, report = load_scene("mjcf/tracker.xml", {"excitation": "off", "duration": "0.1"}, verified=False)
+    run, table = simulate(scene), {}
+    for name, (key, start) in report.names.coordinates.items():
+        table[name] = run.joint(key[0]).coordinates[:, key[1]] + start
+    without = {"time": run.time} | {name: x for name, x in table.items() if name != "universal_47_1"}
+    found = judge_log(scene, report.names, "log", without)
+    assert found.missing == ("panel_7 (coordinate.universal_47_1 is missing)",)
