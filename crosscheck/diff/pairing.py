@@ -1,0 +1,434 @@
+"""Pairs of links and joints of two robots, from the root outwards, with the motions between their frames.
+
+In: two `LinkTree` and the partners that the user demands. Out: a `Pairing`. The trees are matched by
+`TreeMatch`, without geometry in a common frame. From the root on, `register` finds where the second robot's
+link coincides with its partner, and there the axes and points of joints tell equal branches apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from crosscheck.diff.links import GROUND, Link, LinkTree, composite
+from crosscheck.diff.registration import (
+    line_value,
+    principal_rotations,
+    register,
+    rigid,
+)
+from crosscheck.diff.tree_match import FORCED, TreeMatch, assignment
+from newton_euler.reading.robot import JointKind, Placement
+from newton_euler.scalars import Array
+
+ROUND_OFF = 1e-12
+"""Offset of a coordinate, rad or m, that rotation matrices cannot tell from zero."""
+
+MIN_MOVED_VALUE = 0.4
+"""Smallest value of a pair of links that hang on other parents; a half of that of an equal name and joint."""
+
+ADDED_MASS = 1e-3
+"""Largest difference, relative to the mass of a link, if it was added to another link's mass."""
+
+
+@dataclass(eq=False)
+class LinkPair:
+    """Two rigid links that play the same role.
+
+    Attributes:
+        first, second: indices of the links; several if their joints are fixed in the other robot.
+        motion: takes the second robot's link to the first robot's, both in the pose of the file.
+    """
+
+    first: list[int]
+    second: list[int]
+    motion: Placement
+
+
+@dataclass(frozen=True)
+class MatchedJoint:
+    """Two joints that play the same role.
+
+    Attributes:
+        first, second: indices of the links whose joints they are.
+        sense, offset: as in `crosscheck.diff.alignment.JointPair`.
+    """
+
+    first: int
+    second: int
+    sense: int
+    offset: float
+
+
+@dataclass
+class Pairing:
+    """Links and joints of two robots that play the same roles.
+
+    Attributes:
+        links: pairs of links, parents before children.
+        joints: pairs of joints.
+        groups: joints between two pairs of links that do not correspond one by one, by links' indices.
+        base: indices of the links of both robots that are the roots; 0 is the ground.
+    """
+
+    links: list[LinkPair] = field(default_factory=list)
+    joints: list[MatchedJoint] = field(default_factory=list)
+    groups: list[tuple[tuple[int, ...], tuple[int, ...]]] = field(default_factory=list)
+    base: tuple[int, int] = (0, 0)
+
+
+def pair(
+    first: LinkTree, second: LinkTree, forced: Mapping[int, int], forced_joints: Mapping[int, int]
+) -> Pairing:
+    """Pair the links and the joints of two robots.
+
+    Args:
+        first, second: trees of both robots.
+        forced: index of the partner of each link that the user has chosen.
+        forced_joints: index of the link whose joint is the partner of a link's joint, if the user has chosen.
+    """
+    return _Pairer(first, second, forced, forced_joints).pairing
+
+
+class _Pairer:
+    """Pairing of two robots while it grows from the root outwards."""
+
+    def __init__(
+        self, first: LinkTree, second: LinkTree, forced: Mapping[int, int], forced_joints: Mapping[int, int]
+    ) -> None:
+        """Pair the roots, all that hangs on them, and then what hangs on another parent."""
+        self.first, self.second = first, second
+        self.match = TreeMatch(first, second, forced)
+        self.size = max(first.size, second.size)
+        self._forced_joints = forced_joints
+        self.pairing = Pairing()
+        self._of_first: dict[int, LinkPair] = {}
+        self._of_second: dict[int, LinkPair] = {}
+        self._nodes_below = _nodes_below(first), _nodes_below(second)
+        self._grow(*self._root())
+        while (moved := self._moved()) is not None:
+            self._grow(*moved)
+
+    def _root(self) -> tuple[int, int]:
+        """Pair the roots: both grounds, or the ground with the base that another joint holds in one robot."""
+        choices = [(0, 0)]
+        if self.second.links[0].bodies:
+            choices += [(child, 0) for child in self.first.branches[0]]
+        if self.first.links[0].bodies:
+            choices += [(0, child) for child in self.second.branches[0]]
+        root = max(choices, key=lambda pair: (self._root_value(*pair), pair == (0, 0)))
+        self.pairing.base = root
+        links = [self.first.links[root[0]]], [self.second.links[root[1]]]
+        ends = rigid(links[0], self.first.links, None), rigid(links[1], self.second.links, None)
+        extra = _whole_motions(self.first.below(root[0]), self.second.below(root[1]))
+        found = register(*ends, GROUND, self.size, self._likeness, extra)
+        self._add(LinkPair([root[0]], [root[1]], found.motion))
+        return root
+
+    def _root_value(self, a: int, b: int) -> float:
+        """Return the value of two roots and all below; a base of another mass is a base all the same."""
+        own = self.match.own[a, b]
+        return self.match.value[a, b] - own + (max(own, 0.01) if abs(own) < FORCED / 2 else own)
+
+    def _likeness(self, one: Link, two: Link) -> float:
+        """Return the value of a match of all that hangs on two links."""
+        nodes = self._nodes_below[0].get(one.index), self._nodes_below[1].get(two.index)
+        return self.match.subtree(nodes[0], nodes[1]) if nodes[0] and nodes[1] else 0.0
+
+    def _add(self, links: LinkPair) -> None:
+        self.pairing.links.append(links)
+        self._of_first.update(dict.fromkeys(links.first, links))
+        self._of_second.update(dict.fromkeys(links.second, links))
+
+    def _grow(self, a: int, b: int) -> None:
+        """Pair what hangs on two paired nodes."""
+        grown = [(a, b)]
+        for one, two in grown:
+            forest = self.match.children[one, two]
+            free = (
+                [k for k in forest.first if k not in self._of_first],
+                [k for k in forest.second if k not in self._of_second],
+            )
+            motion = self._of_first[one].motion
+            # links on the way to the branches, whose joints are next to the paired links
+            starts = (
+                {k: self.first.path(k, one)[0] for k in free[0]},
+                {k: self.second.path(k, two)[0] for k in free[1]},
+            )
+
+            def value(
+                c: int,
+                d: int,
+                starts: tuple[dict[int, Link], dict[int, Link]] = starts,
+                motion: Placement = motion,
+            ) -> float:
+                tree = self.match.subtree(c, d)
+                if tree <= 0 or tree > FORCED / 2:
+                    return tree
+                nearby = line_value(starts[0][c], starts[1][d], motion, self.size)
+                return tree + nearby + self._whole_value(c, d, motion)
+
+            for c, d in assignment(*free, value):
+                nodes = self.match.matched(c, d)
+                if nodes[0] in self._of_first or nodes[1] in self._of_second:
+                    continue
+                self._walk(one, two, *nodes)
+                grown.append(nodes)
+
+    def _whole_value(self, c: int, d: int, motion: Placement) -> float:
+        """Return how near the centers of mass of two subtrees are in the poses of the files, from 0 to 1."""
+        one, two = (_whole(tree.below(node)) for tree, node in ((self.first, c), (self.second, d)))
+        apart = motion.position + motion.rotation @ two[1] - one[1]
+        return 1.0 / (1.0 + 10.0 * float(np.linalg.norm(apart)) / self.size)
+
+    def _walk(self, a: int, b: int, end: int, other_end: int) -> None:
+        """Pair the joints and the links on the paths between two paired nodes and two nodes below them.
+
+        Args:
+            a, b: paired nodes.
+            end, other_end: the nodes below, which become partners.
+        """
+        paths = self.first.path(end, a), self.second.path(other_end, b)
+        joints = self._joints_of_paths(paths, self._of_first[a].motion)
+        starts = [(-1, -1), *joints, (len(paths[0]), len(paths[1]))]
+        current = self._of_first[a]
+        for (i, k), (next_i, next_k) in pairwise(starts):
+            pieces = paths[0][max(i, 0) : next_i], paths[1][max(k, 0) : next_k]
+            if i < 0:
+                if all(pieces):
+                    self._group(pieces)
+                    current = self._end_pair(current, (pieces[0][-1], pieces[1][-1]))
+                else:  # links before the first paired joint may be parts of the parent in the other robot
+                    self._fuse(current, pieces)
+                continue
+            heads = pieces[0][0], pieces[1][0]
+            rest = pieces[0][1:], pieces[1][1:]
+            if all(rest):
+                # another joint or joints of other kinds follow in both robots
+                following = self._paired_link(current, heads, heads, ([], []))
+                self._group(rest)
+                current = self._end_pair(following, (rest[0][-1], rest[1][-1]))
+                continue
+            main = self._main_links(pieces, (end, other_end))
+            current = self._paired_link(current, heads, main, pieces)
+
+    def _paired_link(
+        self,
+        above: LinkPair,
+        heads: tuple[Link, Link],
+        main: tuple[Link, Link],
+        pieces: tuple[Sequence[Link], Sequence[Link]],
+    ) -> LinkPair:
+        """Pair two links and the joints that hold them.
+
+        Args:
+            above: pair of the parents.
+            heads: links whose joints are paired.
+            main: the links that are paired.
+            pieces: all links that are fixed to each other if a joint that only one robot has is fixed.
+        """
+        links = LinkPair([main[0].index], [main[1].index], above.motion)
+        self._fuse(links, pieces)
+        ends = (
+            rigid([self.first.links[k] for k in links.first], self.first.links, heads[0]),
+            rigid([self.second.links[k] for k in links.second], self.second.links, heads[1]),
+        )
+        found = register(*ends, above.motion, self.size, self._likeness)
+        links.motion = found.motion
+        self._add(links)
+        self._add_joint(heads, above.motion, above.motion if found.same_pose else found.motion)
+        return links
+
+    def _end_pair(self, above: LinkPair, ends: tuple[Link, Link]) -> LinkPair:
+        """Pair two links that are held by joints of other kinds."""
+        bodies = rigid([ends[0]], self.first.links, None), rigid([ends[1]], self.second.links, None)
+        links = LinkPair([ends[0].index], [ends[1].index], above.motion)
+        links.motion = register(*bodies, above.motion, self.size, self._likeness).motion
+        self._add(links)
+        return links
+
+    def _group(self, pieces: tuple[Sequence[Link], Sequence[Link]]) -> None:
+        """Note joints that do not correspond one by one."""
+        self.pairing.groups.append(
+            (tuple(link.index for link in pieces[0]), tuple(link.index for link in pieces[1]))
+        )
+
+    def _fuse(self, links: LinkPair, pieces: tuple[Sequence[Link], Sequence[Link]]) -> None:
+        """Add links of one robot to a pair if they are parts of the partner in the other robot."""
+        sides = ((self.first, links.first, self._of_first), (self.second, links.second, self._of_second))
+        for side, (tree, own, known) in enumerate(sides):
+            other_tree, others = sides[1 - side][0], sides[1 - side][1]
+            other_names = {name for k in others for name in other_tree.links[k].names}
+            other_mass = sum(other_tree.links[k].mass for k in others)
+            for link in pieces[side]:
+                mass = sum(tree.links[k].mass for k in own)
+                added = abs(mass + link.mass - other_mass) < ADDED_MASS * link.mass
+                if link.index not in own and (added or other_names & set(link.names)):
+                    own.append(link.index)
+                    own.sort()
+                    if self._of_first.get(links.first[0]) is links:
+                        known[link.index] = links
+
+    def _main_links(
+        self, pieces: tuple[Sequence[Link], Sequence[Link]], ends: tuple[int, int]
+    ) -> tuple[Link, Link]:
+        """Return the links of two pieces that have most in common, or the ends of both paths."""
+        if pieces[0][-1].index == ends[0] and pieces[1][-1].index == ends[1]:
+            return pieces[0][-1], pieces[1][-1]
+        values = {
+            (one.index, two.index): self.match.own.get((one.index, two.index), -1.0)
+            for one in pieces[0]
+            for two in pieces[1]
+        }
+        a, b = max(values, key=lambda key: values[key])
+        return self.first.links[a], self.second.links[b]
+
+    def _joints_of_paths(
+        self, paths: tuple[Sequence[Link], Sequence[Link]], motion: Placement
+    ) -> list[tuple[int, int]]:
+        """Pair joints of two paths in order, by kinds, names and places; return positions in the paths."""
+        kinds = [k.kind for k in paths[0]], [k.kind for k in paths[1]]
+        if kinds[0] == kinds[1] and not self._forced_joints:
+            return [(k, k) for k in range(len(kinds[0]))]
+        # longest common subsequence, with the value of each pair instead of 1
+        best: dict[tuple[int, int], tuple[float, list[tuple[int, int]]]] = {}
+        rows, columns = len(paths[0]), len(paths[1])
+        for i in range(rows, -1, -1):
+            for k in range(columns, -1, -1):
+                options = [(0.0, list[tuple[int, int]]())]
+                if i < rows:
+                    options.append(best[i + 1, k])
+                if k < columns:
+                    options.append(best[i, k + 1])
+                if i < rows and k < columns:
+                    value = self._joint_value(paths[0][i], paths[1][k], motion)
+                    options.append((value + best[i + 1, k + 1][0], [(i, k), *best[i + 1, k + 1][1]]))
+                best[i, k] = max(options, key=lambda option: option[0])
+        return best[0, 0][1]
+
+    def _joint_value(self, one: Link, two: Link, motion: Placement) -> float:
+        """Return the value of a pair of joints; not positive if they cannot be partners."""
+        demanded = self._forced_joints.get(one.index)
+        contradicts = two.index in self._forced_joints.values() if demanded is None else demanded != two.index
+        if one.kind != two.kind or contradicts:
+            return -FORCED
+        if demanded is not None:
+            return FORCED
+        assert one.joint is not None
+        assert two.joint is not None
+        names = self.match.joint_names.likeness(one.joint.name, two.joint.name)
+        return 0.2 + 2.0 * names + line_value(one, two, motion, self.size)
+
+    def _add_joint(self, links: tuple[Link, Link], above: Placement, own: Placement) -> None:
+        """Pair two joints, with sense and offset of their coordinates.
+
+        Args:
+            links: links whose joints they are.
+            above: motion of the parent.
+            own: motion of the link.
+        """
+        one, two = links
+        assert one.joint is not None
+        assert two.joint is not None
+        both = (own.rotation + above.rotation) @ two.axis
+        sense = -1 if float(one.axis @ both) < -1e-6 else 1  # below: perpendicular to the digits of files
+        moved = own @ above.inverse()
+        shift = 0.0
+        if one.kind is JointKind.HINGE:
+            shift = angle_about(one.axis, moved.rotation)
+        elif one.kind is JointKind.SLIDE:
+            spot = above.position + above.rotation @ two.point
+            shift = float(one.axis @ (moved.position + moved.rotation @ spot - spot))
+        offset = two.joint.zero - sense * one.joint.zero + sense * shift
+        offset = offset if abs(offset) > ROUND_OFF else 0.0
+        self.pairing.joints.append(MatchedJoint(one.index, two.index, sense, offset))
+
+    def _moved(self) -> tuple[int, int] | None:
+        """Pair two nodes without partner that are alike but hang on other parents; None if there are none."""
+        own = self.match.own
+        free = [(a, b) for a, b in own if a and b and a not in self._of_first and b not in self._of_second]
+        if not free:
+            return None
+        a, b = max(free, key=lambda pair: (own[pair], self.match.value[pair], -pair[0], -pair[1]))
+        if own[a, b] < MIN_MOVED_VALUE:
+            return None
+        above = _paired_above(self.first, a, self._of_first)
+        other = _paired_above(self.second, b, self._of_second)
+        if self._of_first.get(above) is self._of_second.get(other) is not None:
+            self._walk(above, other, a, b)
+            return a, b
+        one, two = self.first.links[a], self.second.links[b]
+        joined = one.kind == two.kind and not self._closes(one, two)
+        links = LinkPair([a], [b], self._of_first.get(above, self.pairing.links[0]).motion)
+        bodies = (
+            rigid([one], self.first.links, one if joined else None),
+            rigid([two], self.second.links, two if joined else None),
+        )
+        links.motion = register(*bodies, links.motion, self.size, self._likeness).motion
+        self._add(links)
+        if joined:
+            self._add_joint((one, two), links.motion, links.motion)
+        return a, b
+
+    def _closes(self, one: Link, two: Link) -> bool:
+        """Return True if the joint of a link is a loop in the other robot, or the joint of its partner is."""
+        for tree, of_own, link, other, of_other in (
+            (self.second, self._of_second, two, one, self._of_first),
+            (self.first, self._of_first, one, two, self._of_second),
+        ):
+            parent = of_other.get(other.parent)
+            for loop in tree.robot.loops:
+                ends = [tree.link_of[k] if k >= 0 else 0 for k in (loop.first, loop.second)]
+                for end, far in (ends, ends[::-1]):
+                    if end == link.index and parent is not None and of_own.get(far) is parent:
+                        return True
+        return False
+
+
+def angle_about(axis: Array, rotation: Array) -> float:
+    """Return the angle, rad, of the rotation about a unit vector (3,) that is nearest to a matrix (3, 3)."""
+    x, y, z = axis
+    sine = (
+        x * (rotation[2, 1] - rotation[1, 2])
+        + y * (rotation[0, 2] - rotation[2, 0])
+        + z * (rotation[1, 0] - rotation[0, 1])
+    )
+    cosine = float(np.trace(rotation)) - float(axis @ rotation @ axis)
+    return math.atan2(float(sine), cosine)
+
+
+def _whole(links: Sequence[Link]) -> tuple[float, Array, Array]:
+    """Return mass, center of mass and inertia of links in the pose of the file."""
+    return composite([(link.mass, link.center, link.inertia) for link in links], links[0].point)
+
+
+def _whole_motions(first: Sequence[Link], second: Sequence[Link]) -> list[Placement]:
+    """Return motions that bring the principal axes of two whole robots together, in their files' poses."""
+    one, two = _whole(first), _whole(second)
+    if not (one[0] > 0 and two[0] > 0):
+        return []
+    turns = principal_rotations(one[2], two[2])
+    return [Placement(one[1] - turn @ two[1], turn) for turn in turns]
+
+
+def _nodes_below(tree: LinkTree) -> dict[int, int]:
+    """Return the node at or below each link that is no branching without a node."""
+    found: dict[int, int] = {}
+    for link in reversed(tree.links):
+        if link.index in tree.branches:
+            found[link.index] = link.index
+        elif link.children:
+            found[link.index] = found[link.children[0]]
+    return found
+
+
+def _paired_above(tree: LinkTree, index: int, paired: Mapping[int, LinkPair]) -> int:
+    """Return the nearest link above a link that has a partner; -1 if there is none."""
+    above = tree.links[index].parent
+    while above >= 0 and above not in paired:
+        above = tree.links[above].parent
+    return above
