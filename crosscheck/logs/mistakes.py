@@ -209,11 +209,9 @@ def _delay(compared: ComparedLog) -> Iterator[Mistake]:
                 continue
             # without energies, which `relative` does not contain
             earlier = replace(at_outputs(run, np.flatnonzero(inside)), time=times[inside])
-            delayed = run_error(
-                without_energies(earlier),
-                without_energies(compared.reference_at(times[inside])),
-                compared.motion_scale,
-            )
+            # interpolation takes the time of an output of the reference that is close
+            reference = replace(compared.reference_at(times[inside]), time=times[inside])
+            delayed = run_error(without_energies(earlier), without_energies(reference), compared.motion_scale)
             if delayed.relative < error.relative:
                 error, best = delayed, float(delay)
         reach *= 4.0 / DELAYS

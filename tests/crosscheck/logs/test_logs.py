@@ -15,7 +15,9 @@ from crosscheck.loading.load import load_scene
 from crosscheck.logs import reading
 from crosscheck.logs.inputs import with_logged_forces
 from crosscheck.logs.judge import Log, judge_log
-from crosscheck.logs.mistakes import mistake_line
+from crosscheck.logs.mistakes import _delay, mistake_line
+from crosscheck.logs.options import LogOptions
+from crosscheck.logs.table import read_table
 from crosscheck.own_run.errors import Band
 from crosscheck.report.log import log_lines
 from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
@@ -553,3 +555,14 @@ def test_missing_joints_have_their_names_in_the_file():
     without = {"time": run.time} | {name: x for name, x in table.items() if name != "universal_47_1"}
     found = judge_log(scene, report.names, "log", without)
     assert found.missing == ("panel_7 (coordinate.universal_47_1 is missing)",)
+
+
+def test_delays_close_to_the_outputs_of_the_reference_are_tried():
+    scene, report = load_scene("mjcf/tracker.xml", {"excitation": "off", "duration": "0.1"}, verified=False)
+    run = simulate(scene)
+    table = {"time": run.time}
+    for name, (key, start) in report.names.coordinates.items():
+        table[name] = run.joint(key[0]).coordinates[:, key[1]] + start
+    log = reading.LogReading(scene, report.names, read_table(table))
+    # the log is accurate, so that the search goes on with smaller delays around zero
+    assert list(_delay(log.compared(LogOptions()))) == []
