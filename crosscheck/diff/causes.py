@@ -1,0 +1,382 @@
+"""Rows that have one cause become one row: what remains is what the owner of a file has to look at.
+
+In: rows of single elements, as `crosscheck.diff.rows` finds them. Out: fewer rows. Each hypothesis, such as
+"all masses times 1000" or "two elements exchanged", says which rows it explains. The hypothesis that leaves
+the fewest rows is taken, again and again, until none explains more than one row.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from crosscheck.diff.difference import Difference, Quantity, Standing, Value
+from newton_euler.reading.robot import RobotFile
+
+RATIO_TOLERANCE = 1e-4
+"""Relative difference of factors that count as one, such as 2.2046 and 2.20462."""
+
+FACTORS = {
+    1000.0: "kg against g, or m against mm",
+    1e6: "kg m^2 against g m^2 or mm^2",
+    1e9: "kg m^2 against g mm^2",
+    2.2046226: "kg against pounds",
+    39.370079: "m against inches",
+    180.0 / math.pi: "rad against degrees",
+}
+"""Factors between units, with words for the units."""
+
+LENGTHS = (Quantity.CENTER, Quantity.JOINT_ORIGIN, Quantity.LOOP_POINT, Quantity.LOOP_LENGTH)
+"""Quantities that grow with all lengths of a robot."""
+
+COLUMNS = (
+    Quantity.DAMPING,
+    Quantity.ARMATURE,
+    Quantity.FRICTION,
+    Quantity.STIFFNESS,
+    Quantity.LIMITS,
+    Quantity.EFFORT,
+    Quantity.SPEED,
+    Quantity.CONTROL_LIMITS,
+    Quantity.FORCE_LIMITS,
+)
+"""Quantities that a whole file may lack: zero or no limit at every element."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Rows that one cause explains, and the row that takes their place."""
+
+    explains: frozenset[int]
+    row: Difference
+
+
+def with_causes(rows: Iterable[Difference], first: RobotFile, second: RobotFile) -> list[Difference]:
+    """Return one row for each cause: true differences, then rounding, then conventions.
+
+    Args:
+        rows: rows of single elements.
+        first, second: the files.
+    """
+    joined = _with_joint_causes([*rows])
+    by_standing: dict[Standing, list[Difference]] = defaultdict(list)
+    for row in joined:
+        by_standing[row.standing].append(row)
+    different = by_standing[Standing.DIFFERENT]
+    formats = first.format, second.format
+    hypotheses: list[Callable[[list[Difference]], Iterator[Hypothesis]]] = [
+        lambda those: _missing_columns(those, formats),
+        _exchanged,
+        _scaled_lengths,
+        _scaled_masses,
+        _servo_gains,
+        _only_in_one,
+        _same_everywhere,
+        _scaled,
+    ]
+    while True:
+        found = [each for suggest in hypotheses for each in suggest(different)]
+        found = [each for each in found if len(each.explains) > 1]
+        if not found:
+            break
+        best = max(found, key=lambda each: len(each.explains))
+        position = min(best.explains)
+        kept = [row for index, row in enumerate(different) if index not in best.explains]
+        different = [*kept[:position], best.row, *kept[position:]]
+    return [
+        *different,
+        *_by_quantity(by_standing[Standing.ROUNDING], "digits of the files"),
+        *_by_quantity(by_standing[Standing.CONVENTION], ""),
+    ]
+
+
+def _by_quantity(rows: list[Difference], cause: str) -> Iterator[Difference]:
+    """Yield one row for each quantity, with the elements of all rows."""
+    groups: dict[Quantity, list[Difference]] = defaultdict(list)
+    for row in rows:
+        groups[row.quantity].append(row)
+    for group in groups.values():
+        yield _merged(group, cause or group[0].cause)
+
+
+def _merged(rows: list[Difference], cause: str) -> Difference:
+    """Return the largest of some rows, with the elements of all of them."""
+    elements = tuple(dict.fromkeys(name for row in rows for name in row.elements))
+    # Six digits: round-off does not decide which of equal rows is shown
+    largest = max(rows, key=lambda row: float(f"{row.size:.6g}"))
+    return replace(largest, elements=elements, cause=cause)
+
+
+# Rows of one joint
+
+
+def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
+    """Return rows in which a joint's reversed axis, moved zero and forgotten limits are one row."""
+    of_joint: dict[str, dict[Quantity, Difference]] = defaultdict(dict)
+    for row in rows:
+        if row.element_kind == "joint" and row.standing is not Standing.ROUNDING:
+            of_joint[row.element][row.quantity] = row
+    replaced: dict[int, Difference | None] = {}
+    for found in of_joint.values():
+        sign, zero = found.get(Quantity.SIGN), found.get(Quantity.ZERO)
+        limits, axis = found.get(Quantity.LIMITS), found.get(Quantity.JOINT_AXIS)
+        if limits is None or not _are_as_written(limits, sign, zero):
+            continue
+        replaced[id(limits)] = None
+        if sign is not None:
+            words = "axis reversed, limits not mirrored"
+            replaced[id(sign)] = replace(sign, size=limits.size, cause=words, effect=None, convention=False)
+        if zero is not None and axis is not None and axis.cause:
+            # A turn about any direction is a turn of the axis and a turn about the axis
+            turn = 2.0 * math.acos(math.cos(0.5 * axis.size) * math.cos(0.5 * zero.size))
+            words = f"the link is turned at its parent by {math.degrees(turn):.4g} degrees"
+            replaced[id(axis)] = replace(axis, size=turn, cause=words)
+            replaced[id(zero)] = None
+        elif zero is not None:
+            words = "the joint counts from another zero, the limits are not moved"
+            replaced[id(zero)] = replace(zero, cause=words, effect=None, convention=False)
+    kept = (replaced.get(id(row), row) for row in rows)
+    return [row for row in kept if row is not None]
+
+
+def _are_as_written(limits: Difference, sign: Difference | None, zero: Difference | None) -> bool:
+    """Return whether the second file has the limits of the first one, in spite of another sign or zero."""
+    if not (isinstance(limits.first, tuple) and isinstance(limits.second, tuple)) or not (sign or zero):
+        return False
+    sense = -1 if sign else 1
+    offset = zero.second if zero and isinstance(zero.second, float) else 0.0
+    as_written = (sense * np.array(limits.second) + offset)[::sense]
+    return bool(np.allclose(as_written, limits.first, rtol=1e-5, atol=1e-6 + limits.uncertainty))
+
+
+# Hypotheses
+
+
+def _numbers(value: Value) -> np.ndarray | None:
+    """Return a value as an array of finite numbers; None if the value is anything else."""
+    if value is None or isinstance(value, str):
+        return None
+    numbers = np.atleast_1d(np.array(value, dtype=float))
+    return numbers if np.isfinite(numbers).all() else None
+
+
+def _factor(row: Difference) -> float | None:
+    """Return the factor from the first to the second value; None if the values are not proportional."""
+    first, second = _numbers(row.first), _numbers(row.second)
+    if first is None or second is None or len(first) != len(second):
+        return None
+    square = float(first @ first)
+    factor = float(first @ second) / square if square else 0.0
+    close = np.linalg.norm(second - factor * first) <= RATIO_TOLERANCE * np.linalg.norm(second)
+    return factor if factor and close else None
+
+
+def _with_one_factor(
+    rows: list[Difference], indices: list[int], power: Callable[[Difference], float] = lambda row: 1.0
+) -> Iterator[tuple[float, list[int]]]:
+    """Yield groups of rows whose values have one factor, and the factor.
+
+    Args:
+        rows: all rows.
+        indices: of the rows that are looked at.
+        power: of the common factor that a row's values have, such as 2 for areas.
+    """
+    factors = []
+    for index in indices:
+        factor = _factor(rows[index])
+        if factor is not None and factor > 0:
+            factors.append((factor ** (1.0 / power(rows[index])), index))
+        elif factor is not None and power(rows[index]) == 1.0:
+            factors.append((factor, index))
+    factors.sort()
+    group: list[tuple[float, int]] = []
+    for each in [*factors, (math.inf, -1)]:
+        if group and not math.isclose(each[0], group[0][0], rel_tol=RATIO_TOLERANCE):
+            yield group[len(group) // 2][0], sorted(index for _, index in group)
+            group = []
+        group.append(each)
+
+
+def _times(factor: float) -> str:
+    """Return a factor in words, with the units that it is between."""
+    for known, units in FACTORS.items():
+        if math.isclose(factor, known, rel_tol=1e-3) or math.isclose(factor, 1.0 / known, rel_tol=1e-3):
+            return f"times {factor:.6g} ({units})"
+    return f"times {factor:.6g}"
+
+
+def _missing_columns(rows: list[Difference], formats: tuple[str, str]) -> Iterator[Hypothesis]:
+    """Suggest that one file lacks a quantity that the other file has at many elements."""
+    for quantity in COLUMNS:
+        for where, other in ((0, 1), (1, 0)):
+            group = [
+                index
+                for index, row in enumerate(rows)
+                if row.quantity == quantity
+                and (row.first, row.second)[other] in (None, 0.0)
+                and (row.first, row.second)[where] not in (None, 0.0)
+            ]
+            if len(group) < 2:
+                continue
+            values = [_numbers((rows[index].first, rows[index].second)[where]) for index in group]
+            finite = np.concatenate([value for value in values if value is not None] or [np.zeros(1)])
+            span = f"{finite.min():.4g}" + (f" to {finite.max():.4g}" if np.ptp(finite) else "")
+            name = ("first", "second")[where] + (f" file ({formats[where]})" if formats[where] else " file")
+            cause = f"only in the {name}, at {len(group)} elements: {span}"
+            yield Hypothesis(frozenset(group), _merged([rows[index] for index in group], cause))
+
+
+def _scaled_masses(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that masses, and inertias with them, are times one factor."""
+    indices = [i for i, row in enumerate(rows) if row.quantity == Quantity.MASS and not row.cause]
+    for factor, group in _with_one_factor(rows, indices):
+        elements = {rows[index].element for index in group}
+        inertias = [
+            index
+            for index, row in enumerate(rows)
+            if row.quantity == Quantity.INERTIA
+            and row.element in elements
+            and (own := _factor(row))
+            and math.isclose(own, factor, rel_tol=10 * RATIO_TOLERANCE)
+        ]
+        words = "masses and inertias" if inertias else "masses"
+        number = f"{len(group)} " if len(group) > 1 else ""
+        row = _merged([rows[index] for index in group], f"{number}{words} {_times(factor)}")
+        yield Hypothesis(frozenset([*group, *inertias]), row)
+
+
+def _scaled_lengths(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that all lengths, and inertias with their squares, are times one factor."""
+    indices = [i for i, row in enumerate(rows) if row.quantity in LENGTHS or row.quantity == Quantity.INERTIA]
+    for factor, group in _with_one_factor(
+        rows, indices, lambda row: 2.0 if row.quantity == Quantity.INERTIA else 1.0
+    ):
+        lengths = [rows[index] for index in group if rows[index].quantity in LENGTHS]
+        if len(lengths) >= 3 and len({row.quantity for row in lengths}) > 1:
+            row = _merged(lengths, f"{len(lengths)} lengths {_times(factor)}")
+            yield Hypothesis(frozenset(group), row)
+
+
+def _scaled(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that one quantity of many elements is times one factor."""
+    by_quantity: dict[Quantity, list[int]] = defaultdict(list)
+    for index, row in enumerate(rows):
+        if not row.cause or row.quantity not in (Quantity.MASS, Quantity.INERTIA):
+            by_quantity[row.quantity].append(index)
+    for quantity, indices in by_quantity.items():
+        if quantity in (Quantity.SIGN, Quantity.ZERO, Quantity.JOINT_AXIS, Quantity.GRAVITY):
+            continue
+        for factor, group in _with_one_factor(rows, indices):
+            if len(group) > 2 or len({rows[index].first for index in group}) == 1:
+                those = [rows[index] for index in group]
+                kind = those[0].element_kind
+                row = _merged(those, f"{quantity} of {len(group)} {_plural(kind)} {_times(factor)}")
+                yield Hypothesis(frozenset(group), row)
+
+
+def _servo_gains(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that the gain of a servo follows its kp, or that all numbers of a drive follow the gear."""
+    for one, other in combinations(range(len(rows)), 2):
+        pair = {rows[index].quantity: index for index in (one, other)}
+        same = rows[one].element_kind == rows[other].element_kind == "drive"
+        if same and rows[one].element == rows[other].element and pair.keys() == {Quantity.GAIN, Quantity.KP}:
+            factors = [_factor(rows[index]) for index in (one, other)]
+            if None not in factors and math.isclose(*factors, rel_tol=RATIO_TOLERANCE):  # type: ignore[arg-type]
+                yield Hypothesis(frozenset((one, other)), rows[pair[Quantity.KP]])
+
+
+def _exchanged(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that two elements have each other's numbers."""
+    of_element: dict[tuple[str, str], dict[Quantity, int]] = defaultdict(dict)
+    for index, row in enumerate(rows):
+        if len(row.elements) == 1:
+            of_element[row.element_kind, row.element][row.quantity] = index
+    explained: set[int] = set()
+    names: list[str] = []
+    for (key, own), (other_key, other) in combinations(of_element.items(), 2):
+        if key[0] != other_key[0] or own.keys() != other.keys() or explained & {*own.values()}:
+            continue
+        pairs = [(rows[own[quantity]], rows[other[quantity]]) for quantity in own]
+        if all(_are_exchanged(a, b) for a, b in pairs):
+            explained.update(own.values(), other.values())
+            names.extend((key[1], other_key[1]))
+    if explained:
+        those = [rows[index] for index in sorted(explained)]
+        pairs_of_names = [f"{a} and {b}" for a, b in zip(names[::2], names[1::2], strict=True)]
+        row = replace(those[0], elements=tuple(names), cause=f"exchanged: {', '.join(pairs_of_names)}")
+        yield Hypothesis(frozenset(explained), row)
+
+
+def _are_exchanged(row: Difference, other: Difference) -> bool:
+    """Return whether two elements have each other's values of one quantity."""
+    if row.quantity == Quantity.INERTIA_AXES:
+        # The axes themselves are not part of the row
+        return _same(row.size, other.size)
+    return _same(row.first, other.second) and _same(row.second, other.first)
+
+
+def _same(value: Value, other: Value) -> bool:
+    """Return whether two values are equal to six digits."""
+    first, second = _numbers(value), _numbers(other)
+    if first is None or second is None or len(first) != len(second):
+        return value == other
+    return bool(np.linalg.norm(second - first) <= 1e-5 * np.linalg.norm(first))
+
+
+def _only_in_one(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that one file has elements of a kind that the other file lacks."""
+    groups: dict[tuple[str, bool], list[int]] = defaultdict(list)
+    for index, row in enumerate(rows):
+        if row.quantity == Quantity.PRESENCE:
+            groups[row.element_kind, row.second is None].append(index)
+    for (kind, in_first), group in groups.items():
+        those = [rows[index] for index in group]
+        where = "first" if in_first else "second"
+        cause = f"{len(those)} {_plural(kind)} only in the {where} file"
+        yield Hypothesis(frozenset(group), _merged(those, cause))
+
+
+def _same_everywhere(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that several elements, also on the left and on the right, have the same difference."""
+    groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
+    for index, row in enumerate(rows):
+        if row.quantity != Quantity.PRESENCE:
+            key = (row.element_kind, row.quantity, row.unit, row.cause, *_without_side(row))
+            groups[key].append(index)
+    for group in groups.values():
+        those = [rows[index] for index in group]
+        cause = those[0].cause or f"the same at {len(those)} {_plural(those[0].element_kind)}"
+        yield Hypothesis(frozenset(group), _merged(those, cause))
+
+
+def _without_side(row: Difference) -> tuple[object, ...]:
+    """Return both values, equal for an element on the left and its mirror image on the right."""
+    first, second = row.first, row.second
+    if row.quantity == Quantity.LIMITS:
+        mirrored = tuple(
+            value and tuple(-number for number in reversed(value)) if isinstance(value, tuple) else value
+            for value in (first, second)
+        )
+        return min((_rounded(first), _rounded(second)), tuple(map(_rounded, mirrored)), key=str)
+    if row.quantity in (Quantity.CENTER, Quantity.JOINT_ORIGIN, Quantity.LOOP_POINT, Quantity.JOINT_AXIS):
+        first, second = (
+            tuple(map(abs, value)) if isinstance(value, tuple) else value for value in (first, second)
+        )
+    return _rounded(first), _rounded(second)
+
+
+def _rounded(value: Value) -> object:
+    """Return a value with its numbers rounded to five digits."""
+    if isinstance(value, tuple):
+        return tuple(float(f"{number:.5g}") + 0.0 for number in value)
+    return float(f"{value:.5g}") + 0.0 if isinstance(value, float) else value
+
+
+def _plural(kind: str) -> str:
+    """Return the plural of a kind of element."""
+    return "bodies" if kind == "body" else f"{kind}s"

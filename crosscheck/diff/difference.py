@@ -1,0 +1,177 @@
+"""One row of the table of differences of two model files, and the quantities that such a row can be about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import assert_never
+
+from newton_euler.scalars import Array
+
+Value = float | tuple[float, ...] | str | None
+"""A number, several numbers or a word of a model file; None if the file has no such number."""
+
+
+class Quantity(StrEnum):
+    """What differs between two model files."""
+
+    MASS = "mass"
+    CENTER = "center of mass"
+    INERTIA = "inertia"
+    INERTIA_AXES = "axes of inertia"
+    FRAME = "frame"
+    BASE = "base"
+    PARENT = "parent"
+    PRESENCE = "presence"
+    GRAVITY = "gravity"
+    KIND = "kind"
+    JOINT_ORIGIN = "joint origin"
+    JOINT_AXIS = "joint axis"
+    JOINT_ORIENTATION = "joint orientation"
+    ZERO = "zero"
+    SIGN = "sign"
+    DAMPING = "damping"
+    ARMATURE = "armature"
+    FRICTION = "dry friction"
+    STIFFNESS = "stiffness"
+    REST = "rest"
+    LIMITS = "limits"
+    EFFORT = "effort"
+    SPEED = "speed"
+    GAIN = "gain"
+    GEAR = "gear"
+    KP = "kp"
+    KV = "kv"
+    CONSTANT = "constant force"
+    CONTROL_LIMITS = "control limits"
+    FORCE_LIMITS = "force limits"
+    SETTING = "setting"
+    COUPLING = "coupling"
+    LOOP_POINT = "loop point"
+    LOOP_AXIS = "loop axis"
+    LOOP_LENGTH = "loop length"
+
+
+class Standing(StrEnum):
+    """What a row says about two files."""
+
+    DIFFERENT = "different"
+    """The numbers differ by more than the digits of the files leave open."""
+    ROUNDING = "rounding"
+    """The numbers differ by no more than the digits of the files leave open."""
+    CONVENTION = "convention"
+    """The files describe the same robot in other terms, such as another frame of a link."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One difference of two model files.
+
+    Attributes:
+        element: name in the first file, or in the second if only the second has the element.
+        element_kind: "body", "joint", "drive", "loop", "coupling" or "model".
+        quantity: what differs.
+        first, second: value in each file, in the frame, zero and sign of the first file; None if the
+            element or the number is missing there.
+        unit: of the values; "" for words and pure numbers.
+        size: relative difference, 0.01 for 1 %; in rad or m for directions, positions, zeros and limits.
+        uncertainty: part of `size` that the digits of both files leave open.
+        elements: names of all elements with the same cause; `element` is the one with the largest size.
+        effect: relative change of the robot's accelerations; None if not computed.
+        cause: explanation in words; "" for a number that merely differs.
+        convention: whether the row only says that the files use other terms for the same robot.
+    """
+
+    element: str
+    element_kind: str
+    quantity: Quantity
+    first: Value
+    second: Value
+    unit: str
+    size: float
+    uncertainty: float = 0.0
+    elements: tuple[str, ...] = ()
+    effect: float | None = None
+    cause: str = ""
+    convention: bool = False
+
+    @property
+    def standing(self) -> Standing:
+        """Return whether the row is a true difference, rounding or a convention."""
+        if self.convention:
+            return Standing.CONVENTION
+        return Standing.DIFFERENT if self.size > self.uncertainty else Standing.ROUNDING
+
+
+def unit(quantity: Quantity, slide: bool = False) -> str:
+    """Return the unit of a quantity; of a joint that slides or of one that turns."""
+    length, force = ("m", "N") if slide else ("rad", "N m")
+    match quantity:
+        case Quantity.MASS:
+            return "kg"
+        case Quantity.CENTER | Quantity.JOINT_ORIGIN | Quantity.LOOP_POINT | Quantity.LOOP_LENGTH:
+            return "m"
+        case Quantity.INERTIA:
+            return "kg m^2"
+        case Quantity.ARMATURE:
+            return "kg" if slide else "kg m^2"
+        case Quantity.GRAVITY:
+            return "m/s^2"
+        case Quantity.INERTIA_AXES | Quantity.JOINT_ORIENTATION | Quantity.FRAME | Quantity.LOOP_AXIS:
+            return "rad"
+        case Quantity.ZERO | Quantity.REST | Quantity.LIMITS:
+            return length
+        case Quantity.FRICTION | Quantity.EFFORT | Quantity.CONSTANT | Quantity.GAIN | Quantity.FORCE_LIMITS:
+            return force
+        case Quantity.DAMPING | Quantity.KV:
+            return f"{force} s/{length}"
+        case Quantity.STIFFNESS | Quantity.KP:
+            return f"{force}/{length}"
+        case Quantity.SPEED:
+            return f"{length}/s"
+        case (
+            Quantity.BASE
+            | Quantity.PARENT
+            | Quantity.PRESENCE
+            | Quantity.KIND
+            | Quantity.JOINT_AXIS
+            | Quantity.SIGN
+            | Quantity.GEAR
+            | Quantity.CONTROL_LIMITS
+            | Quantity.SETTING
+            | Quantity.COUPLING
+        ):
+            return ""
+        case _:
+            assert_never(quantity)
+
+
+def difference(
+    element: str,
+    kind: str,
+    quantity: Quantity,
+    values: tuple[Value, Value],
+    sizes: tuple[float, float],
+    cause: str = "",
+    slide: bool = False,
+    convention: bool = False,
+) -> Difference:
+    """Return a row about one element.
+
+    Args:
+        element, kind: name and kind of the element.
+        quantity: what differs.
+        values: in the first and in the second file.
+        sizes: of the difference, and uncertainty.
+        cause: explanation in words.
+        slide: whether the element is a joint that slides, or acts on one.
+        convention: whether the robot is the same.
+    """
+    effect = 0.0 if convention else None
+    where = unit(quantity, slide)
+    return Difference(element, kind, quantity, *values, where, *sizes, (element,), effect, cause, convention)
+
+
+def numbers(values: Array) -> tuple[float, ...]:
+    """Return an array (n,) as a value of a row."""
+    return tuple(float(value) + 0.0 for value in values)

@@ -1,0 +1,278 @@
+"""Rows of joints: origin, axis, zero, sign and numbers, in frames, zero and sign of the first file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import assert_never
+
+import numpy as np
+
+from crosscheck.diff.alignment import JointPair
+from crosscheck.diff.difference import Difference, Quantity, Value, difference, numbers
+from crosscheck.diff.frames import CommonFrames, JointPlace
+from crosscheck.diff.short_angles import is_short_pi, is_turn_by_short_pi
+from crosscheck.diff.stack import JointKey, Metric, absolute, angle, distance, dot, relative
+from newton_euler.reading.robot import JointKind
+from newton_euler.scalars import Array
+
+JOINT_NUMBERS: dict[Quantity, str] = {
+    Quantity.DAMPING: "damping",
+    Quantity.ARMATURE: "armature",
+    Quantity.FRICTION: "friction",
+    Quantity.STIFFNESS: "stiffness",
+    Quantity.EFFORT: "effort",
+    Quantity.SPEED: "speed",
+}
+"""Numbers of a joint that do not depend on frames, zeros and signs, with the names of their fields."""
+
+MIN_OFFSET = 1e-9
+"""rad or m, smallest distance of two zeros that is not round-off."""
+
+
+def joint_rows(common: CommonFrames, place: JointPlace, zeros: dict[JointKey, float]) -> Iterator[Difference]:
+    """Yield the rows of a pair of joints between the same bodies.
+
+    Args:
+        common: both robots.
+        place: the joints and their bodies.
+        zeros: takes the coordinate of the joint in the second file where that in the first file is zero.
+    """
+    pair, name = place.pair, common.joint_name(place.pair)
+    slide = place.kind == JointKind.SLIDE
+    match place.kind:
+        case JointKind.HINGE | JointKind.SLIDE:
+            joint = _AxisJoint(common, place)
+            yield from joint.rows()
+            zeros[pair.first] = joint.offset
+            yield from _coordinate_rows(common, pair, name, joint.offset, slide)
+        case JointKind.BALL:
+            yield from _ball_rows(common, place, name)
+        case JointKind.FREE:
+            pass
+        case _:
+            assert_never(place.kind)
+    for quantity, field in JOINT_NUMBERS.items():
+        first, second = common.numbers(pair, field)
+        sizes = common.judge.compare(first, second, relative)
+        if sizes[0]:
+            values = _finite(first[0]), _finite(second[0])
+            yield difference(name, "joint", quantity, values, sizes, slide=slide)
+
+
+def moved_joint_row(common: CommonFrames, pair: JointPair) -> Difference:
+    """Return the row of a pair of joints that are of other kinds or connect other bodies."""
+    name = common.joint_name(pair)
+    sides = (common.first.file.robot, pair.first), (common.second.file.robot, pair.second)
+    kinds, parents = [], []
+    for robot, (body, number) in sides:
+        parent = robot.bodies[body].parent
+        kinds.append(str(robot.bodies[body].joints[number].kind))
+        parents.append(robot.bodies[parent].name if parent >= 0 else "the ground")
+    if kinds[0] != kinds[1]:
+        return difference(name, "joint", Quantity.KIND, (kinds[0], kinds[1]), (1.0, 0.0))
+    return difference(name, "joint", Quantity.PARENT, (parents[0], parents[1]), (1.0, 0.0))
+
+
+class _AxisJoint:
+    """Hinge or slide of both robots.
+
+    Attributes:
+        offset: coordinate in the second file where the coordinate in the first file is zero, rad or m.
+    """
+
+    def __init__(self, common: CommonFrames, place: JointPlace) -> None:
+        """Express the joint's axis in the common frames of parent and child."""
+        self.common, self.place = common, place
+        self.name = common.joint_name(place.pair)
+        self.slide = place.kind == JointKind.SLIDE
+        self.at_parent = common.lines(place.pair, place.parent)
+        self.at_child = common.lines(place.pair, place.child)
+        parent, child = common.frames[place.parent], common.frames[place.child]
+        self.child_in_parent = (parent.first.inverse() @ child.first, parent.second.inverse() @ child.second)
+        self.offset = place.pair.offset
+
+    def rows(self) -> Iterator[Difference]:
+        """Yield the rows of the axis, the origin, the zero and the sign, and set the offset."""
+        at_child, at_parent = self._points()
+        axis = self.at_parent[0].axis[0]
+        along = [dot(points - at_parent[0][0], axis[None]) for points in at_parent]
+        if self.slide:
+            # A shift along the axis is another zero of a slide
+            at_parent = [
+                points - shift[:, None] * axis for points, shift in zip(at_parent, along, strict=True)
+            ]
+        yield from self._direction_row()
+        yield from self._origin_row(at_child, at_parent)
+        if self.place.alone:
+            yield from self._zero_rows(along)
+        if self.offset:
+            words = "the joint counts from another zero"
+            yield self._row(
+                Quantity.ZERO, (0.0, self.offset), (abs(self.offset), 0.0), words, convention=True
+            )
+        if self.place.pair.sense < 0:
+            yield self._row(
+                Quantity.SIGN, (1.0, -1.0), (1.0, 0.0), "the joint counts the other way", convention=True
+            )
+
+    def _points(self) -> tuple[list[Array], list[Array]]:
+        """Return the point of the joint at the child and at the parent, (V, 3) for each robot.
+
+        The point of an axis is free along it: both robots get the points of the child that are nearest to the
+        first robot's point. A slide's axis has no place; its point is any point of the child.
+        """
+        center = self.at_child[0].point[0]
+        if self.slide:
+            at_child = [np.broadcast_to(center, line.point.shape) for line in self.at_child]
+        else:
+            at_child = [line.nearest(center) for line in self.at_child]
+        if self.place.alone:
+            return at_child, [
+                frame.point(points) for frame, points in zip(self.child_in_parent, at_child, strict=True)
+            ]
+        start = self.at_parent[0].point[0]
+        return at_child, [line.nearest(start) for line in self.at_parent]
+
+    def _direction_row(self) -> Iterator[Difference]:
+        """Yield the row of the axis, in the frame of the child, or of the parent if only that differs."""
+        lines, words = self.at_child, ""
+        sizes = self._at_child(lines[0].axis, lines[1].axis, angle)
+        at_parent = self._at_parent(self.at_parent[0].axis, self.at_parent[1].axis, angle)
+        if not sizes[0] or (at_parent[0] > at_parent[1] and sizes[0] <= sizes[1]):
+            lines, sizes = self.at_parent, at_parent
+            words = f"the link is turned at its parent by {math.degrees(sizes[0]):.4g} degrees"
+        if is_turn_by_short_pi(*sizes):
+            sizes, words = (sizes[0], max(sizes)), ""
+        if sizes[0]:
+            axes = numbers(lines[0].axis[0]), numbers(lines[1].axis[0])
+            yield self._row(Quantity.JOINT_AXIS, axes, sizes, words)
+
+    def _origin_row(self, at_child: list[Array], at_parent: list[Array]) -> Iterator[Difference]:
+        """Yield the row of the joint's point, at the parent, or at the child if only that differs."""
+        points, sizes = at_parent, self._at_parent(at_parent[0], at_parent[1], distance)
+        sizes_at_child = self._at_child(at_child[0], at_child[1], distance)
+        words = ""
+        if sizes_at_child[0] > sizes_at_child[1] and sizes[0] <= sizes[1]:
+            points, sizes, words = at_child, sizes_at_child, "in the frame of the moved link"
+        if sizes[0]:
+            yield self._row(
+                Quantity.JOINT_ORIGIN, (numbers(points[0][0]), numbers(points[1][0])), sizes, words
+            )
+
+    def _zero_rows(self, along: list[Array]) -> Iterator[Difference]:
+        """Correct the offset by the place of the child in the parent, and yield rows of rounding."""
+        reference = self.child_in_parent[0].rotation[0]
+        axis = self.at_child[0].axis[0]
+        turns = [_twist(reference, frame.rotation, axis) for frame in self.child_in_parent]
+        change, sizes = turns, self._at_parent(turns[0], turns[1], absolute)
+        if is_turn_by_short_pi(*sizes):
+            sizes = sizes[0], max(sizes)
+        if self.slide:
+            if sizes[0]:
+                yield self._row(Quantity.JOINT_ORIENTATION, (0.0, float(turns[1][0])), sizes)
+            change, sizes = along, self._at_parent(along[0], along[1], absolute)
+        if sizes[0] > sizes[1]:
+            self.offset -= self.place.pair.sense * float(change[1][0])
+        elif sizes[0]:
+            yield self._row(Quantity.ZERO, (0.0, float(change[1][0])), sizes)
+        zeros = self.common.numbers(self.place.pair, "zero")
+        open_offset = self.common.judge.compare(zeros[0], zeros[1], absolute)[1]
+        if abs(self.offset) <= max(sizes[1] + open_offset, MIN_OFFSET):
+            self.offset = 0.0
+
+    def _at_child(self, first: Array, second: Array, metric: Metric) -> tuple[float, float]:
+        """Return size and uncertainty of a difference in the frame of the child."""
+        return self.common.compare(self.place.child, first, second, metric)
+
+    def _at_parent(self, first: Array, second: Array, metric: Metric) -> tuple[float, float]:
+        """Return size and uncertainty of a difference that depends on the frames of parent and child."""
+        parent, child = (self.common.frames[number] for number in (self.place.parent, self.place.child))
+        lever = float(np.linalg.norm(first[0])) if metric is distance else 1.0
+        slack = 2.0 * (parent.slack_angle + child.slack_angle) * lever
+        return self.common.judge.compare(
+            first, second, metric, slack + parent.slack_shift + child.slack_shift
+        )
+
+    def _row(
+        self,
+        quantity: Quantity,
+        values: tuple[Value, Value],
+        sizes: tuple[float, float],
+        cause: str = "",
+        convention: bool = False,
+    ) -> Difference:
+        """Return a row of the joint."""
+        return difference(self.name, "joint", quantity, values, sizes, cause, self.slide, convention)
+
+
+def _ball_rows(common: CommonFrames, place: JointPlace, name: str) -> Iterator[Difference]:
+    """Yield the row of the center of a ball joint, at the parent, or at the child if only that differs."""
+    for number, words in ((place.parent, ""), (place.child, "in the frame of the moved link")):
+        line, other = common.lines(place.pair, number)
+        sizes = common.compare(number, line.point, other.point, distance)
+        if sizes[0]:
+            values = numbers(line.point[0]), numbers(other.point[0])
+            yield difference(name, "joint", Quantity.JOINT_ORIGIN, values, sizes, words)
+            if sizes[0] > sizes[1]:
+                return
+
+
+def _coordinate_rows(
+    common: CommonFrames, pair: JointPair, name: str, offset: float, slide: bool
+) -> Iterator[Difference]:
+    """Yield the rows of limits and of the rest of the spring, in the zero and sign of the first file.
+
+    Args:
+        common: both robots.
+        pair: the joints.
+        name: of the joint.
+        offset: coordinate in the second file where that in the first file is zero.
+        slide: whether the joint slides.
+    """
+    limits, other = common.numbers(pair, "limits")
+    # Mirroring exchanges the lower and the upper limit
+    other = (pair.sense * (other - offset))[:, :: pair.sense]
+    sizes = common.judge.compare(limits, other, absolute)
+    if sizes[0]:
+        ends = zip(limits[0].tolist(), other[0].tolist(), strict=True)
+        if all(one == two or abs(one - two) <= sizes[1] or is_short_pi(one, two) for one, two in ends):
+            sizes = sizes[0], max(sizes)
+        values = [numbers(each[0]) if np.isfinite(each[0]).any() else None for each in (limits, other)]
+        yield difference(name, "joint", Quantity.LIMITS, (values[0], values[1]), sizes, slide=slide)
+    springs = common.numbers(pair, "stiffness")
+    if springs[0][0] and springs[1][0]:
+        rest, other = common.numbers(pair, "rest")
+        other = pair.sense * (other - offset)
+        sizes = common.judge.compare(rest, other, absolute)
+        if is_short_pi(float(rest[0]), float(other[0])):
+            sizes = sizes[0], max(sizes)
+        if sizes[0]:
+            yield difference(
+                name, "joint", Quantity.REST, (float(rest[0]), float(other[0])), sizes, slide=slide
+            )
+
+
+def _twist(reference: Array, rotations: Array, axis: Array) -> Array:
+    """Return the turns (V,), rad, about an axis (3,) from a rotation (3, 3) to rotations (V, 3, 3).
+
+    The axis is in the turned frame. A turn of the axis itself is left out.
+    """
+    turns = reference.T @ rotations
+    twice_sine = np.stack(
+        [
+            turns[:, 2, 1] - turns[:, 1, 2],
+            turns[:, 0, 2] - turns[:, 2, 0],
+            turns[:, 1, 0] - turns[:, 0, 1],
+        ],
+        axis=-1,
+    )
+    # Of the plane across the axis: trace 2 c cos(twist), antisymmetric part 2 c sin(twist), c > 0
+    trace = np.trace(turns, axis1=1, axis2=2) - (turns @ axis) @ axis
+    twist: Array = np.arctan2(twice_sine @ axis, trace)
+    return twist
+
+
+def _finite(value: float) -> float | None:
+    """Return a number, or None for a limit that is infinite."""
+    return float(value) if math.isfinite(value) else None

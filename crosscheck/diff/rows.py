@@ -1,0 +1,181 @@
+"""Differing numbers of two robot files in the terms of the first file, one row for one cause.
+
+In: two `RobotFile`s and their `Alignment`. Out: rows of type `Difference`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from crosscheck.diff.alignment import Alignment
+from crosscheck.diff.bodies import body_rows
+from crosscheck.diff.causes import with_causes
+from crosscheck.diff.connections import connection_rows
+from crosscheck.diff.difference import Difference, Quantity, Standing, Value, difference, numbers
+from crosscheck.diff.frames import IN_WORLD, CommonFrames, joint_name
+from crosscheck.diff.joints import joint_rows, moved_joint_row
+from crosscheck.diff.short_angles import is_turn_by_short_pi
+from crosscheck.diff.stack import Judge, Side, angle, distance
+from newton_euler.reading.robot import JointKind, RobotFile
+from newton_euler.scalars import Array
+
+__all__ = ["Difference", "Quantity", "Standing", "differences"]
+
+EARTH = (0.0, 0.0, -9.81)
+"""m/s^2, gravity that engines take for a file without gravity."""
+
+MIN_TURN = 1e-6
+"""rad, and fraction of the robot's length: smallest motion of a frame that is reported."""
+
+
+def differences(
+    first: RobotFile, second: RobotFile, alignment: Alignment, tolerance: float | None
+) -> list[Difference]:
+    """Return what differs between two robot files, one row for one cause.
+
+    Args:
+        first, second: the files.
+        alignment: pairs of their bodies and joints.
+        tolerance: relative difference that counts as rounding, instead of the digits of the files; None for
+            the digits.
+
+    Returns:
+        True differences, then differences within the digits of the files, then conventions.
+    """
+    pose = {}
+    for pair in alignment.joints:
+        body, number = pair.first
+        pose[pair.second] = pair.sense * first.robot.bodies[body].joints[number].zero + pair.offset
+    side = Side(first, {})
+    points = [line.point[0] for line in side.lines.values()]
+    extent = float(np.ptp(points, axis=0).max()) if points else 0.0
+    common = CommonFrames(side, Side(second, pose), alignment, Judge(tolerance, extent or 1.0))
+    zeros: dict[tuple[int, int], float] = {}
+    rows = [
+        *_presence_rows(common),
+        *_model_rows(common),
+        *(row for number in common.frames if number != IN_WORLD for row in body_rows(common, number)),
+        *(row for place in common.joints for row in joint_rows(common, place, zeros)),
+        *(moved_joint_row(common, pair) for pair in common.moved_joints),
+        *connection_rows(common, zeros),
+    ]
+    return with_causes(rows, first, second)
+
+
+def _presence_rows(common: CommonFrames) -> Iterator[Difference]:
+    """Yield a row for each body, with its joints, and each joint that only one file has."""
+    alignment = common.alignment
+    sides = (
+        (common.first.file.robot, alignment.first_bodies, alignment.first_joints),
+        (common.second.file.robot, alignment.second_bodies, alignment.second_joints),
+    )
+    for side, (robot, bodies, joints) in enumerate(sides):
+        total = sum(body.mass for body in robot.bodies) or 1.0
+
+        def values(value: Value, side: int = side) -> tuple[Value, Value]:
+            """Return the value of an element that only this file has, as values of both files."""
+            return (None, value) if side else (value, None)
+
+        own: dict[int, list[str]] = {index: [] for index in bodies}
+        for body, number in joints:
+            kind = robot.bodies[body].joints[number].kind
+            name = joint_name(robot, (body, number))
+            if body in own:
+                own[body].append(name)
+            elif not (alignment.base and kind == JointKind.FREE):
+                # The free joint of a base that the other file fixes is a difference of the base
+                yield difference(name, "joint", Quantity.PRESENCE, values(str(kind)), (1.0, 0.0))
+        for index, names in own.items():
+            body_mass = robot.bodies[index].mass
+            if body_mass or names:
+                row = difference(
+                    robot.bodies[index].name,
+                    "body",
+                    Quantity.PRESENCE,
+                    values(body_mass),
+                    (body_mass / total if body_mass else 1.0, 0.0),
+                )
+                yield replace(row, unit="kg", elements=(row.element, *names))
+
+
+def _model_rows(common: CommonFrames) -> Iterator[Difference]:
+    """Yield the rows of the whole model: gravity, base, place in the world, and frames of links."""
+    robots = common.first.file.robot, common.second.file.robot
+    name = robots[0].name or "model"
+    given = [robot.gravity for robot in robots]
+    gravities = [np.asarray(EARTH if each is None else each)[None] for each in given]
+    sizes = common.judge.compare(gravities[0], gravities[1], _relative_distance)
+    if sizes[0]:
+        values = [None if each is None else numbers(each) for each in given]
+        yield difference(name, "model", Quantity.GRAVITY, (values[0], values[1]), sizes)
+    if common.alignment.base:
+        yield difference(name, "model", Quantity.BASE, (None, None), (1.0, 0.0), common.alignment.base)
+    yield from _world_row(common, gravities[0])
+    yield from _frame_row(common)
+
+
+def _world_row(common: CommonFrames, gravity: Array) -> Iterator[Difference]:
+    """Yield a row if the whole second robot stands at another place, or is turned against gravity (1, 3)."""
+    frame = common.frames[IN_WORLD]
+    placement = frame.placement
+    turn, shift = _turn(placement.rotation), float(np.linalg.norm(placement.position))
+    tilt = float(angle(gravity, gravity @ placement.rotation.T)[0])
+    bases = [number for number in common.frames if number != IN_WORLD]
+    if not bases or not _is_moved(common, IN_WORLD):
+        return
+    name = common.body_name(bases[0])
+    if tilt > max(MIN_TURN, frame.slack_angle) and not is_turn_by_short_pi(tilt, MIN_TURN):
+        words = f"the whole robot is turned against gravity by {math.degrees(tilt):.4g} degrees"
+        row = difference(name, "body", Quantity.BASE, (0.0, tilt), (tilt, 0.0), words)
+        yield replace(row, unit="rad")
+        return
+    words = "the whole robot stands at another place in the world"
+    is_shifted = shift > MIN_TURN * common.judge.length + frame.slack_shift
+    size = shift if is_shifted else turn
+    row = difference(name, "body", Quantity.BASE, (0.0, size), (size, 0.0), words, convention=True)
+    yield replace(row, unit="m" if is_shifted else "rad")
+
+
+def _frame_row(common: CommonFrames) -> Iterator[Difference]:
+    """Yield one row for all links whose frames the second file has elsewhere."""
+    turns, shifts = {}, {}
+    for number, frame in common.frames.items():
+        turn, shift = _turn(frame.placement.rotation), float(np.linalg.norm(frame.placement.position))
+        if number != IN_WORLD and _is_moved(common, number):
+            name = common.body_name(number)
+            turns[name], shifts[name] = turn, shift
+    if turns:
+        is_turned = max(turns.values()) > MIN_TURN
+        sizes = turns if is_turned else shifts
+        name = max(sizes, key=sizes.__getitem__)
+        words = "frames of links turned or moved; the links are the same"
+        values = 0.0, sizes[name]
+        row = difference(name, "body", Quantity.FRAME, values, (sizes[name], 0.0), words, convention=True)
+        yield replace(row, unit="rad" if is_turned else "m", elements=tuple(turns))
+
+
+def _is_moved(common: CommonFrames, number: int) -> bool:
+    """Return whether a pair's frame in the second file is elsewhere by more than rounding."""
+    frame = common.frames[number]
+    return (
+        _turn(frame.placement.rotation) > max(MIN_TURN, frame.slack_angle)
+        or float(np.linalg.norm(frame.placement.position))
+        > MIN_TURN * common.judge.length + frame.slack_shift
+    )
+
+
+def _relative_distance(reference: Array, values: Array) -> Array:
+    """Return the distances (V,) of vectors (V, 3) from a vector (1, 3), relative to its length."""
+    return distance(reference, values) / (float(np.linalg.norm(reference)) or 1.0)
+
+
+def _turn(rotation: Array) -> float:
+    """Return the angle, rad, of a rotation (3, 3)."""
+    twice_sine = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    return math.atan2(float(np.linalg.norm(twice_sine)), float(np.trace(rotation)) - 1.0)
