@@ -13,7 +13,7 @@ Value = float | tuple[float, ...] | str | None
 
 
 class Quantity(StrEnum):
-    """What differs between two model files."""
+    """Number or property that differs between two model files."""
 
     MASS = "mass"
     CENTER = "center of mass"
@@ -53,7 +53,7 @@ class Quantity(StrEnum):
 
 
 class Standing(StrEnum):
-    """What a row says about two files."""
+    """Meaning of a row: a true difference, rounding or a convention."""
 
     DIFFERENT = "different"
     """The numbers differ by more than the digits of the files leave open."""
