@@ -48,6 +48,16 @@ WIDTHS = {JointKind.HINGE: 1, JointKind.SLIDE: 1, JointKind.BALL: 3, JointKind.F
 """Number of coordinates of a joint of each kind."""
 
 
+ROWS = {
+    LoopKind.POINT: "m m m",
+    LoopKind.WELD: "m m m rad rad rad",
+    LoopKind.HINGE: "m m m rad rad",
+    LoopKind.SLIDE: "rad rad rad m m",
+    LoopKind.ROD: "m",
+}
+"""Units of the constraint equations of each kind of loop."""
+
+
 class Kinematics(NamedTuple):
     """Poses and motions of all bodies; the last entry of the axis of bodies is the ground.
 
@@ -105,18 +115,29 @@ class Dynamics:
 
     Attributes:
         robot: the first of the robots.
+        gears, gain: (robots, 1, drives, coordinates) force at each coordinate per force of a drive, and
+            (robots, 1, drives) force of a drive per control.
         length: m, unit of lengths in constraint equations, about the size of the robot.
         at: slice of the coordinates of each joint, by indices of body and joint.
         size: number of coordinates.
+        is_length: (coordinates,) whether a coordinate is a length, otherwise an angle.
         scale: (coordinates,) 1 for an angle, `length` for a displacement.
         zero: (robots, 1, coordinates) coordinates in the pose of the file.
         moves: (bodies + 1, coordinates) whether a coordinate moves a body.
+        rows: name of the loop or coupling of each constraint equation, and the unit of its error, m or rad.
     """
 
-    def __init__(self, robots: Sequence[Robot], gravity: Array, length: float) -> None:
+    def __init__(self, robots: Sequence[Robot], length: float) -> None:
+        """Collect the numbers of the robots.
+
+        Args:
+            robots: robots of one structure; gravity does not act on a robot whose gravity is None.
+            length: m, unit of lengths in constraint equations.
+        """
         self.robot = robots[0]
         self.length = length
-        self._gravity = np.concatenate([np.zeros(3), gravity])
+        gravity = [np.zeros(3) if r.gravity is None else r.gravity for r in robots]
+        self._gravity = stacked([[[0.0, 0.0, 0.0, *g]] for g in gravity])
         self._read_tree(robots)
         self._read_bodies(robots)
         self._read_constraints(robots)
@@ -128,7 +149,7 @@ class Dynamics:
         self.at: dict[tuple[int, int], slice] = {}
         self.size = 0
         owner: list[int] = []
-        lengths: list[bool] = []
+        is_length: list[bool] = []
         self.moves = np.zeros((len(bodies) + 1, sum(WIDTHS[j.kind] for b in bodies for j in b.joints)), bool)
         for index, body in enumerate(bodies):
             self.moves[index] = self.moves[body.parent]
@@ -138,12 +159,13 @@ class Dynamics:
                 self.moves[index, self.size : self.size + width] = True
                 self.size += width
                 owner += [index] * width
-                lengths += [
+                is_length += [
                     joint.kind is JointKind.SLIDE or (joint.kind is JointKind.FREE and k < 3)
                     for k in range(width)
                 ]
         self._owner = np.array(owner, int)
-        self.scale = np.where(np.array(lengths, bool), self.length, 1.0)
+        self.is_length = np.array(is_length, bool)
+        self.scale = np.where(self.is_length, self.length, 1.0)
         self.zero = self._of_joints(robots, "zero")
         self._armature = self._of_joints(robots, "armature")
         self._damping = self._of_joints(robots, "damping")
@@ -189,12 +211,15 @@ class Dynamics:
             if WIDTHS[joint.kind] == 1
         }
         self._couplings = []
+        self.rows = [(loop.name, unit) for loop in self.robot.loops for unit in ROWS[loop.kind].split()]
         for k, coupling in enumerate(self.robot.couplings):
             degree = max(len(r.couplings[k].powers) for r in robots)
             powers = [
                 [*r.couplings[k].powers, *[0.0] * (degree - len(r.couplings[k].powers))] for r in robots
             ]
             leader = self._column[coupling.leader] if coupling.leader else None
+            follows_length = self.is_length[self._column[coupling.follower]]
+            self.rows.append((coupling.name, "m" if follows_length else "rad"))
             self._couplings.append((self._column[coupling.follower], leader, stacked(powers)))
 
     def _read_drives(self, robots: Sequence[Robot]) -> None:
@@ -456,6 +481,30 @@ class Dynamics:
             jacobian * scale, np.einsum("...ij,...j->...i", jacobian, velocities)
         )
 
+    def basis(self, coordinates: Array) -> Array:
+        """Return (..., coordinates, coordinates) with a basis of the admissible velocities in some columns.
+
+        The other columns are zero.
+        """
+        at_rest = np.zeros(coordinates.shape)
+        rows = self.constraints(coordinates, at_rest, self.kinematics(coordinates, at_rest))
+        return np.asarray(self.scale[:, None] * solution_and_kernel(rows.jacobian * self.scale, rows.bias)[1])
+
+    def loads(self, coordinates: Array, velocities: Array) -> tuple[Array, Array]:
+        """Return inertias and forces at the coordinates, without constraints and drives.
+
+        Args:
+            coordinates, velocities: (robots, states, coordinates).
+
+        Returns:
+            (robots, states, coordinates) inertia at each coordinate with the others held, and the force of
+            gravity, velocity products, dampers and springs.
+        """
+        mass, force = self._mass_and_force(self.kinematics(coordinates, velocities))
+        none = np.zeros((1, 1, len(self.robot.drives)))
+        force = force + self._joint_forces(coordinates, velocities, none, np.zeros(coordinates.shape[1]))
+        return np.einsum("...ii->...i", mass), force
+
     def accelerations(
         self, coordinates: Array, velocities: Array, controls: Array, driven: Array, points: Array
     ) -> Accelerations:
@@ -530,10 +579,19 @@ class Dynamics:
     def _joint_forces(self, coordinates: Array, velocities: Array, controls: Array, driven: Array) -> Array:
         """Return (robots, states, coordinates) forces of dampers, springs and drives."""
         force = -self._damping * velocities - self._stiffness * (coordinates - self._rest)
-        extension, speed = apply(self.gears, coordinates), apply(self.gears, velocities)
-        drive = self.gain * controls + self._drive_constant
-        drive = drive + self._drive_stiffness * extension + self._drive_damping * speed
+        drive = self.drive_forces(coordinates, velocities, controls)
         return force + np.einsum("...ij,...i->...j", self.gears, drive) * driven[:, None]
+
+    def drive_forces(self, coordinates: Array, velocities: Array, controls: Array) -> Array:
+        """Return (robots, states, drives) forces of the drives, before their gears.
+
+        Args:
+            coordinates, velocities: (robots, states, coordinates).
+            controls: (robots, states, drives).
+        """
+        extension, speed = apply(self.gears, coordinates), apply(self.gears, velocities)
+        force = self.gain * controls + self._drive_constant
+        return np.asarray(force + self._drive_stiffness * extension + self._drive_damping * speed)
 
     def _at_points(self, moving: Kinematics, found: Array, points: Array) -> Accelerations:
         """Return the accelerations of points of the bodies for accelerations of the coordinates."""

@@ -26,14 +26,15 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 TREE = """
 <mujoco><option gravity="1 -2 -9"><flag contact="disable"/></option>
-<worldbody><body name="trunk" pos="0 0.1 1" euler="10 20 30"><freejoint/>
+<worldbody><body name="trunk" pos="0 0.1 1" euler="10 20 30"><freejoint name="free"/>
     <inertial pos=".1 .02 0" mass="2" diaginertia=".02 .03 .04" euler="20 30 10"/>
   <body name="arm" pos=".2 0 .1" euler="0 30 0">
     <joint name="a1" axis="1 2 0" pos=".01 .02 .03"
       damping=".3" armature=".02" stiffness="2" springref="40" ref="9"/>
     <joint name="a2" type="slide" axis="0 1 1" ref=".1"/>
     <inertial pos=".1 .02 0" mass="1" diaginertia=".002 .003 .004" euler="20 0 10"/>
-    <body name="hand" pos=".2 0 .1" euler="0 30 0"><joint type="ball" pos=".03 0 .1" damping=".1"/>
+    <body name="hand" pos=".2 0 .1" euler="0 30 0">
+      <joint name="ball" type="ball" pos=".03 0 .1" damping=".1"/>
       <inertial pos=".1 .02 0" mass="1" diaginertia=".002 .003 .004" euler="20 0 10"/></body></body>
   <body name="leg" pos="-.2 0 .1"><joint name="l1" axis="0 0 1"/>
     <inertial pos=".1 .02 0" mass=".3" diaginertia=".002 .003 .004" euler="20 0 10"/></body>
@@ -73,7 +74,7 @@ def random_states(dynamics: Dynamics, count: int, seed: int) -> tuple[Array, Arr
 def test_tree_moves_as_in_mujoco() -> None:
     model = mujoco.MjModel.from_xml_string(TREE)
     data, robot = mujoco.MjData(model), robot_of(model)
-    dynamics = Dynamics([robot], model.opt.gravity, size_of(robot))
+    dynamics = Dynamics([robot], size_of(robot))
     coordinates, velocities = random_states(dynamics, 5, 0)
     controls = np.random.default_rng(1).normal(size=(1, 5, 2))
     driven = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
@@ -98,7 +99,7 @@ def test_tree_moves_as_in_mujoco() -> None:
 def test_constrained_robot_moves_as_mujoco_with_rigid_constraints() -> None:
     model = mujoco.MjModel.from_xml_string(GRIPPER)
     data, robot = mujoco.MjData(model), robot_of(model)
-    dynamics = Dynamics([robot], model.opt.gravity, size_of(robot))
+    dynamics = Dynamics([robot], size_of(robot))
     coordinates, velocities = random_states(dynamics, 4, 2)
     points = np.zeros((1, len(robot.bodies), 3))
     found = dynamics.accelerations(coordinates, velocities, np.zeros((1, 4, 0)), np.ones(4), points)
@@ -153,14 +154,16 @@ def two_chains(kind: LoopKind, length: float = 0.0, couplings: tuple[FileCouplin
         Placement(0.1 * random.normal(size=3), turned()),
         Placement(0.1 * random.normal(size=3), turned()),
     )
-    return Robot("chains", tuple(bodies), (FileLoop("loop", kind, 2, 5, *frames, length),), couplings)
+    return Robot(
+        "chains", tuple(bodies), (FileLoop("loop", kind, 2, 5, *frames, length),), couplings, gravity=GRAVITY
+    )
 
 
 @pytest.mark.parametrize("kind", LoopKind)
 def test_constraint_rows_are_derivatives_of_the_residual(kind: LoopKind) -> None:
     polynomial = FileCoupling("coupling", "hinge10", "hinge00", (0.1, -0.7, 0.3, 0.2))
     robot = two_chains(kind, 0.4, (polynomial, FileCoupling("held", "slide1", "", (0.05,))))
-    dynamics = Dynamics([robot], GRAVITY, 0.3)
+    dynamics = Dynamics([robot], 0.3)
     coordinates, velocities = random_states(dynamics, 3, 1)
 
     def at(time: float) -> tuple[Array, Array]:
@@ -193,7 +196,7 @@ def test_constraint_rows_are_derivatives_of_the_residual(kind: LoopKind) -> None
 )
 def test_loops_move_as_in_pinocchio(kind: LoopKind, contact: pin.ContactType) -> None:
     robot = two_chains(kind)
-    dynamics = Dynamics([robot], GRAVITY, 0.3)
+    dynamics = Dynamics([robot], 0.3)
     model = pin.Model()
     joints = []
     for body in robot.bodies:
@@ -277,7 +280,7 @@ def test_double_pendulum_by_hand() -> None:
             np.zeros((3, 3)),
         ),
     )
-    dynamics = Dynamics([Robot("pendulum", bodies)], GRAVITY, 1.0)
+    dynamics = Dynamics([Robot("pendulum", bodies, gravity=GRAVITY)], 1.0)
     rest = np.zeros((1, 1, 2))
     found = dynamics.accelerations(rest, rest, np.zeros((1, 1, 0)), np.ones(1), np.zeros((1, 2, 3)))
     # inertias and moments of gravity about the two hinges

@@ -1,0 +1,464 @@
+"""Comparison of two robots' motions: accelerations at common random states, whatever the constraints are.
+
+In: two robot files and their `Alignment`. Out: a `Motion`. Both robots are put into the same random states:
+at rest, moving, and moving with drives. The states fulfill the constraints of the first robot; what the
+constraints of the second robot are off there tells whether both allow the same poses. The digits of the files
+bound what can be told: the variants of both files show how much the last digits change the accelerations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from crosscheck.diff.alignment import Alignment
+from crosscheck.diff.dynamics import Accelerations, Dynamics, size_of
+from crosscheck.diff.transfer import SCALAR, Cut, carry_over, cuts, drive_pairs, is_paired, mass_of_group
+from newton_euler.reading.robot import Robot, RobotFile
+from newton_euler.scalars import Array
+
+STANDARD_GRAVITY = np.array([0.0, 0.0, -9.81])
+"""m/s^2, for two robots whose files say nothing of gravity; MuJoCo and Pinocchio use the same."""
+
+ROUND_OFF = 1e-8
+"""Relative change of accelerations that double precision may cause: 1e-16 times the condition of mass
+matrices, up to 1e6, and of loops near singular poses, up to 1e2."""
+
+STATES = 4
+"""Number of random states of each phase."""
+
+MAX_ANGLE = 1.2
+"""Largest random distance of a coordinate from the pose of the file, rad or lengths of the robot."""
+
+MAX_STEP_SUM = 0.6
+"""Largest sum of the steps of a robot with loops from the pose of the file, rad or lengths of the robot."""
+
+STEPS = 6
+"""Number of steps of a robot with loops from the pose of the file."""
+
+MAX_OPEN = 1e-5
+"""Error of a closed loop in lengths of the robot: redundant constraints written with six digits conflict."""
+
+MIN_FREEDOM = 1e-4
+"""A motion moves joints with partner if these move by more than this part of it."""
+
+SLOW_BODY = 1e-3
+"""Acceleration of a body, relative to the fastest one, below which differences count less."""
+
+DIGITS_FACTOR = 2.0
+"""The largest change among a few variants underestimates the largest possible one by about this factor."""
+
+
+class Phase(StrEnum):
+    """Kind of the states in which accelerations are compared."""
+
+    REST = "at rest"
+    MOVING = "moving"
+    DRIVEN = "driven"
+
+
+PHASES = [phase for phase in Phase for _ in range(STATES)]
+"""Phase of each state."""
+
+
+class Likeness(StrEnum):
+    """Result of a comparison of motions."""
+
+    EQUAL = "equal to round-off"
+    """The robots move alike."""
+    ROUNDING = "equal within the digits of the files"
+    """The digits of the files explain all differences."""
+    DIFFERENT = "different"
+    """The robots move differently."""
+    UNDECIDED = "not compared"
+    """The robots have no joints in common, or the loops of the first one cannot be closed."""
+
+
+@dataclass(frozen=True)
+class BodyChange:
+    """Difference of the accelerations of a pair of bodies, relative to their size.
+
+    Attributes:
+        body: name in the first file.
+        change: of the linear or angular acceleration, whichever is more, in the phase of the largest change.
+        uncertainty: of the change, by the digits of both files.
+        phase: with the largest change.
+    """
+
+    body: str
+    change: float
+    uncertainty: float
+    phase: Phase
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Error of a constraint of the second robot in poses of the first one.
+
+    Attributes:
+        constraint: name of the loop or coupling in the second file.
+        error: largest error, in the unit.
+        uncertainty: of the error, by the digits of both files.
+        unit: "m" or "rad".
+    """
+
+    constraint: str
+    error: float
+    uncertainty: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Result of a comparison of the motions of two robots.
+
+    Attributes:
+        likeness: the result.
+        change: largest relative difference of accelerations.
+        uncertainty: of this body's change, by the digits of both files.
+        body: name, in the first file, of the body with the largest change in excess of its uncertainty.
+        phase: in which that body changes most.
+        bodies: changes of all pairs of bodies.
+        gaps: constraints of the second robot that the poses of the first robot do not fulfill.
+        freedoms: number of independent motions of the first and the second robot.
+        notes: what was left out or held to compare, one sentence each.
+    """
+
+    likeness: Likeness
+    change: float = 0.0
+    uncertainty: float = 0.0
+    body: str = ""
+    phase: Phase = Phase.REST
+    bodies: tuple[BodyChange, ...] = ()
+    gaps: tuple[Gap, ...] = ()
+    freedoms: tuple[int, int] = (0, 0)
+    notes: tuple[str, ...] = ()
+
+
+class CommonStates:
+    """Two robots, cut to their common part, in the same random states.
+
+    Attributes:
+        alignment: pairs of bodies and joints.
+        pairs: pairs of bodies that move.
+        one, two: equations of both robots.
+        cuts: what both robots lose.
+        gravity: (3,) m/s^2, for a robot without gravity of its own.
+        coordinates, velocities: (1, states, coordinates) of the first robot.
+        controls: (1, states, drives) of the first robot's drives.
+        is_closed: whether such states exist: loops of the first robot can be closed.
+        notes: what was left out or held, one sentence each.
+    """
+
+    def __init__(self, first: RobotFile, second: RobotFile, alignment: Alignment) -> None:
+        """Draw the states, with a fixed seed.
+
+        Args:
+            first, second: the robot files.
+            alignment: their pairs of bodies and joints.
+        """
+        self.alignment = alignment
+        files = (first, second)
+        gravities = [file.robot.gravity for file in files if file.robot.gravity is not None]
+        self.gravity = gravities[0] if gravities else STANDARD_GRAVITY
+        has_no_drives = [file.format == "URDF" and not file.robot.drives for file in files]
+        self.cuts = cuts(first.robot, second.robot, alignment, any(has_no_drives))
+        self.notes = tuple(_notes(first.robot, second.robot, alignment, self.cuts))
+        length = size_of(first.robot)
+        one, two = (cut.of(file.robot, self.gravity) for cut, file in zip(self.cuts, files, strict=True))
+        self.one, self.two = Dynamics([one], length), Dynamics([two], length)
+        self.pairs = [
+            pair
+            for pair in alignment.bodies
+            if self.one.moves[pair.first[0]].any() or self.two.moves[pair.second[0]].any()
+        ]
+        self._spreads = [_spread(one, pair.first, length) for pair in self.pairs]
+        self._driven = np.array([phase is Phase.DRIVEN for phase in PHASES], float)
+        random = np.random.default_rng(0)
+        self.coordinates, self.is_closed = _closed_states(self.one, random)
+        rate = np.sqrt(max(float(np.linalg.norm(self.gravity)), 1.0) / length)
+        moving = np.array([phase is not Phase.REST for phase in PHASES], float)
+        # such velocities need accelerations that are about as large as gravity
+        velocities = rate * self.one.scale * moving[:, None] * random.normal(size=self.coordinates.shape)
+        self.velocities = self.one.admissible(self.coordinates, velocities)
+        self.controls = self._controls(self.one, self.coordinates, self.velocities, random)
+        self.coordinates_of_second, self.velocities_of_second = self._in_second(
+            self.coordinates, self.velocities
+        )
+        of_second = self._controls(self.two, self.coordinates_of_second, self.velocities_of_second, random)
+        for own, other in drive_pairs(one, two, alignment):
+            of_second[..., other] = self.controls[..., own]
+        self.controls_of_second = of_second
+
+    def _controls(
+        self, robot: Dynamics, coordinates: Array, velocities: Array, random: np.random.Generator
+    ) -> Array:
+        """Draw controls (1, states, drives) with forces about as large as those that act anyway."""
+        inertia, force = robot.loads(coordinates, velocities)
+        rate = max(float(np.linalg.norm(self.gravity)), 1.0) / robot.length
+        wanted = np.abs(force) + inertia * rate * robot.scale
+        gears = np.abs(robot.gears[0, 0])
+        drive = (wanted @ gears.T) / np.maximum(np.sum(gears**2, axis=-1), np.finfo(float).tiny)
+        drive *= random.choice([-1.0, 1.0], size=drive.shape) * random.uniform(0.5, 1.0, size=drive.shape)
+        without = robot.drive_forces(coordinates, velocities, np.zeros((1, 1, len(gears))))
+        is_controlled = robot.gain != 0
+        return np.where(is_controlled, (drive - without) / np.where(is_controlled, robot.gain, 1.0), 0.0)
+
+    def _in_second(self, coordinates: Array, velocities: Array) -> tuple[Array, Array]:
+        """Return the state of the second robot; joints without partner close the loops as far as they can."""
+        coordinates, velocities = carry_over(self.alignment, self.one, self.two, coordinates, velocities)
+        alone = ~is_paired(self.two, [pair.second for pair in self.alignment.joints])
+        if alone.any():
+            coordinates, _ = self.two.closed(coordinates, alone)
+            velocities = self.two.admissible(coordinates, velocities, alone)
+        return coordinates, velocities
+
+    def of_first(self, robots: Sequence[Robot]) -> Array:
+        """Return accelerations of pairs of bodies of robots that have the structure of the first.
+
+        Returns:
+            (robots, states, pairs, 6) m/s^2, acceleration of the center of mass, and angular acceleration
+            times the radius of gyration, in the frame of the first robot's body. The root of the sum of
+            squares is about the root mean square of the acceleration over the mass of the body.
+        """
+        robot = Dynamics(robots, self.one.length)
+        controls = np.zeros((1, len(PHASES), len(robot.robot.drives)))
+        controls[..., : self.controls.shape[-1]] = self.controls
+        points = np.zeros((1, len(robot.robot.bodies), 3))
+        for pair, (center, _) in zip(self.pairs, self._spreads, strict=True):
+            points[0, pair.first[0]] = center
+        found = self._accelerations(robot, self.coordinates, self.velocities, controls, points)
+        parts = [
+            np.concatenate(
+                [found.linear[:, :, pair.first[0]], radius * found.angular[:, :, pair.first[0]]], -1
+            )
+            for pair, (_, radius) in zip(self.pairs, self._spreads, strict=True)
+        ]
+        return np.stack(parts, axis=2)
+
+    def of_second(self, robots: Sequence[Robot]) -> Array:
+        """Return accelerations of pairs of bodies of robots that have the structure of the second.
+
+        Returns:
+            as for `of_first`, of the same points and in the same frames.
+        """
+        robot = Dynamics(robots, self.one.length)
+        points = np.zeros((1, len(robot.robot.bodies), 3))
+        for pair, (center, _) in zip(self.pairs, self._spreads, strict=True):
+            back = pair.placement.inverse()
+            points[0, pair.second[0]] = back.position + back.rotation @ center
+        found = self._accelerations(
+            robot, self.coordinates_of_second, self.velocities_of_second, self.controls_of_second, points
+        )
+        parts = []
+        for pair, (_, radius) in zip(self.pairs, self._spreads, strict=True):
+            each = [found.linear[:, :, pair.second[0]], radius * found.angular[:, :, pair.second[0]]]
+            parts.append(np.concatenate([part @ pair.placement.rotation.T for part in each], axis=-1))
+        return np.stack(parts, axis=2)
+
+    def _accelerations(
+        self, robot: Dynamics, coordinates: Array, velocities: Array, controls: Array, points: Array
+    ) -> Accelerations:
+        """Return accelerations in the states nearest to the given ones that the constraints allow."""
+        coordinates, _ = robot.closed(coordinates)
+        velocities = robot.admissible(coordinates, velocities)
+        return robot.accelerations(coordinates, velocities, controls, self._driven, points)
+
+    def gaps(self, first_variants: Sequence[Robot], second_variants: Sequence[Robot]) -> tuple[Gap, ...]:
+        """Return the errors of the second robot's constraints in the poses of the first robot.
+
+        Args:
+            first_variants, second_variants: the robots with other last digits.
+        """
+        if not self.two.rows:
+            return ()
+        errors = self._gap_errors(self.two, self.coordinates_of_second)
+        uncertainties = np.zeros(errors.shape[-1])
+        if second_variants:
+            changed = self._gap_errors(Dynamics(second_variants, self.one.length), self.coordinates_of_second)
+            uncertainties += DIGITS_FACTOR * np.abs(changed - errors).max(axis=(0, 1))
+        if first_variants:
+            closed, _ = Dynamics(first_variants, self.one.length).closed(self.coordinates)
+            coordinates, _ = self._in_second(closed, np.zeros(closed.shape))
+            changed = self._gap_errors(self.two, coordinates)
+            uncertainties += DIGITS_FACTOR * np.abs(changed - errors).max(axis=(0, 1))
+        largest = np.abs(errors).max(axis=(0, 1))
+        found: dict[tuple[str, str], Gap] = {}
+        for (name, unit), error, uncertainty in zip(self.two.rows, largest, uncertainties, strict=True):
+            gap = Gap(name, float(error), float(uncertainty), unit)
+            before = found.get((name, unit), gap)
+            found[name, unit] = max(before, gap, key=lambda each: each.error - each.uncertainty)
+        return tuple(found.values())
+
+    def _gap_errors(self, robot: Dynamics, coordinates: Array) -> Array:
+        """Return (robots, states, rows) errors of constraints, m or rad."""
+        at_rest = np.zeros(coordinates.shape)
+        found = robot.constraints(coordinates, at_rest, robot.kinematics(coordinates, at_rest)).residual
+        return found * np.array([robot.length if unit == "m" else 1.0 for _, unit in robot.rows])
+
+    def freedoms(self) -> tuple[int, int]:
+        """Return the number of independent motions of joints with partner, in both robots."""
+        return (
+            self._freedom(self.one, self.coordinates, [pair.first for pair in self.alignment.joints]),
+            self._freedom(
+                self.two, self.coordinates_of_second, [pair.second for pair in self.alignment.joints]
+            ),
+        )
+
+    def _freedom(self, robot: Dynamics, coordinates: Array, joints: Sequence[tuple[int, int]]) -> int:
+        """Return the rank of the admissible velocities of some joints, the usual one among the states."""
+        paired = is_paired(robot, joints)
+        if not paired.any():
+            return 0
+        if not robot.rows:
+            return int(paired.sum())
+        basis = (robot.basis(coordinates) / robot.scale[:, None])[..., paired, :]
+        return int(np.median(np.linalg.matrix_rank(basis, tol=MIN_FREEDOM)))
+
+
+def compare_motions(first: RobotFile, second: RobotFile, alignment: Alignment) -> Motion:
+    """Compare the accelerations of two robots at common random states.
+
+    Args:
+        first, second: the robot files.
+        alignment: their pairs of bodies and joints.
+    """
+    if not alignment.joints:
+        return Motion(Likeness.UNDECIDED, notes=("The robots have no joints in common.",))
+    states = CommonStates(first, second, alignment)
+    if not states.is_closed:
+        return Motion(Likeness.UNDECIDED, notes=(*states.notes, "The first robot's loops cannot be closed."))
+    variants = [
+        [cut.of(robot, states.gravity) for robot in file.variants]
+        for cut, file in zip(states.cuts, (first, second), strict=True)
+    ]
+    one = states.of_first([states.one.robot, *variants[0]])
+    two = states.of_second([states.two.robot, *variants[1]])
+    changes = relative_changes(one[:1], two[:1])[0]
+    uncertainties = np.zeros(changes.shape)
+    for each in (one, two):
+        if len(each) > 1:
+            uncertainties += DIGITS_FACTOR * relative_changes(each[:1], each[1:]).max(axis=0)
+    bodies = []
+    for k, pair in enumerate(states.pairs):
+        worst = _worst(changes[:, k], uncertainties[:, k])
+        name = first.robot.bodies[pair.first[0]].name
+        bodies.append(
+            BodyChange(name, float(changes[worst, k]), float(uncertainties[worst, k]), list(Phase)[worst])
+        )
+    gaps = states.gaps(*variants)
+    freedoms = states.freedoms()
+    body = bodies[
+        _worst(np.array([each.change for each in bodies]), np.array([each.uncertainty for each in bodies]))
+    ]
+    sizes = [(each.change, each.uncertainty) for each in bodies]
+    sizes += [(gap.error, gap.uncertainty) for gap in gaps]
+    if freedoms[0] != freedoms[1] or any(size > max(digits, ROUND_OFF) for size, digits in sizes):
+        likeness = Likeness.DIFFERENT
+    elif any(size > ROUND_OFF for size, _ in sizes):
+        likeness = Likeness.ROUNDING
+    else:
+        likeness = Likeness.EQUAL
+    return Motion(
+        likeness,
+        body.change,
+        body.uncertainty,
+        body.body,
+        body.phase,
+        tuple(bodies),
+        gaps,
+        freedoms,
+        states.notes,
+    )
+
+
+def _spread(robot: Robot, group: Sequence[int], length: float) -> tuple[Array, float]:
+    """Return the center of mass of a rigid group, and its radius of gyration, m.
+
+    A group without mass counts as if it were at its origin, with a radius of a tenth of the robot.
+    """
+    mass, center, inertia = mass_of_group(robot, group, robot.placements())
+    return (center, float(np.sqrt(np.trace(inertia) / 2 / mass))) if mass > 0 else (np.zeros(3), 0.1 * length)
+
+
+def _worst(changes: Array, uncertainties: Array) -> int:
+    """Return the index of the largest change among those beyond round-off and uncertainty, or else of all."""
+    beyond = changes > np.maximum(uncertainties, ROUND_OFF)
+    return int(np.argmax(np.where(beyond, changes, 0.0) if beyond.any() else changes))
+
+
+def relative_changes(one: Array, others: Array) -> Array:
+    """Return the differences of accelerations relative to their size.
+
+    Args:
+        one: (1, states, pairs, 6) accelerations of a robot, from `CommonStates`.
+        others: (robots, states, pairs, 6) of others.
+
+    Returns:
+        (robots, phases, pairs) root mean square of the difference over the states of a phase, by the larger
+        root mean square of both. Bodies that hardly accelerate count as if they accelerated by a thousandth
+        of the robot's fastest body.
+    """
+
+    def by_phase(values: Array) -> Array:
+        """Return (robots, phases, pairs) root mean squares."""
+        split = values.reshape(len(values), len(Phase), STATES, *values.shape[2:])
+        return np.sqrt(np.mean(np.sum(split**2, axis=-1), axis=2))
+
+    size = np.maximum(by_phase(one), by_phase(others))
+    fastest = by_phase(one).max(axis=-1, keepdims=True)
+    floor = np.maximum(SLOW_BODY * fastest, SLOW_BODY**2 * fastest.max(axis=1, keepdims=True))
+    return np.asarray(by_phase(others - one) / np.maximum(np.maximum(size, floor), np.finfo(float).tiny))
+
+
+def _closed_states(robot: Dynamics, random: np.random.Generator) -> tuple[Array, bool]:
+    """Draw coordinates (1, states, coordinates) that fulfill the constraints.
+
+    A robot with loops is moved from the pose of the file in small steps, so that the loops are not assembled
+    in another way, as a parallelogram that is crossed.
+
+    Returns:
+        the coordinates, and whether they fulfill the constraints.
+    """
+    if not robot.rows:
+        return _within_limits(robot, random), True
+    shape = (1, len(PHASES), robot.size)
+    direction = robot.scale * random.normal(size=shape)
+    reach = MAX_STEP_SUM * random.uniform(0.2, 1.0, size=(1, len(PHASES), 1))
+    coordinates, error = robot.closed(np.zeros(shape) + robot.zero)
+    for _ in range(STEPS):
+        step = robot.admissible(coordinates, direction)
+        largest = np.abs(step / robot.scale).max(axis=-1, keepdims=True)
+        step *= reach / STEPS / np.maximum(largest, np.finfo(float).tiny)
+        coordinates, error = robot.closed(robot.moved(coordinates, step))
+    return coordinates, bool(error.max() < MAX_OPEN)
+
+
+def _within_limits(robot: Dynamics, random: np.random.Generator) -> Array:
+    """Draw coordinates (1, states, coordinates) around the pose of the file."""
+    reach = MAX_ANGLE * robot.scale
+    low, high = robot.zero[0, 0] - reach, robot.zero[0, 0] + reach
+    for (body, number), at in robot.at.items():
+        joint = robot.robot.bodies[body].joints[number]
+        if joint.kind in SCALAR:
+            limits = np.clip(joint.limits, low[at.start], high[at.start])
+            if limits[1] > limits[0]:
+                low[at.start], high[at.start] = limits
+    return random.uniform(low, high, size=(1, len(PHASES), robot.size))
+
+
+def _notes(first: Robot, second: Robot, alignment: Alignment, taken: Sequence[Cut]) -> Iterator[str]:
+    """Yield what both robots lose, one sentence each."""
+    if alignment.base:
+        yield f"Both bases are held to compare: {alignment.base}."
+    for robot, cut, file in zip((first, second), taken, ("first", "second"), strict=True):
+        names = [robot.bodies[index].name for index in cut.bodies if robot.bodies[index].mass > 0]
+        if names:
+            yield f"Only in the {file} file, and left out: {', '.join(names)}."
+    if taken[0].without_drives and (first.drives or second.drives):
+        yield "Drives do not act: only one of the formats has them."
+    if first.gravity is None and second.gravity is None:
+        yield "Neither file has gravity: 9.81 m/s^2 along -z."
