@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -138,9 +139,8 @@ class Comparison:
         """
         own_step = self.simulation.settings.timestep
         every = self.every * own_step / settings.timestep
-        # outputs at every, every second or every fourth output time of the reference: steps are at most four
-        # times those of the file, and may be too long for all of them
-        stride = next(n for n in (1, 2, 4) if round(n * every, 6).is_integer())
+        # outputs at each `stride`-th output time of the reference, as steps may be too long for all of them
+        stride = next(n for n in count(1) if round(n * every, 6).is_integer() and n * every > 0.5)
         outputs = self.steps // self.every // stride
         every = round(stride * every)
         return (simulation or self.simulation).run(settings, outputs * every, every, reduced)

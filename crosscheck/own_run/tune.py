@@ -11,7 +11,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
 from typing import Any
 
 from crosscheck.own_run.comparison import Comparison, MeasuredSettings, merged
@@ -148,23 +147,13 @@ def search_settings(
     reduced = bool(events)
     runs = 0
 
-    @cache
-    def at_each(factor: int) -> Comparison:
-        """Return the comparison at each `factor`-th output."""
-        return _thinned_comparison(compared, factor)
-
-    def comparison_of(settings: Any) -> Comparison:
-        """Return the comparison at all outputs, or at those that a longer time step has."""
-        return at_each(max(1, round(settings.timestep / compared.scene.output_period)))
-
     def tried(settings: Any) -> Tried:
         nonlocal runs
         runs += 1
         evaluations = simulation.evaluations(settings)
         progress(f"run {runs}: {evaluations:.0f} evaluations per second of motion")
-        comparison = comparison_of(settings)
-        run = comparison.run(settings, reduced)
-        return Tried(*comparison.measured(settings, run), run.stopped, evaluations)
+        run = compared.run(settings, reduced)
+        return Tried(*compared.measured(settings, run), run.stopped, evaluations)
 
     own = tried(simulation.settings)
     steps_of_file = compared.every  # number of the file's time steps between two outputs
@@ -204,12 +193,11 @@ def search_settings(
             heapq.heappush(waiting, finer)
     if found is not None and not reduced:
         settings = tradeoff[-1][0]
-        events = comparison_of(settings).run(settings, reduced=False).events
+        events = compared.run(settings, reduced=False).events
 
     # measured run times, of the listed settings only
     def wall_time(settings: Any) -> float:
-        comparison = comparison_of(settings)
-        return min(comparison.run(settings, reduced).trajectory.wall_time for _ in range(TIMINGS))
+        return min(compared.run(settings, reduced).trajectory.wall_time for _ in range(TIMINGS))
 
     progress("measuring run times")
     own_time = wall_time(simulation.settings)
@@ -263,21 +251,3 @@ def _numbers_of_steps(own: int, outputs: int) -> list[float]:
     parts = [1.0 / k for k in products if outputs // k >= MIN_OUTPUTS]
     numbers = {*parts, *products, *(own * 2**k for k in range(20))}
     return sorted(number for number in numbers if number <= MAX_STEPS_BETWEEN_OUTPUTS)
-
-
-def _thinned_comparison(compared: Comparison, factor: int) -> Comparison:
-    """Return a comparison at each `factor`-th output."""
-    reference, step = compared.reference, compared.simulation.settings.timestep
-    every = factor * compared.every
-    steps = compared.steps // every * every
-    kept: dict[str, Any] = {
-        name: values[::factor] for name, values in reference.arrays().items() if values.dtype.kind == "f"
-    }
-    return replace(
-        compared,
-        scene=replace(compared.scene, output_period=every * step, duration=steps * step),
-        reference=replace(reference, **kept),
-        every=every,
-        steps=steps,
-        _runs={},
-    )
