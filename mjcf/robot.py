@@ -8,22 +8,26 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 
 import mujoco
 import numpy as np
 
 from mjcf.errors import collected_warnings
 from mjcf.reading.compile import compile_spec
+from mjcf.reading.essentials import NO_MASS, Essentials, essential_texts
+from mjcf.reading.loops import fixed_tendon_weights
 from mjcf.reading.source import FREE_TEXT, SourceError, copy_model, model_name, read_texts
-from newton_euler.model.source_file import path_text
+from newton_euler.model.source_file import element_lines, path_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.robot import (
     FileBody,
+    FileCoupling,
+    FileDrive,
     FileJoint,
+    FileLoop,
     JointKind,
+    LoopKind,
     Placement,
     Robot,
     RobotFile,
@@ -38,8 +42,15 @@ JOINT_KINDS = {
 }
 """Kind of a joint by MuJoCo's type."""
 
-JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+TRANSMISSION, GAIN, BIAS, DYNAMICS = mujoco.mjtTrn, mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
+EQUALITY = mujoco.mjtEq
+"""MuJoCo's types of the parts of actuators, and of equality constraints."""
+
+JOINT_TRANSMISSIONS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
 """Transmissions of an actuator that acts on one joint."""
+
+NO_LIMITS = (-math.inf, math.inf)
+"""Smallest and largest value of a quantity without limits."""
 
 
 def describe(source: str | os.PathLike[str] | mujoco.MjModel | mujoco.MjSpec) -> RobotFile:
@@ -60,26 +71,57 @@ def describe(source: str | os.PathLike[str] | mujoco.MjModel | mujoco.MjSpec) ->
     if isinstance(source, str | os.PathLike):
         return _describe_file(path_text(source, SourceError))
     _, model, _ = copy_model(source)
-    return RobotFile(_robot(model), format="MJCF")
+    description = _Description(model)
+    return RobotFile(description.robot, format="MJCF", notes=tuple(description.notes))
 
 
 def _describe_file(path: str) -> RobotFile:
     """Describe the robot of a file."""
-    texts = read_texts(path)
-    numbers = {file: NumbersOfText(text, _is_number) for file, text in texts.items()}
+    files = read_texts(path)
+    essentials = essential_texts(files)
+    # variants load no meshes: bodies with meshes keep the masses that they have without a change
+    without_meshes = essentials
+    if essentials.loaded:
+        without_meshes = essential_texts(files._replace(find_asset=lambda tag, file: None))
+    numbers = {name: NumbersOfText(text, _is_number) for name, text in without_meshes.texts.items()}
+    random = np.random.default_rng(0)
+    variants = []
     with collected_warnings():
         try:
-            model = _compiled(mujoco.MjSpec.from_file(path))
+            model = _compiled(essentials.texts, is_variant=False)
         except (ValueError, mujoco.FatalError) as error:
             raise SourceError(path, f"MuJoCo refuses it: {' '.join(str(error).split()):.500}") from error
-        variants = tuple(_variants(path, numbers))
+        for _ in range(VARIANTS):
+            texts = {name: each.variant(random) for name, each in numbers.items()}
+            variant = _compiled(texts, is_variant=True)
+            if essentials.loaded:
+                _copy_masses(model, variant)
+            variants.append(_Description(variant).robot)
+    description = _Description(model)
     return RobotFile(
-        _robot(model),
-        variants=variants,
+        description.robot,
+        variants=tuple(variants),
         source=path,
         format="URDF" if path.lower().endswith(".urdf") else "MJCF",
-        lines=numbers[os.path.realpath(path)].lines,
+        lines=element_lines(path, next(iter(files.texts.values())), SourceError),
+        notes=(*_notes_of_meshes(essentials), *description.notes),
     )
+
+
+def _copy_masses(model: mujoco.MjModel, variant: mujoco.MjModel) -> None:
+    """Copy masses from a model to bodies of its variant that have none without their meshes."""
+    # the digits of this mass are changed too
+    without_mass = np.isclose(variant.body_mass, float(NO_MASS["mass"]), rtol=1e-3, atol=0.0)
+    for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
+        getattr(variant, name)[without_mass] = getattr(model, name)[without_mass]
+
+
+def _notes_of_meshes(essentials: Essentials) -> Iterator[str]:
+    """Yield sentences about bodies whose masses come from meshes."""
+    if essentials.loaded:
+        yield f"meshes are loaded because they give masses to bodies: {', '.join(essentials.loaded)}"
+    if essentials.missing:
+        yield f"masses count as 0 because meshes are missing, of bodies: {', '.join(essentials.missing)}"
 
 
 def _is_number(attribute: str) -> bool:
@@ -87,36 +129,46 @@ def _is_number(attribute: str) -> bool:
     return attribute not in FREE_TEXT
 
 
-def _variants(path: str, numbers: dict[str, NumbersOfText]) -> Iterator[Robot]:
-    """Yield the robots of texts whose numbers are changed within the rounding of their digits.
+def _compiled(texts: Mapping[str, str], is_variant: bool) -> mujoco.MjModel:
+    """Compile the texts of files.
 
     Args:
-        path: path of the file.
-        numbers: numbers in the texts of the file and of the files that it includes, by real path.
+        texts: texts by the names with which they include each other, the top file first.
+        is_variant: True to accept moments of inertia that no body can have, which MuJoCo refuses. The moments
+            of a thin body become such numbers if their last digits change.
     """
-    root = os.path.commonpath([os.path.dirname(file) for file in numbers])
-    random = np.random.default_rng(0)
-    with tempfile.TemporaryDirectory() as folder:
-        for _ in range(VARIANTS):
-            for file, numbers_of_file in numbers.items():
-                copy = Path(folder) / os.path.relpath(file, root)
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                copy.write_text(numbers_of_file.variant(random), encoding="utf-8")
-            changed = Path(folder) / os.path.relpath(os.path.realpath(path), root)
-            yield _robot(_compiled(mujoco.MjSpec.from_file(str(changed))))
+    (_, top_text), *included = texts.items()
+    spec = mujoco.MjSpec.from_string(top_text, include={name: text.encode() for name, text in included})
+    spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # lengths of muscles would need simulations
+    refused = []
+    for body in spec.bodies if is_variant else ():
+        if body.explicitinertial:
+            principal = _principal_inertia(body)
+            smallest, middle, largest = sorted(principal[0])
+            if smallest + middle < largest or smallest <= 0.0:
+                refused.append((body, *principal))
+                body.inertia = np.full(3, max(largest, mujoco.mjMINVAL))
+                body.fullinertia = np.full(6, np.nan)
+    model = compile_spec(spec)
+    for body, moments, axes in refused:
+        model.body_inertia[body.id] = moments
+        if axes is not None:
+            model.body_iquat[body.id] = axes
+    return model
 
 
-def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a specification without the meshes and images that do not matter for masses and joints."""
-    for geom in [geom for geom in spec.geoms if geom.meshname]:
-        spec.delete(geom)
-    for unused in (*spec.meshes, *spec.sensors, *spec.pairs, *spec.keys, *spec.skins):
-        spec.delete(unused)
-    for material in spec.materials:
-        material.textures = [""] * len(material.textures)
-    for texture in spec.textures:
-        spec.delete(texture)
-    return compile_spec(spec)
+def _principal_inertia(body: mujoco.MjsBody) -> tuple[Array, Array | None]:
+    """Return the principal moments (3,) of a body's `<inertial>`, and its axes if it has a full matrix.
+
+    The axes are a quaternion (w, x, y, z) in the frame of the body.
+    """
+    if np.isnan(body.fullinertia[0]):
+        return body.inertia.copy(), None
+    xx, yy, zz, xy, xz, yz = body.fullinertia
+    moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, (axes * np.linalg.det(axes)).ravel())
+    return moments, quaternion
 
 
 def _rotation(quaternion: Array) -> Array:
@@ -126,54 +178,303 @@ def _rotation(quaternion: Array) -> Array:
     return matrix.reshape(3, 3)
 
 
-def _robot(model: mujoco.MjModel) -> Robot:
-    """Describe the robot of a compiled model."""
-    return Robot(
-        name=model_name(model),
-        bodies=tuple(_body(model, number) for number in range(1, model.nbody)),
-        gravity=model.opt.gravity.copy(),
-    )
+class _Description:
+    """Description of the robot of a compiled model.
+
+    Attributes:
+        robot: the robot.
+        notes: what the model has and the robot has not, one sentence each.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self.notes: list[str] = []
+        # names by number
+        self._joint_names = [model.joint(k).name for k in range(model.njnt)]
+        flags = int(model.opt.disableflags)
+        switched_off = {
+            name.removeprefix("mjDSBL_").lower()
+            for name, flag in mujoco.mjtDisableBit.__members__.items()
+            if flags & int(flag)
+        }
+        is_off = switched_off.__contains__
+        # MuJoCo's arrays with one row for each body or joint; lists are faster to read than arrays
+        self._limits = self._ranges(model.jnt_range, model.jnt_limited, is_off("limit"))
+        self._efforts = self._ranges(model.jnt_actfrcrange, model.jnt_actfrclimited, False)
+        dof = model.jnt_dofadr
+        self._damping = (model.dof_damping[dof] * (not is_off("damper"))).tolist()
+        self._friction = (model.dof_frictionloss[dof] * (not is_off("frictionloss"))).tolist()
+        self._stiffness = (model.jnt_stiffness * (not is_off("spring"))).tolist()
+        self._armature = self._armatures()
+        self._clamps_controls = not is_off("clampctrl")
+        no_loops = is_off("equality") or is_off("constraint")
+        equalities = [] if no_loops else [k for k in range(model.neq) if model.eq_active0[k]]
+        self._loops: list[FileLoop] = []
+        self._couplings: list[FileCoupling] = []
+        for number in equalities:
+            self._add_equality(number)
+        self.robot = Robot(
+            name=model_name(model),
+            bodies=tuple(self._bodies()),
+            loops=tuple(self._loops),
+            couplings=tuple(self._couplings),
+            drives=tuple(self._drive(k) for k in range(model.nactuator)),
+            gravity=np.zeros(3) if is_off("gravity") else model.opt.gravity.copy(),
+        )
+        self._note_rest(switched_off, len(equalities))
+
+    @staticmethod
+    def _ranges(values: Array, limited: Array, is_off: bool) -> list[tuple[float, float]]:
+        """Return ranges by row; infinite ones where they are switched off."""
+        return [
+            (low, high) if is_limited and not is_off else NO_LIMITS
+            for (low, high), is_limited in zip(values.tolist(), limited.tolist(), strict=True)
+        ]
+
+    def _armatures(self) -> list[float]:
+        """Return the inertia of rotors that each joint feels, also those of its actuators."""
+        model = self._model
+        armatures = model.dof_armature[model.jnt_dofadr].copy()
+        for number in np.flatnonzero(model.actuator_armature):
+            if TRANSMISSION(model.actuator_trntype[number]) in JOINT_TRANSMISSIONS:
+                gear = model.actuator_gear[number, 0]
+                armatures[model.actuator_trnid[number, 0]] += model.actuator_armature[number] * gear**2
+        return list(armatures.tolist())
+
+    def _bodies(self) -> Iterator[FileBody]:
+        """Yield the bodies but the ground, body 0."""
+        model = self._model
+        first_joints, counts = model.body_jntadr.tolist(), model.body_jntnum.tolist()
+        parents, masses = model.body_parentid.tolist(), model.body_mass.tolist()
+        for number in range(1, model.nbody):
+            axes = _rotation(model.body_iquat[number])  # principal axes of inertia
+            joints = range(first_joints[number], first_joints[number] + counts[number])
+            yield FileBody(
+                name=model.body(number).name,
+                parent=parents[number] - 1,
+                placement=Placement(model.body_pos[number].copy(), _rotation(model.body_quat[number])),
+                joints=tuple(map(self._joint, joints)),
+                mass=masses[number],
+                center=model.body_ipos[number].copy(),
+                inertia=(axes * model.body_inertia[number]) @ axes.T,
+            )
+
+    def _joint(self, number: int) -> FileJoint:
+        """Describe joint `number`; balls and free joints have no zero and no rest."""
+        model = self._model
+        kind = JOINT_KINDS[mujoco.mjtJoint(model.jnt_type[number])]
+        has_axis = kind in (JointKind.HINGE, JointKind.SLIDE)
+        in_q = int(model.jnt_qposadr[number])
+        return FileJoint(
+            name=self._joint_names[number],
+            kind=kind,
+            axis=model.jnt_axis[number].copy() if has_axis else np.zeros(3),
+            point=model.jnt_pos[number].copy(),
+            zero=float(model.qpos0[in_q]) if has_axis else 0.0,
+            damping=self._damping[number],
+            armature=self._armature[number],
+            friction=self._friction[number],
+            stiffness=self._stiffness[number],
+            rest=float(model.qpos_spring[in_q]) if has_axis else 0.0,
+            limits=self._limits[number],
+            effort=max(abs(limit) for limit in self._efforts[number]),
+        )
+
+    def _add_equality(self, number: int) -> None:
+        """Describe equality `number` as a loop or a coupling."""
+        model, name = self._model, self._model.equality(number).name
+        data = model.eq_data[number].tolist()
+        objects = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        kind = EQUALITY(model.eq_type[number])
+        if kind in (EQUALITY.mjEQ_CONNECT, EQUALITY.mjEQ_WELD):
+            self._loops.append(self._closure(name, kind == EQUALITY.mjEQ_WELD, number))
+        elif kind == EQUALITY.mjEQ_JOINT:
+            follower, leader = (self._joint_names[k] if k >= 0 else "" for k in objects)
+            powers = data[:5] if leader else data[:1]
+            while len(powers) > 1 and powers[-1] == 0.0:
+                powers.pop()
+            self._couplings.append(FileCoupling(name, follower, leader, tuple(powers)))
+        elif kind == EQUALITY.mjEQ_TENDON and objects[1] < 0 and self._add_tendon(name, objects[0], data[0]):
+            pass
+        else:
+            what = kind.name.removeprefix("mjEQ_").lower()
+            self.notes.append(f"equality {name or number!r} of type {what} is not described")
+
+    def _closure(self, name: str, is_weld: bool, number: int) -> FileLoop:
+        """Describe a connect or a weld, between two bodies or two sites."""
+        model = self._model
+        objects = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        data = model.eq_data[number]
+        if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
+            frames = [self._site(site) for site in objects]
+            bodies = [int(model.site_bodyid[site]) for site in objects]
+        else:
+            bodies = list(objects)
+            # a connect has the points on body 1 and body 2; a weld has them the other way, and then the
+            # quaternion of body 2 in body 1
+            points = (data[3:6], data[:3]) if is_weld else (data[:3], data[3:6])
+            rotations = (_rotation(data[6:10]) if is_weld else np.eye(3)), np.eye(3)
+            frames = [Placement(*pair) for pair in zip(map(np.copy, points), rotations, strict=True)]
+        holds_rotation = is_weld and data[10] != 0.0  # factor of torques
+        return FileLoop(
+            name,
+            LoopKind.WELD if holds_rotation else LoopKind.POINT,
+            first=bodies[0] - 1,
+            second=bodies[1] - 1,
+            first_frame=frames[0],
+            second_frame=frames[1],
+        )
+
+    def _site(self, number: int) -> Placement:
+        """Return the placement of a site in the frame of its body."""
+        model = self._model
+        return Placement(model.site_pos[number].copy(), _rotation(model.site_quat[number]))
+
+    def _add_tendon(self, name: str, tendon: int, offset: float) -> bool:
+        """Describe a tendon whose length an equality holds; return False for tendons of other forms.
+
+        Args:
+            name: name of the equality.
+            tendon: number of the tendon.
+            offset: length of the tendon minus its length in the pose of the file.
+        """
+        model = self._model
+        weights = fixed_tendon_weights(model, tendon)
+        if weights is not None and len(weights) == 2:
+            # weight_1 x_1 + weight_2 x_2 = offset, from the zeros of both joints
+            (follower, follower_weight), (leader, leader_weight) = weights.items()
+            powers = offset / follower_weight, -leader_weight / follower_weight
+            names = self._joint_names[follower], self._joint_names[leader]
+            self._couplings.append(FileCoupling(name, *names, powers))
+            return True
+        first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+        is_line = np.all(model.wrap_type[first : first + count] == mujoco.mjtWrap.mjWRAP_SITE)
+        if weights is None and count == 2 and is_line:
+            first_site, second_site = (int(site) for site in model.wrap_objid[first : first + 2])
+            rod = FileLoop(
+                name,
+                LoopKind.ROD,
+                first=int(model.site_bodyid[first_site]) - 1,
+                second=int(model.site_bodyid[second_site]) - 1,
+                first_frame=self._site(first_site),
+                second_frame=self._site(second_site),
+                length=float(model.tendon_length0[tendon]) + offset,
+            )
+            self._loops.append(rod)
+            return True
+        return False
+
+    def _drive(self, number: int) -> FileDrive:
+        """Describe actuator `number`."""
+        model = self._model
+        other: dict[str, float | str] = {}
+        gain = model.actuator_gainprm[number].tolist()
+        gain_type = GAIN(model.actuator_gaintype[number])
+        if gain_type == GAIN.mjGAIN_AFFINE:
+            other |= {"gain per length": gain[1], "gain per velocity": gain[2]}
+        elif gain_type != GAIN.mjGAIN_FIXED:
+            other |= {"gain type": _word(gain_type), **_numbered("gain", gain)}
+        bias = model.actuator_biasprm[number].tolist()
+        bias_type = BIAS(model.actuator_biastype[number])
+        if bias_type not in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE):
+            other |= {"bias type": _word(bias_type), **_numbered("bias", bias)}
+        dynamics = DYNAMICS(model.actuator_dyntype[number])
+        if dynamics != DYNAMICS.mjDYN_NONE:
+            other |= {
+                "dynamics": _word(dynamics),
+                **_numbered("dynamics", model.actuator_dynprm[number].tolist()),
+            }
+        for quantity, value in (
+            ("damping of the actuator", model.actuator_damping[number]),
+            ("delay", model.actuator_delay[number]),
+        ):
+            if value:
+                other[quantity] = float(value)
+        if model.actuator_actlimited[number]:
+            low, high = model.actuator_actrange[number].tolist()
+            other |= {"smallest activation": low, "largest activation": high}
+        gears, transmission = self._transmission(number)
+        is_affine = bias_type == BIAS.mjBIAS_AFFINE
+        has_control_limits = model.actuator_ctrllimited[number] and self._clamps_controls
+        return FileDrive(
+            model.actuator(number).name,
+            gears,
+            gain=gain[0] if gain_type in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE) else 0.0,
+            stiffness=bias[1] if is_affine else 0.0,
+            damping=bias[2] if is_affine else 0.0,
+            constant=bias[0] if is_affine else 0.0,
+            control_limits=_pair(model.actuator_ctrlrange[number]) if has_control_limits else NO_LIMITS,
+            force_limits=_pair(model.actuator_forcerange[number])
+            if model.actuator_forcelimited[number]
+            else NO_LIMITS,
+            other=transmission | other,
+        )
+
+    def _transmission(self, number: int) -> tuple[dict[str, float], dict[str, float | str]]:
+        """Return the gears of an actuator by joint, and other numbers of its transmission by name."""
+        model = self._model
+        kind = TRANSMISSION(model.actuator_trntype[number])
+        targets, gear = model.actuator_trnid[number].tolist(), model.actuator_gear[number].tolist()
+        weights: dict[int, float] | None = None
+        if kind in JOINT_TRANSMISSIONS:
+            weights = {targets[0]: 1.0}
+        elif kind == TRANSMISSION.mjTRN_TENDON:
+            weights = fixed_tendon_weights(model, targets[0])
+        single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        if weights is not None and all(mujoco.mjtJoint(model.jnt_type[joint]) in single for joint in weights):
+            return {self._joint_names[joint]: weight * gear[0] for joint, weight in weights.items()}, {}
+        name_of = {
+            TRANSMISSION.mjTRN_TENDON: model.tendon,
+            TRANSMISSION.mjTRN_BODY: model.body,
+            **dict.fromkeys(JOINT_TRANSMISSIONS, model.joint),
+        }.get(kind, model.site)
+        names = " and ".join(name_of(target).name for target in targets if target >= 0)
+        other: dict[str, float | str] = {"transmission": f"{_word(kind)} {names}".strip()}
+        other |= _numbered("gear", gear)
+        if kind == TRANSMISSION.mjTRN_SLIDERCRANK:
+            other["crank length"] = float(model.actuator_cranklength[number])
+        return {}, other
+
+    def _note_rest(self, switched_off: set[str], active_equalities: int) -> None:
+        """Add notes of what the model has and the robot has not."""
+        model = self._model
+        off = sorted(switched_off & {"limit", "spring", "damper", "frictionloss", "gravity", "actuation"})
+        if off:
+            self.notes.append(f"option flags switch off: {', '.join(off)}")
+        if active_equalities < model.neq:
+            self.notes.append(
+                f"{model.neq - active_equalities} equalities are switched off and not described"
+            )
+        tendons = np.any(
+            [model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature],
+            axis=0,
+        ) | (model.tendon_limited != 0)
+        counts = {
+            "tendons with a spring, damper, friction, armature or limit": np.count_nonzero(tendons),
+            "joints with a spring or damper that is not linear": np.count_nonzero(
+                np.any(model.jnt_stiffnesspoly, axis=-1)
+                | np.any(model.dof_dampingpoly[model.jnt_dofadr], axis=-1)
+            ),
+            "bodies with compensation of gravity": np.count_nonzero(model.body_gravcomp),
+            "flexible bodies": model.nflex,
+            "plugins": model.nplugin,
+        }
+        self.notes.extend(f"{count} {what}: not described" for what, count in counts.items() if count)
+        if model.opt.density or model.opt.viscosity:
+            self.notes.append("forces of a fluid are not described")
 
 
-def _body(model: mujoco.MjModel, number: int) -> FileBody:
-    """Describe body `number` of a compiled model; body 0 is the ground."""
-    first = int(model.body_jntadr[number])
-    axes = _rotation(model.body_iquat[number])  # principal axes of inertia
-    return FileBody(
-        name=model.body(number).name,
-        parent=int(model.body_parentid[number]) - 1,
-        placement=Placement(model.body_pos[number].copy(), _rotation(model.body_quat[number])),
-        joints=tuple(_joint(model, k) for k in range(first, first + int(model.body_jntnum[number]))),
-        mass=float(model.body_mass[number]),
-        center=model.body_ipos[number].copy(),
-        inertia=(axes * model.body_inertia[number]) @ axes.T,
-    )
+def _word(member: mujoco.mjtGain | mujoco.mjtBias | mujoco.mjtDyn | mujoco.mjtTrn) -> str:
+    """Return the word of a member of MuJoCo's enumerations, such as "muscle" of mjGAIN_MUSCLE."""
+    return str(member.name).partition("_")[2].lower()
 
 
-def _joint(model: mujoco.MjModel, number: int) -> FileJoint:
-    """Describe joint `number` of a compiled model; a ball and a free joint have no zero and no rest."""
-    kind = JOINT_KINDS[mujoco.mjtJoint(model.jnt_type[number])]
-    has_axis = kind in (JointKind.HINGE, JointKind.SLIDE)
-    in_q, in_v = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
-    low, high = model.jnt_range[number] if model.jnt_limited[number] else (-math.inf, math.inf)
-    is_driven_within = model.jnt_actfrclimited[number]
-    return FileJoint(
-        name=model.joint(number).name,
-        kind=kind,
-        axis=model.jnt_axis[number].copy() if has_axis else np.zeros(3),
-        point=model.jnt_pos[number].copy(),
-        zero=float(model.qpos0[in_q]) if has_axis else 0.0,
-        damping=float(model.dof_damping[in_v]),
-        armature=float(model.dof_armature[in_v]) + _rotors(model, number),
-        friction=float(model.dof_frictionloss[in_v]),
-        stiffness=float(model.jnt_stiffness[number]),
-        rest=float(model.qpos_spring[in_q]) if has_axis else 0.0,
-        limits=(float(low), float(high)),
-        effort=float(np.max(np.abs(model.jnt_actfrcrange[number]))) if is_driven_within else math.inf,
-    )
+def _numbered(name: str, values: list[float]) -> dict[str, float]:
+    """Return the values but zeros by name and number, such as "gain 1"."""
+    return {f"{name} {number}": value for number, value in enumerate(values, start=1) if value}
 
 
-def _rotors(model: mujoco.MjModel, joint: int) -> float:
-    """Return the inertia, seen at a joint, of the rotors that actuators of the joint have."""
-    acting = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS) & (model.actuator_trnid[:, 0] == joint)
-    return float(np.sum(model.actuator_armature[acting] * model.actuator_gear[acting, 0] ** 2))
+def _pair(limits: Array) -> tuple[float, float]:
+    """Return the smallest and largest value of a range (2,)."""
+    low, high = limits.tolist()
+    return low, high

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from newton_euler.model.source_file import path_text, read_text
+from newton_euler.model.source_file import element_lines, path_text, read_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.robot import (
     FileBody,
@@ -64,7 +64,7 @@ def describe(source: str | os.PathLike[str]) -> RobotFile:
         variants=tuple(_robot(ET.fromstring(numbers.variant(random)), path) for _ in range(VARIANTS)),
         source=path,
         format="URDF",
-        lines=numbers.lines,
+        lines=element_lines(path, text, SourceError),
     )
 
 

@@ -171,7 +171,7 @@ class Actuators:
         if kind in JOINT_TRANSMISSIONS:
             weights = {target: 1.0}
         elif kind == TRANSMISSION.mjTRN_TENDON:
-            weights = fixed_tendon_weights(self._start, target)
+            weights = fixed_tendon_weights(self._model, target)
         if weights is None or any(joint not in self._joints.coordinate_keys for joint in weights):
             return None
         return {joint: weight * float(gear) for joint, weight in weights.items()}

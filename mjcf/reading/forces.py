@@ -188,7 +188,7 @@ class Forces:
             low, high = (float(x) for x in self._data.plastic[plastic_index : plastic_index + 2])
             self._report_yield(element, float(model.tendon_springyield[tendon]))
         ends = straight_tendon_ends(self._start, tendon)
-        weights = fixed_tendon_weights(self._start, tendon)
+        weights = fixed_tendon_weights(self._model, tendon)
         if low != high and stiffness:
             self._report.left_out(
                 element,
@@ -327,7 +327,9 @@ def armatures(
     for tendon in np.flatnonzero(model.tendon_armature):
         element = element_name(model, "tendon", int(tendon))
         inertia = float(model.tendon_armature[tendon])
-        weights = fixed_tendon_weights(start, int(tendon)) or {}  # {} for other tendons: nothing to reduce to
+        weights = (
+            fixed_tendon_weights(start.model, int(tendon)) or {}
+        )  # {} for other tendons: nothing to reduce to
         reduced = reduced_inertia(start, joints, gear_groups, weights, inertia)
         if reduced is None:
             why = f"its armature {inertia:g}: no single joint coordinate determines its length"

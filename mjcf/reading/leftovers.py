@@ -144,7 +144,7 @@ def _tendon_friction_watches(start: ModelAtStart, joints: Joints, tendon: int) -
 
     Other tendons, and fixed tendons of a joint without a coordinate, have no watch.
     """
-    keys = [joints.coordinate_keys.get(joint) for joint in fixed_tendon_weights(start, tendon) or ()]
+    keys = [joints.coordinate_keys.get(joint) for joint in fixed_tendon_weights(start.model, tendon) or ()]
     known = tuple(key for key in keys if key)
     return [FrictionWatch(known)] if keys and len(known) == len(keys) else []
 
@@ -155,7 +155,7 @@ def _tendon_watch(start: ModelAtStart, joints: Joints, poses: Poses, tendon: int
     The length of a fixed tendon is a weighted sum of joint coordinates, which `Bounds` watches. MuJoCo
     computes the lengths of all other tendons.
     """
-    model, weights = start.model, fixed_tendon_weights(start, tendon)
+    model, weights = start.model, fixed_tendon_weights(start.model, tendon)
     if weights is None or any(joint not in joints.coordinate_keys for joint in weights):
         return TendonWatch(poses, tendon)
     low, high = (float(x) for x in model.tendon_range[tendon])

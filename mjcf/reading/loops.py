@@ -177,8 +177,8 @@ class Loops:
             self._report.imported(self._start.equality(index), f"rod {name!r}, {HELD_RIGIDLY}")
             return
         # one or two fixed tendons
-        weights = fixed_tendon_weights(self._start, tendons[0])
-        others = fixed_tendon_weights(self._start, tendons[1]) if len(tendons) == 2 else {}
+        weights = fixed_tendon_weights(self._model, tendons[0])
+        others = fixed_tendon_weights(self._model, tendons[1]) if len(tendons) == 2 else {}
         if weights is None or others is None:
             self._leave_out(
                 index, "it couples tendons that are neither straight nor sums of joint coordinates"
@@ -225,12 +225,11 @@ def straight_tendon_ends(
     return (int(bodies[site_1]), points[site_1].copy()), (int(bodies[site_2]), points[site_2].copy())
 
 
-def fixed_tendon_weights(start: ModelAtStart, tendon: int) -> dict[int, float] | None:
+def fixed_tendon_weights(model: mujoco.MjModel, tendon: int) -> dict[int, float] | None:
     """Return the weight of each of MuJoCo's joints in a fixed tendon, by number; None for other tendons.
 
     The length of a fixed tendon is the weighted sum of the joint coordinates.
     """
-    model = start.model
     rows = slice(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))
     if np.any(model.wrap_type[rows] != mujoco.mjtWrap.mjWRAP_JOINT):
         return None

@@ -18,9 +18,10 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -138,14 +139,24 @@ def compile_file(path: str, root: str | None = None) -> tuple[Any, KeySizes]:
     return model, dict(enumerate(sizes))
 
 
-def read_texts(path: str) -> dict[str, str]:
+class XmlTexts(NamedTuple):
+    """Texts of an MJCF file and of the files that it includes.
+
+    Attributes:
+        texts: the texts by real path, the top file first.
+        included: real path of each included file, by that of the including file and the attribute `file`.
+        find_asset: returns the path of an asset from its tag and its attribute `file`; None if it is missing.
+    """
+
+    texts: dict[str, str]
+    included: dict[tuple[str, str], str]
+    find_asset: Callable[[str, str], str | None]
+
+
+def read_texts(path: str) -> XmlTexts:
     """Read and check an MJCF file and the files that it includes, but not its meshes and textures.
 
-    Args:
-        path: path of the file; a URDF is accepted too, as MuJoCo reads both.
-
-    Returns:
-        The texts by real path, the top file first.
+    A path that ends with `.urdf` may be a URDF, which MuJoCo reads too.
 
     Raises:
         SourceError: for a file that cannot be read, that is not MJCF, or that includes a file outside of its
@@ -153,7 +164,7 @@ def read_texts(path: str) -> dict[str, str]:
     """
     checked_file = _Scan(path, None, root_tag=None if path.lower().endswith(".urdf") else "mujoco")
     checked_file.scan_texts()
-    return checked_file.texts
+    return XmlTexts(checked_file.texts, checked_file.included, checked_file.find_asset)
 
 
 def check_memory(where: str, model: Any) -> None:
@@ -337,6 +348,7 @@ class _Scan:
         asset_bytes: total size of all files other than XML that MuJoCo may read.
         keyframe_sizes: for each keyframe, the number of values by field ("qpos", "ctrl", ...).
         texts: texts of the XML files by real path, the top file first.
+        included: real path of each included file, by that of the including file and the attribute `file`.
     """
 
     def __init__(self, path: str, root: str | None, root_tag: str | None = "mujoco") -> None:
@@ -349,6 +361,7 @@ class _Scan:
         """
         self._top_file, self._root_tag = path, root_tag
         self.texts: dict[str, str] = {}
+        self.included: dict[tuple[str, str], str] = {}
         self._home = os.path.dirname(os.path.realpath(path))
         # without a root, included files must be in the folder of the file; assets may also be in neighboring
         # folders, unless the parent folder is the root of the disk
@@ -426,6 +439,7 @@ class _Scan:
         scan(path, text, root_tag, check_element, SourceError)
         for reference in included:
             found = self._find_included(reference, os.path.dirname(real_path))
+            self.included[real_path, reference.target] = os.path.realpath(found)
             self._scan_file(found, (*including, real_path))
 
     def _find_included(self, reference: _Reference, including_folder: str) -> str:
@@ -439,19 +453,32 @@ class _Scan:
                 return os.path.join(home, reference.target)
         raise reference.refused("does not exist")
 
-    def _check_asset(self, reference: _Reference) -> None:
-        """Check an asset in all folders that MuJoCo may search, with and without the path in its name."""
+    def find_asset(self, element: str, target: str) -> str | None:
+        """Return the path of an asset, or None if it does not exist; raises `SourceError` outside the root.
+
+        Args:
+            element: tag of the asset.
+            target: path of the file, as the element has it.
+        """
+        paths = self._asset_paths(_Reference(self._top_file, 0, element, target))
+        return next((path for path in paths if os.path.isfile(path)), None)
+
+    def _asset_paths(self, reference: _Reference) -> list[str]:
+        """Return paths of an asset in all folders that MuJoCo may search, with and without its folder."""
         name = "texturedir" if reference.element == "texture" else "meshdir"
         folders = [*self._folders[name], *self._folders["assetdir"]] or [""]
         # with the attribute `strippath`, MuJoCo removes the path
         stripped = replace(reference, target=os.path.basename(reference.target))
-        paths = [
+        return [
             file.within(self._asset_root, os.path.join(home, folder))
             for home in self._homes
             for folder in folders
             for file in (reference, stripped)
         ]
-        existing = [path for path in paths if os.path.exists(path)]
+
+    def _check_asset(self, reference: _Reference) -> None:
+        """Check that an asset exists, is a file, and is not too large, wherever MuJoCo may search it."""
+        existing = [path for path in self._asset_paths(reference) if os.path.exists(path)]
         if not existing:
             raise reference.refused("does not exist")
         for path in existing:

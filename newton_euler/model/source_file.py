@@ -307,3 +307,18 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
     except expat.ExpatError as failure:
         problem = expat.errors.messages[failure.code]
         raise error(path, f"not XML: line {failure.lineno}: {problem}") from failure
+
+
+def element_lines(path: str, text: str, error: type[SourceError]) -> dict[tuple[str, str], int]:
+    """Return the line of each element with a name in an XML text, by its tag and its name.
+
+    For the arguments see `scan`. If several elements have the same tag and name, the first one counts.
+    """
+    lines: dict[tuple[str, str], int] = {}
+
+    def store(tag: str, attributes: dict[str, str], line: int) -> None:
+        if "name" in attributes:
+            lines.setdefault((tag, attributes["name"]), line)
+
+    scan(path, text, None, store, error)
+    return lines

@@ -25,14 +25,17 @@ SIGNIFICANT_DIGITS = 6
 # fmt: off
 TAG = re.compile(
     r"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>"  # comment, text, instruction
-    r"""|<([\w:.-]+)((?>[^<>"']+|"[^"]*"|'[^']*')*)>""",  # start of an element, with its attributes
+    r"""|<[\w:.-]+((?>[^<>"']+|"[^"]*"|'[^']*')*)>""",  # start of an element, with its attributes
     re.DOTALL,
 )
 # fmt: on
-"""Pattern of the start of an element in well-formed XML: its tag, and the text of its attributes."""
+"""Pattern of the start of an element in well-formed XML, with its attributes; None of comments and text."""
 
 ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 """Pattern of an attribute: its name, and its value between quotation marks of either kind."""
+
+TOKEN = re.compile(r"\S+")
+"""Pattern of a word or number in the value of an attribute."""
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 """Pattern of a finite number."""
@@ -57,49 +60,41 @@ def half_unit(number: str) -> float:
 
 
 class NumbersOfText:
-    """Numbers in the attributes of an XML text.
-
-    Attributes:
-        lines: line of the first element of each tag and name.
-    """
+    """Numbers in the attributes of an XML text, which it changes within the rounding of their digits."""
 
     def __init__(self, text: str, is_number: Callable[[str], bool]) -> None:
         """Find the numbers of a well-formed text.
 
         Args:
             text: content of the file.
-            is_number: returns False for attributes that hold no numbers, such as names, by name.
+            is_number: returns False for attributes that hold no numbers, such as names.
         """
-        self.lines: dict[tuple[str, str], int] = {}
         # text before each number and after the last one; value and half unit of each number
         self._between: list[str] = []
         values: list[float] = []
         half_units: list[float] = []
-        line = 1
-        counted = end = 0  # positions up to which lines are counted, and text is stored
+        end = 0  # position up to which the text is stored
         for tag in TAG.finditer(text):
             if tag[1] is None:
                 continue
-            line += text.count("\n", counted, tag.start())
-            counted = tag.start()
-            for attribute in ATTRIBUTE.finditer(text, tag.start(2), tag.end(2)):
-                group = 2 if attribute[2] is not None else 3
-                if attribute[1] == "name":
-                    self.lines.setdefault((tag[1], attribute[group]), line)
+            for attribute in ATTRIBUTE.finditer(text, tag.start(1), tag.end(1)):
                 if not is_number(attribute[1]):
                     continue
-                for token in re.finditer(r"\S+", attribute[group]):
+                group = 2 if attribute[2] is not None else 3
+                for token in TOKEN.finditer(text, attribute.start(group), attribute.end(group)):
                     if NUMBER.fullmatch(token[0]) and (half := half_unit(token[0])):
-                        start = attribute.start(group) + token.start()
-                        self._between.append(text[end:start])
+                        self._between.append(text[end : token.start()])
                         values.append(float(token[0]))
                         half_units.append(half)
-                        end = start + len(token[0])
+                        end = token.end()
         self._between.append(text[end:])
         self._values, self._half_units = np.array(values), np.array(half_units)
 
     def variant(self, random: np.random.Generator) -> str:
         """Return the text with each number changed by plus or minus its half unit; the signs are random."""
         signs = random.choice((-1.0, 1.0), len(self._values))
-        numbers = [repr(value) for value in (self._values + signs * self._half_units).tolist()]
-        return "".join(part for pair in zip(self._between, [*numbers, ""], strict=True) for part in pair)
+        numbers = map(repr, (self._values + signs * self._half_units).tolist())
+        parts = [self._between[0]]
+        for number, after in zip(numbers, self._between[1:], strict=True):
+            parts += number, after
+        return "".join(parts)

@@ -1,0 +1,168 @@
+"""Reduce the text of an MJCF file to the elements that masses, joints, loops and drives depend on.
+
+Meshes are most of a model's bytes, and often missing. A body with an `<inertial>` does not need its shapes.
+`essential_texts` removes these shapes, the assets that no remaining shape needs, and sensors, keyframes,
+contacts and pictures. MuJoCo compiles what remains to the same bodies in a few milliseconds.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from pathlib import PurePosixPath
+from typing import NamedTuple
+
+from mjcf.reading.source import XmlTexts
+
+UNUSED = frozenset(
+    ("visual", "statistic", "contact", "sensor", "keyframe", "custom", "light", "camera", "texture", "skin")
+)
+"""Tags of elements that change no mass, joint, loop or drive, with all that is in them."""
+
+SHAPES = ("geom", "collision")
+"""Tags of shapes in an MJCF and a URDF."""
+
+TEMPLATES = ("composite", "flexcomp")
+"""Tags of elements that MuJoCo expands to bodies; shapes in them belong to these bodies."""
+
+SHAPE_ASSETS = ("mesh", "hfield")
+"""Tags of assets that shapes refer to, by an attribute of the same name."""
+
+NO_MASS = {"pos": "0 0 0", "mass": "1e-14", "diaginertia": "1e-14 1e-14 1e-14"}
+"""Inertia of a body whose shapes are missing, the smallest that MuJoCo accepts for a moving body."""
+
+
+class Essentials(NamedTuple):
+    """Reduced texts of a file and of the files that it includes.
+
+    Attributes:
+        texts: the texts, the top file first, by the names with which they now include each other.
+        loaded: names of bodies whose mass comes from meshes, which the texts refer to.
+        missing: names of bodies whose mass comes from missing meshes; these bodies have `NO_MASS`.
+    """
+
+    texts: dict[str, str]
+    loaded: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def essential_texts(files: XmlTexts) -> Essentials:
+    """Reduce the texts of a file and of the files that it includes."""
+    roots = {path: ET.fromstring(text) for path, text in files.texts.items()}
+    elements = [(path, each) for path, root in roots.items() for each in root.iter()]
+    keeps_all = any(each.get("inertiafromgeom") == "true" for _, each in elements)
+    # geoms that tendons wrap around
+    wrapped = {str(each.get("geom")) for _, each in elements if each.tag == "geom" and "geom" in each.attrib}
+    name_of = {path: f"{number}.xml" for number, path in enumerate(roots)}
+    for path, element in elements:
+        if (path, element.get("file", "")) in files.included and element.tag in ("include", "model"):
+            element.set("file", name_of[files.included[path, element.get("file", "")]])
+    for number, root in enumerate(roots.values()):
+        # shapes of the world have no mass; those of an attached model's world may belong to a body
+        _reduce(root, False, world_has_mass=number > 0, keeps_all=keeps_all, wrapped=wrapped)
+    loaded, missing = _reduce_assets(list(roots.values()), files.find_asset)
+    _remove_empty({name_of[path]: root for path, root in roots.items()})
+    texts = {name_of[path]: ET.tostring(root, encoding="unicode") for path, root in roots.items()}
+    return Essentials(texts, tuple(loaded), tuple(missing))
+
+
+def _remove_empty(roots: dict[str, ET.Element]) -> None:
+    """Remove the elements that include files without elements, which MuJoCo refuses.
+
+    Args:
+        roots: root elements by the name of the file; a file comes before those that it includes.
+    """
+    empty: set[str | None] = set()
+    for name, root in reversed(roots.items()):
+        for parent in list(root.iter()):
+            for child in parent.findall("include"):
+                if child.get("file") in empty:
+                    parent.remove(child)
+        if not len(root):
+            empty.add(name)
+
+
+def _reduce(
+    element: ET.Element, removes_shapes: bool, world_has_mass: bool, keeps_all: bool, wrapped: set[str]
+) -> None:
+    """Remove from an element what masses, joints, loops and drives do not depend on.
+
+    Args:
+        element: root element, or an element in it.
+        removes_shapes: True if the shapes directly in the element do not matter.
+        world_has_mass: True if the shapes of the world matter.
+        keeps_all: True if all shapes matter, even those of bodies with an inertia.
+        wrapped: names of shapes that stay.
+    """
+    for child in list(element):
+        if child.tag in UNUSED or (
+            child.tag in SHAPES and removes_shapes and child.get("name") not in wrapped
+        ):
+            element.remove(child)
+            continue
+        removes = removes_shapes
+        if child.tag in ("body", "link"):
+            removes = child.find("inertial") is not None and not keeps_all
+        elif child.tag == "worldbody":
+            removes = not world_has_mass and not keeps_all
+        elif child.tag == "material":
+            child.attrib.pop("texture", None)
+            child[:] = ()
+        if child.tag not in TEMPLATES:
+            _reduce(child, removes, world_has_mass, keeps_all, wrapped)
+
+
+def _reduce_assets(
+    roots: list[ET.Element], find_asset: Callable[[str, str], str | None]
+) -> tuple[list[str], list[str]]:
+    """Remove the assets that no shape needs, and shapes whose assets are missing.
+
+    Returns:
+        Names of bodies whose mass depends on assets that exist, and that are missing.
+    """
+    geoms = [
+        (parent.tag, geom) for root in roots for parent in root.iter() for geom in parent.findall("geom")
+    ]
+    shapes = [geom for parent, geom in geoms if parent not in ("default", "spatial")]
+    templates = [geom for parent, geom in geoms if parent == "default"]
+    # a shape may get its mesh from the defaults of its class
+    needed = {geom.get(tag) for geom in (*shapes, *(templates if shapes else ())) for tag in SHAPE_ASSETS}
+    missing: set[str] = set()
+    assets = [(section, each) for root in roots for section in root.iter("asset") for each in section]
+    for section, asset in assets:
+        if asset.tag not in SHAPE_ASSETS:
+            continue
+        file = asset.get("file", "")
+        name = asset.get("name") or PurePosixPath(file).stem
+        path = find_asset(asset.tag, file) if file and name in needed else None
+        if name not in needed or (file and path is None):
+            section.remove(asset)
+            missing.add(name)
+        elif path is not None:
+            # the reduced text has no folder
+            asset.set("file", path)
+    for compiler in (each for root in roots for each in root.iter("compiler")):
+        compiler.attrib.pop("strippath", None)
+    # bodies whose shapes are meshes
+    loaded_bodies, missing_bodies = [], []
+    for body in (each for root in roots for each in root.iter("body") if each.find("inertial") is None):
+        own_shapes = list(_own_shapes(body))
+        meshes = {str(geom.get("mesh")) for _, geom in own_shapes if "mesh" in geom.attrib}
+        if meshes & missing:
+            missing_bodies.append(body.get("name", ""))
+            for parent, geom in own_shapes:
+                if geom.get("mesh") in missing:
+                    parent.remove(geom)
+            ET.SubElement(body, "inertial", NO_MASS)
+        elif meshes:
+            loaded_bodies.append(body.get("name", ""))
+    return loaded_bodies, missing_bodies
+
+
+def _own_shapes(body: ET.Element) -> Iterator[tuple[ET.Element, ET.Element]]:
+    """Yield the geoms of a body but not of bodies in it, each after the element that it is in."""
+    for child in list(body):
+        if child.tag == "geom":
+            yield body, child
+        elif child.tag in ("frame", "replicate"):
+            yield from _own_shapes(child)
