@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 
 import mujoco
 import numpy as np
@@ -93,11 +94,15 @@ def _describe_file(path: str) -> RobotFile:
             raise SourceError(path, f"MuJoCo refuses it: {' '.join(str(error).split()):.500}") from error
         for _ in range(VARIANTS):
             texts = {name: each.variant(random) for name, each in numbers.items()}
-            variant = _compiled(texts, is_variant=True)
-            if essentials.loaded:
-                _copy_masses(model, variant)
-            variants.append(_Description(variant).robot)
+            with suppress(ValueError, mujoco.FatalError):  # for example of limits that change places
+                variant = _compiled(texts, is_variant=True)
+                if essentials.loaded:
+                    _copy_masses(model, variant)
+                variants.append(_Description(variant).robot)
     description = _Description(model)
+    if len(variants) < VARIANTS:
+        refused = f"MuJoCo refuses {VARIANTS - len(variants)} of {VARIANTS} variants within the digits"
+        description.notes.append(f"{refused}; uncertainties come from the others")
     return RobotFile(
         description.robot,
         variants=tuple(variants),

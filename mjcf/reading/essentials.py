@@ -57,6 +57,7 @@ def essential_texts(files: XmlTexts) -> Essentials:
     for path, element in elements:
         if (path, element.get("file", "")) in files.included and element.tag in ("include", "model"):
             element.set("file", name_of[files.included[path, element.get("file", "")]])
+    _write_meshes(list(roots.values()))
     for number, root in enumerate(roots.values()):
         # shapes of the world have no mass; those of an attached model's world may belong to a body
         _reduce(root, False, world_has_mass=number > 0, keeps_all=keeps_all, wrapped=wrapped)
@@ -64,6 +65,33 @@ def essential_texts(files: XmlTexts) -> Essentials:
     _remove_empty({name_of[path]: root for path, root in roots.items()})
     texts = {name_of[path]: ET.tostring(root, encoding="unicode") for path, root in roots.items()}
     return Essentials(texts, tuple(loaded), tuple(missing))
+
+
+def _write_meshes(roots: list[ET.Element]) -> None:
+    """Write the meshes that shapes get from the defaults of their classes into the shapes themselves."""
+    mesh_of_class: dict[str, str] = {}
+
+    def read_defaults(section: ET.Element, mesh: str) -> None:
+        for geom in section.findall("geom"):
+            mesh = geom.attrib.pop("mesh", mesh)
+        mesh_of_class[section.get("class", "main")] = mesh
+        for inner in section.findall("default"):
+            read_defaults(inner, mesh)
+
+    def write(element: ET.Element, childclass: str) -> None:
+        childclass = element.get("childclass", childclass)
+        for child in element:
+            if child.tag == "geom" and (mesh := mesh_of_class.get(child.get("class", childclass))):
+                child.attrib.setdefault("mesh", mesh)
+            elif child.tag not in ("default", "tendon"):
+                write(child, childclass)
+
+    for root in roots:
+        for section in root.findall("default"):
+            read_defaults(section, mesh="")
+    if any(mesh_of_class.values()):
+        for root in roots:
+            write(root, "main")
 
 
 def _remove_empty(roots: dict[str, ET.Element]) -> None:
