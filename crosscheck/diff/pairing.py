@@ -16,6 +16,7 @@ import numpy as np
 
 from crosscheck.diff.links import GROUND, Link, LinkTree, composite
 from crosscheck.diff.registration import (
+    Further,
     line_value,
     principal_rotations,
     register,
@@ -41,12 +42,18 @@ class LinkPair:
 
     Attributes:
         first, second: indices of the links; several if their joints are fixed in the other robot.
+        above: pair of the parents; None for the roots, and for links that hang on parents that are no pair.
+        heads: links whose joints, which are partners, hold the two links; None if their joints are not.
         motion: takes the second robot's link to the first robot's, both in the pose of the file.
+        same_pose: whether the motion of the parents explains the numbers of the links as well.
     """
 
     first: list[int]
     second: list[int]
-    motion: Placement
+    above: LinkPair | None = None
+    heads: tuple[Link, Link] | None = None
+    motion: Placement = GROUND
+    same_pose: bool = True
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,10 @@ def pair(
         forced: index of the partner of each link that the user has chosen.
         forced_joints: index of the link whose joint is the partner of a link's joint, if the user has chosen.
     """
-    return _Pairer(first, second, forced, forced_joints).pairing
+    pairer = _Pairer(first, second, forced, forced_joints)
+    if swapped := pairer.swapped():
+        pairer = _Pairer(first, second, {**swapped, **forced}, forced_joints)
+    return pairer.pairing
 
 
 class _Pairer:
@@ -112,6 +122,25 @@ class _Pairer:
         self._grow(*self._root())
         while (moved := self._moved()) is not None:
             self._grow(*moved)
+        self.pairing.joints = [_matched_joint(links) for links in self.pairing.links if links.heads]
+
+    def swapped(self) -> dict[int, int]:
+        """Return partners by name of links that follow each other the other way round in the second robot."""
+        found: dict[int, int] = {}
+        for links in self.pairing.links:
+            if links.above is None or links.above.first[0] in found:
+                continue
+            (a, c), (b, d) = (
+                (k[0], m[0])
+                for k, m in zip(
+                    (links.above.first, links.above.second), (links.first, links.second), strict=True
+                )
+            )
+            likeness = self.match.name_likeness
+            nodes = {(a, b), (c, d)} <= self.match.own.keys()
+            if nodes and likeness(a, d) == likeness(c, b) == 1.0 > max(likeness(a, b), likeness(c, d)):
+                found.update({a: d, c: b})
+        return found
 
     def _root(self) -> tuple[int, int]:
         """Pair the roots: both grounds, or the ground with the base that another joint holds in one robot."""
@@ -122,11 +151,8 @@ class _Pairer:
             choices += [(0, child) for child in self.second.branches[0]]
         root = max(choices, key=lambda pair: (self._root_value(*pair), pair == (0, 0)))
         self.pairing.base = root
-        links = [self.first.links[root[0]]], [self.second.links[root[1]]]
-        ends = rigid(links[0], self.first.links, None), rigid(links[1], self.second.links, None)
         extra = _whole_motions(self.first.below(root[0]), self.second.below(root[1]))
-        found = register(*ends, GROUND, self.size, self._likeness, extra)
-        self._add(LinkPair([root[0]], [root[1]], found.motion))
+        self._add(LinkPair([root[0]], [root[1]]), extra=extra)
         return root
 
     def _root_value(self, a: int, b: int) -> float:
@@ -135,14 +161,91 @@ class _Pairer:
         return self.match.value[a, b] - own + (max(own, 0.01) if abs(own) < FORCED / 2 else own)
 
     def _likeness(self, one: Link, two: Link) -> float:
-        """Return the value of a match of all that hangs on two links."""
-        nodes = self._nodes_below[0].get(one.index), self._nodes_below[1].get(two.index)
-        return self.match.subtree(nodes[0], nodes[1]) if nodes[0] and nodes[1] else 0.0
+        """Return the value of a match of all that hangs on two links; 0 unless they are partners then."""
+        nodes = self._nodes_below[0].get(one.index, 0), self._nodes_below[1].get(two.index, 0)
+        return self.match.subtree(*nodes) if all(nodes) and self.match.matched(*nodes) == nodes else 0.0
 
-    def _add(self, links: LinkPair) -> None:
+    def _add(
+        self,
+        links: LinkPair,
+        pieces: tuple[Sequence[Link], Sequence[Link]] = ((), ()),
+        extra: Sequence[Placement] = (),
+    ) -> LinkPair:
+        """Find the motion of a new pair of links.
+
+        Args:
+            links: the pair.
+            pieces: links that may be parts of the partner in the other robot.
+            extra: motions to try.
+        """
+        below = self._unmatched_below(links.first[0], links.second[0])
+        for side in (0, 1):
+            self._fuse(links, side, [*pieces[side], *below[side]])
         self.pairing.links.append(links)
         self._of_first.update(dict.fromkeys(links.first, links))
         self._of_second.update(dict.fromkeys(links.second, links))
+        above = links.above.motion if links.above else GROUND
+        one, two = links.heads or (None, None)
+        ends = (
+            rigid([self.first.links[k] for k in links.first], self.first.links, one),
+            rigid([self.second.links[k] for k in links.second], self.second.links, two),
+        )
+        following = self._following(self.first.links[links.first[0]], self.second.links[links.second[0]])
+        found = register(*ends, above, self.size, self._likeness, extra, following)
+        links.motion, links.same_pose = found.motion, found.same_pose
+        return links
+
+    def _following(self, one: Link, two: Link) -> Further | None:
+        """Return the value of the links that follow two links without mass; None for other links.
+
+        A universal joint whose zeros are elsewhere fits two ways, until the link behind it is compared.
+        """
+        if one.mass or two.mass or not len(one.children) == len(two.children) == 1:
+            return None
+        after, other = self.first.links[one.children[0]], self.second.links[two.children[0]]
+        ends = rigid([after], self.first.links, after), rigid([other], self.second.links, other)
+        further = self._following(after, other)
+        return lambda motion: register(*ends, motion, self.size, self._likeness, (), further).value
+
+    def _unmatched_below(self, a: int, b: int) -> tuple[list[Link], list[Link]]:
+        """Return the links of both robots next below two nodes that get no partner of their own."""
+        if (a, b) not in self.match.children:
+            return [], []
+        pairs = assignment(*self.match.children[a, b], self.match.subtree)
+        matched = [self.match.matched(*pair) for pair in pairs]
+        found: tuple[list[Link], list[Link]] = ([], [])
+        for side, (tree, top) in enumerate(((self.first, a), (self.second, b))):
+            ends = {pair[side] for pair in matched}
+            links = [tree.links[top]]
+            for link in links:
+                links += [tree.links[child] for child in link.children if child not in ends]
+            found[side].extend(links[1:])
+        return found
+
+    def _fuse(self, links: LinkPair, side: int, candidates: Sequence[Link]) -> None:
+        """Add links of one robot to a pair if they are parts of the partner in the other robot.
+
+        Args:
+            links: the pair.
+            side: 0 for links of the first robot, 1 for those of the second.
+            candidates: the links, parents first.
+        """
+        tree, other_tree = (self.first, self.second)[:: -1 if side else 1]
+        own, others = (links.first, links.second)[:: -1 if side else 1]
+        other_names = {name for k in others for name in other_tree.links[k].names}
+        other_mass = sum(other_tree.links[k].mass for k in others)
+        free = [link for link in candidates if link.index not in own]
+        named = [link for link in free if other_names & set(link.names)]
+        # without names, masses tell: the sum of the first links, or of one, is what the partner has more
+        mass = sum(tree.links[k].mass for k in own)
+        choices = [named] if named else [free[:count] for count in range(len(free), 0, -1)]
+        choices += [] if named else [[link] for link in free[1:]]
+        for choice in choices:
+            added = sum(link.mass for link in choice)
+            if named or abs(mass + added - other_mass) < ADDED_MASS * added:
+                own.extend(link.index for link in choice)
+                own.sort()
+                return
 
     def _grow(self, a: int, b: int) -> None:
         """Pair what hangs on two paired nodes."""
@@ -201,77 +304,25 @@ class _Pairer:
             if i < 0:
                 if all(pieces):
                     self._group(pieces)
-                    current = self._end_pair(current, (pieces[0][-1], pieces[1][-1]))
-                else:  # links before the first paired joint may be parts of the parent in the other robot
-                    self._fuse(current, pieces)
+                    ends = pieces[0][-1], pieces[1][-1]
+                    current = self._add(LinkPair([ends[0].index], [ends[1].index], current))
                 continue
             heads = pieces[0][0], pieces[1][0]
             rest = pieces[0][1:], pieces[1][1:]
             if all(rest):
                 # another joint or joints of other kinds follow in both robots
-                following = self._paired_link(current, heads, heads, ([], []))
+                current = self._add(LinkPair([heads[0].index], [heads[1].index], current, heads))
                 self._group(rest)
-                current = self._end_pair(following, (rest[0][-1], rest[1][-1]))
+                current = self._add(LinkPair([rest[0][-1].index], [rest[1][-1].index], current))
                 continue
             main = self._main_links(pieces, (end, other_end))
-            current = self._paired_link(current, heads, main, pieces)
-
-    def _paired_link(
-        self,
-        above: LinkPair,
-        heads: tuple[Link, Link],
-        main: tuple[Link, Link],
-        pieces: tuple[Sequence[Link], Sequence[Link]],
-    ) -> LinkPair:
-        """Pair two links and the joints that hold them.
-
-        Args:
-            above: pair of the parents.
-            heads: links whose joints are paired.
-            main: the links that are paired.
-            pieces: all links that are fixed to each other if a joint that only one robot has is fixed.
-        """
-        links = LinkPair([main[0].index], [main[1].index], above.motion)
-        self._fuse(links, pieces)
-        ends = (
-            rigid([self.first.links[k] for k in links.first], self.first.links, heads[0]),
-            rigid([self.second.links[k] for k in links.second], self.second.links, heads[1]),
-        )
-        found = register(*ends, above.motion, self.size, self._likeness)
-        links.motion = found.motion
-        self._add(links)
-        self._add_joint(heads, above.motion, above.motion if found.same_pose else found.motion)
-        return links
-
-    def _end_pair(self, above: LinkPair, ends: tuple[Link, Link]) -> LinkPair:
-        """Pair two links that are held by joints of other kinds."""
-        bodies = rigid([ends[0]], self.first.links, None), rigid([ends[1]], self.second.links, None)
-        links = LinkPair([ends[0].index], [ends[1].index], above.motion)
-        links.motion = register(*bodies, above.motion, self.size, self._likeness).motion
-        self._add(links)
-        return links
+            current = self._add(LinkPair([main[0].index], [main[1].index], current, heads), pieces)
 
     def _group(self, pieces: tuple[Sequence[Link], Sequence[Link]]) -> None:
         """Note joints that do not correspond one by one."""
         self.pairing.groups.append(
             (tuple(link.index for link in pieces[0]), tuple(link.index for link in pieces[1]))
         )
-
-    def _fuse(self, links: LinkPair, pieces: tuple[Sequence[Link], Sequence[Link]]) -> None:
-        """Add links of one robot to a pair if they are parts of the partner in the other robot."""
-        sides = ((self.first, links.first, self._of_first), (self.second, links.second, self._of_second))
-        for side, (tree, own, known) in enumerate(sides):
-            other_tree, others = sides[1 - side][0], sides[1 - side][1]
-            other_names = {name for k in others for name in other_tree.links[k].names}
-            other_mass = sum(other_tree.links[k].mass for k in others)
-            for link in pieces[side]:
-                mass = sum(tree.links[k].mass for k in own)
-                added = abs(mass + link.mass - other_mass) < ADDED_MASS * link.mass
-                if link.index not in own and (added or other_names & set(link.names)):
-                    own.append(link.index)
-                    own.sort()
-                    if self._of_first.get(links.first[0]) is links:
-                        known[link.index] = links
 
     def _main_links(
         self, pieces: tuple[Sequence[Link], Sequence[Link]], ends: tuple[int, int]
@@ -314,7 +365,8 @@ class _Pairer:
         """Return the value of a pair of joints; not positive if they cannot be partners."""
         demanded = self._forced_joints.get(one.index)
         contradicts = two.index in self._forced_joints.values() if demanded is None else demanded != two.index
-        if one.kind != two.kind or contradicts:
+        links_contradict = self.match.own.get((one.index, two.index), 0.0) < -FORCED / 2
+        if one.kind != two.kind or contradicts or links_contradict:
             return -FORCED
         if demanded is not None:
             return FORCED
@@ -322,30 +374,6 @@ class _Pairer:
         assert two.joint is not None
         names = self.match.joint_names.likeness(one.joint.name, two.joint.name)
         return 0.2 + 2.0 * names + line_value(one, two, motion, self.size)
-
-    def _add_joint(self, links: tuple[Link, Link], above: Placement, own: Placement) -> None:
-        """Pair two joints, with sense and offset of their coordinates.
-
-        Args:
-            links: links whose joints they are.
-            above: motion of the parent.
-            own: motion of the link.
-        """
-        one, two = links
-        assert one.joint is not None
-        assert two.joint is not None
-        both = (own.rotation + above.rotation) @ two.axis
-        sense = -1 if float(one.axis @ both) < -1e-6 else 1  # below: perpendicular to the digits of files
-        moved = own @ above.inverse()
-        shift = 0.0
-        if one.kind is JointKind.HINGE:
-            shift = angle_about(one.axis, moved.rotation)
-        elif one.kind is JointKind.SLIDE:
-            spot = above.position + above.rotation @ two.point
-            shift = float(one.axis @ (moved.position + moved.rotation @ spot - spot))
-        offset = two.joint.zero - sense * one.joint.zero + sense * shift
-        offset = offset if abs(offset) > ROUND_OFF else 0.0
-        self.pairing.joints.append(MatchedJoint(one.index, two.index, sense, offset))
 
     def _moved(self) -> tuple[int, int] | None:
         """Pair two nodes without partner that are alike but hang on other parents; None if there are none."""
@@ -361,17 +389,13 @@ class _Pairer:
         if self._of_first.get(above) is self._of_second.get(other) is not None:
             self._walk(above, other, a, b)
             return a, b
-        one, two = self.first.links[a], self.second.links[b]
-        joined = one.kind == two.kind and not self._closes(one, two)
-        links = LinkPair([a], [b], self._of_first.get(above, self.pairing.links[0]).motion)
-        bodies = (
-            rigid([one], self.first.links, one if joined else None),
-            rigid([two], self.second.links, two if joined else None),
-        )
-        links.motion = register(*bodies, links.motion, self.size, self._likeness).motion
-        self._add(links)
-        if joined:
-            self._add_joint((one, two), links.motion, links.motion)
+        ends = self.first.links[a], self.second.links[b]
+        heads = {k.index for links in self.pairing.links if links.heads for k in links.heads[:1]}
+        others = {k.index for links in self.pairing.links if links.heads for k in links.heads[1:]}
+        free_joints = a not in heads and b not in others and ends[0].kind == ends[1].kind
+        joined = free_joints and not self._closes(*ends)
+        parents = self._of_first.get(above, self.pairing.links[0])
+        self._add(LinkPair([a], [b], None, ends if joined else None), extra=[parents.motion])
         return a, b
 
     def _closes(self, one: Link, two: Link) -> bool:
@@ -387,6 +411,27 @@ class _Pairer:
                     if end == link.index and parent is not None and of_own.get(far) is parent:
                         return True
         return False
+
+
+def _matched_joint(links: LinkPair) -> MatchedJoint:
+    """Return the joints that hold two paired links, with sense and offset of their coordinates."""
+    assert links.heads is not None
+    one, two = links.heads
+    assert one.joint is not None
+    assert two.joint is not None
+    above = links.above.motion if links.above else links.motion
+    own = above if links.same_pose else links.motion
+    both = (own.rotation + above.rotation) @ two.axis
+    sense = -1 if float(one.axis @ both) < -1e-6 else 1  # below: perpendicular to the digits of files
+    moved = own @ above.inverse()
+    shift = 0.0
+    if one.kind is JointKind.HINGE:
+        shift = angle_about(one.axis, moved.rotation)
+    elif one.kind is JointKind.SLIDE:
+        spot = above.position + above.rotation @ two.point
+        shift = float(one.axis @ (moved.position + moved.rotation @ spot - spot))
+    offset = two.joint.zero - sense * one.joint.zero + sense * shift
+    return MatchedJoint(one.index, two.index, sense, offset if abs(offset) > ROUND_OFF else 0.0)
 
 
 def angle_about(axis: Array, rotation: Array) -> float:

@@ -61,11 +61,16 @@ class Registered(NamedTuple):
     Attributes:
         motion: takes the second robot's link to the first robot's, both in the pose of the file.
         same_pose: whether the motion of the parent explains the numbers as well.
+        value: of the equal numbers of the link.
     """
 
     motion: Placement
     same_pose: bool
+    value: float
 
+
+Further = Callable[[Placement], float]
+"""Value of the links that follow in both robots, if a motion takes a link to its partner."""
 
 Likeness = Callable[[Link, Link], float]
 """Value of a match of all that hangs on a link of the first robot and on one of the second."""
@@ -94,6 +99,7 @@ def register(
     size: float,
     likeness: Likeness,
     extra: Sequence[Placement] = (),
+    further: Further | None = None,
 ) -> Registered:
     """Find the motion that takes a link of the second robot to its partner in the first robot.
 
@@ -103,29 +109,29 @@ def register(
         size: typical length of the robots, m.
         likeness: value of matched subtrees; tells branches apart.
         extra: more motions to try.
+        further: tells explanations of equal value apart; None if the link has enough numbers of its own.
     """
-    comparison = _Comparison(first, second, size, likeness)
-    by_frame = first.frame @ second.frame.inverse()
-    frame_value, pose_value = comparison.value(by_frame), comparison.value(above)
-    same = comparison.convention(by_frame, above)
-    frame_total = frame_value + CONVENTION_BONUS * (1.0 + same)
-    pose_total = pose_value + CONVENTION_BONUS * (1.0 + same)
-    best, best_total = by_frame, frame_total
-    if pose_total > frame_total + MARGIN:
-        best, best_total = above, pose_total
-    if max(frame_value, pose_value) < comparison.largest - MARGIN:
-        others: list[tuple[float, int, Placement]] = []
-        for number, motion in enumerate(comparison.candidates(above, by_frame, extra)):
-            total = comparison.value(motion) + CONVENTION_BONUS * (
-                comparison.convention(motion, above) + comparison.convention(motion, by_frame)
-            )
-            others.append((total, -number, motion))
-        if others:
-            total, _, motion = max(others, key=lambda other: other[:2])
-            if total > best_total + MARGIN:
-                best, best_total = motion, total
-    value = comparison.value(best)
-    return Registered(best, pose_value > value - MARGIN and comparison.convention(best, above) > 0.9)
+    comparison = _Comparison(first, second, size, likeness, above)
+    by_frame = comparison.by_frame
+    best, best_total, best_value = by_frame, comparison.total(by_frame), comparison.value(by_frame)
+    pose, pose_value = above, comparison.value(above)
+    if comparison.located:
+        # a joint at another place moves what it holds, but turns nothing
+        moved = comparison.joint_points_equal(above.rotation)
+        if (moved_value := comparison.value(moved)) > pose_value + MARGIN:
+            pose, pose_value = moved, moved_value
+    if (total := comparison.total(pose)) > best_total + MARGIN:
+        best, best_total, best_value = pose, total, pose_value
+    if best_value < comparison.largest - MARGIN:
+        others = [*extra, *comparison.candidates()]
+        totals = [comparison.total(motion) for motion in others]
+        largest = max(totals, default=0.0)
+        if largest > best_total + MARGIN:
+            equal = [k for k, total in enumerate(totals) if total > largest - MARGIN]
+            number = max(equal, key=lambda k: (further(others[k]) if further else 0.0, totals[k]))
+            best, best_value = others[number], comparison.value(others[number])
+    same_pose = pose_value > best_value - MARGIN and comparison.same_pose(best) == 1.0
+    return Registered(best, same_pose, best_value)
 
 
 class _Comparison:
@@ -134,23 +140,28 @@ class _Comparison:
     Attributes:
         first, second: the link and its partner.
         size: typical length of the robots, m.
+        above: motion of the parent.
+        by_frame: motion that makes the frames equal.
+        located: whether both are held by a joint whose place matters.
         largest: value if all numbers are equal.
     """
 
-    def __init__(self, first: Rigid, second: Rigid, size: float, likeness: Likeness) -> None:
+    def __init__(
+        self, first: Rigid, second: Rigid, size: float, likeness: Likeness, above: Placement
+    ) -> None:
         """Collect the numbers."""
-        self.first, self.second, self.size = first, second, size
-        self._likeness = likeness
-        self._values = {
-            (one.index, two.index): max(0.0, likeness(one, two))
-            for one in first.branches
-            for two in second.branches
+        self.first, self.second, self.size, self.above = first, second, size, above
+        self.by_frame = first.frame @ second.frame.inverse()
+        values = {
+            (one.index, two.index): likeness(one, two) for one in first.branches for two in second.branches
         }
+        self._values = {pair: value for pair, value in values.items() if value > 0}
         self._by_index = ({k.index: k for k in first.branches}, {k.index: k for k in second.branches})
         self._has_mass = first.mass > 0 and second.mass > 0
         self._inertia_scale = float(np.linalg.norm(first.inertia)) or 1.0
-        self._likely = self._assigned(lambda one, two: self._values[one, two])
+        self._likely = self._assigned(lambda one, two: self._values.get((one, two), 0.0))
         self._joint = (first.joint, second.joint) if first.joint and second.joint else None
+        self.located = self._joint is not None and self._joint[0].kind in LOCATED
         self.largest = 2.0 * self._has_mass + sum(
             SUBTREE_WEIGHT * self._values[one.index, two.index] + _largest(one, two)
             for one, two in self._likely
@@ -184,36 +195,53 @@ class _Comparison:
         if len(lines) == 1:
             return found + next(iter(lines.values()))
         indices = [k.index for k in self.first.branches], [k.index for k in self.second.branches]
-        return found + sum(lines[pair] for pair in assignment(*indices, lambda a, b: lines[a, b]))
+        return found + sum(lines[pair] for pair in assignment(*indices, lambda a, b: lines.get((a, b), 0.0)))
 
-    def convention(self, one: Placement, two: Placement) -> float:
-        """Return 1 if two motions take the second link to one place, less if they take it to similar ones."""
-        # the trace of the product of both rotations is 1 + 2 cos(angle); the norm has digits at small angles
-        angle = _norm((one.rotation - two.rotation).ravel()) / math.sqrt(2.0)
+    def total(self, motion: Placement) -> float:
+        """Return the value of a motion, with that of an equal frame and of an equal pose."""
+        return self.value(motion) + CONVENTION_BONUS * (self.same_frame(motion) + self.same_pose(motion))
+
+    def same_frame(self, motion: Placement) -> float:
+        """Return 1 if a motion makes the frames equal, up to 0.3 if it makes them similar."""
+        return _sameness(max(self._turn(motion, self.by_frame), self._shift(motion, self.by_frame)))
+
+    def same_pose(self, motion: Placement) -> float:
+        """Return 1 if a motion leaves the joint where the parent's motion does, up to 0.3 if nearly."""
+        turn = self._turn(motion, self.above)
+        return _sameness(turn if self.located else max(turn, self._shift(motion, self.above)))
+
+    def _turn(self, one: Placement, two: Placement) -> float:
+        """Return the angle between two motions, rad; exact for small angles."""
+        return _norm((one.rotation - two.rotation).ravel()) / math.sqrt(2.0)
+
+    def _shift(self, one: Placement, two: Placement) -> float:
+        """Return how far apart two motions take the origin of the second link, relative to the size."""
         origin = self.second.frame.position
         apart = one.rotation @ origin + one.position - two.rotation @ origin - two.position
-        return 1.0 if max(angle, _norm(apart) / self.size) < 3e-5 else 0.0  # rad, above digits of files
+        return _norm(apart) / self.size
 
-    def candidates(
-        self, above: Placement, by_frame: Placement, extra: Sequence[Placement]
-    ) -> Iterator[Placement]:
+    def joint_points_equal(self, rotation: Array) -> Placement:
+        """Return the motion with a rotation that makes the points of the joints equal."""
+        assert self._joint is not None
+        return Placement(self._joint[0].point - rotation @ self._joint[1].point, rotation)
+
+    def candidates(self) -> Iterator[Placement]:
         """Yield motions by which numbers of both links become equal."""
-        yield from extra
         if self._has_mass:
             for turn in principal_rotations(self.first.inertia, self.second.inertia):
                 yield Placement(self.first.center - turn @ self.second.center, turn)
-                if self._joint and self._joint[0].kind == self._joint[1].kind != JointKind.SLIDE:
-                    yield Placement(self._joint[0].point - turn @ self._joint[1].point, turn)
+                if self.located:
+                    yield self.joint_points_equal(turn)
         if self._joint and self._joint[0].axis.any() and self._joint[1].axis.any():
-            yield from self._about_axis(above, by_frame)
+            yield from self._about_axis()
         else:
             yield from self._by_lines()
 
-    def _about_axis(self, above: Placement, by_frame: Placement) -> Iterator[Placement]:
+    def _about_axis(self) -> Iterator[Placement]:
         """Yield motions that put the joint's axis on that of the partner and turn or shift along it."""
         assert self._joint is not None
         one, two = self._joint
-        for base in (above, by_frame):
+        for base in (self.above, self.by_frame):
             aligned = base.rotation @ two.axis
             for sense in (1.0, -1.0) if abs(float(aligned @ one.axis)) < 0.999 else (0.0,):
                 turn = rotation_between(aligned, sense * one.axis) if sense else np.eye(3)
@@ -223,6 +251,8 @@ class _Comparison:
                 point = one.point + along if one.kind in LOCATED and sense else at
                 start = Placement(point - rotation @ two.point, rotation)
                 yield start
+                if self.located:
+                    yield self.joint_points_equal(rotation)
                 yield from self._turned(start) if one.kind is JointKind.HINGE else self._shifted(start)
 
     def _turned(self, start: Placement) -> Iterator[Placement]:
@@ -272,7 +302,7 @@ class _Comparison:
         if self._has_mass:
             one.append(self.first.center)
             two.append(self.second.center)
-        if self._joint and self._joint[0].kind in LOCATED:
+        if self._joint and self.located:
             one.append(self._joint[0].point)
             two.append(self._joint[1].point)
         axes = [(a.axis, b.axis) for a, b in self._likely if a.axis.any() and b.axis.any()]
@@ -286,6 +316,11 @@ class _Comparison:
         if min(_norm(one), _norm(two)) < SEPARATE * scale:
             return None
         return math.atan2(float(axis @ np.cross(two, one)), float(one @ two))
+
+
+def _sameness(difference: float) -> float:
+    """Return 1 for a difference, rad or relative, below the digits of files, up to 0.3 for a larger one."""
+    return 1.0 if difference < 3e-5 else 0.3 / (1.0 + (difference / 0.5) ** 2)
 
 
 def line_value(one: Link, two: Link, motion: Placement, size: float) -> float:

@@ -53,6 +53,9 @@ def agreement(difference: float) -> float:
     return 0.6 / (1.0 + (difference / EXACT) ** 2) + 0.4 / (1.0 + (difference / NEAR) ** 2)
 
 
+FREEDOMS = {JointKind.HINGE: 1, JointKind.SLIDE: 1, JointKind.BALL: 3, JointKind.FREE: 6}
+"""Degrees of freedom of a joint."""
+
 LOCATED = (JointKind.HINGE, JointKind.BALL)
 """Joints whose place matters; a slide is the same along each parallel axis."""
 
@@ -82,13 +85,18 @@ class _Facts(NamedTuple):
         joints: names of the joints on the path.
     """
 
-    kinds: tuple[str, ...]
+    kinds: tuple[JointKind, ...]
     mass: float
     moments: np.ndarray
     lengths: tuple[float, ...]
     twist: float
     links: int
     joints: tuple[str, ...]
+
+    @property
+    def freedoms(self) -> int:
+        """Number of degrees of freedom of the joints on the path."""
+        return sum(FREEDOMS[kind] for kind in self.kinds)
 
 
 class TreeMatch:
@@ -189,8 +197,10 @@ class TreeMatch:
         value = NAME_WEIGHT * self.name_likeness(a, b) - PAIR_COST
         if one.kinds == two.kinds:
             value += KIND_WEIGHT
-        elif one.kinds and two.kinds and one.kinds[-1] == two.kinds[-1]:
-            value += 0.5 * KIND_WEIGHT
+        elif one.kinds and two.kinds:
+            # joints that only one robot has, or a ball instead of hinges, are less unlike than other kinds
+            alike = one.kinds[-1] == two.kinds[-1] or one.freedoms == two.freedoms
+            value += 0.5 * KIND_WEIGHT if alike else -KIND_WEIGHT
         if one.mass > 0 and two.mass > 0:
             value += MASS_WEIGHT * agreement(abs(math.log(one.mass / two.mass)))
             largest = max(one.moments[2], two.moments[2]) or 1.0
@@ -282,7 +292,7 @@ def _facts(tree: LinkTree) -> dict[int, _Facts]:
             if above.axis.any() and first.axis.any():
                 twist = abs(float(above.axis @ first.axis))
         found[node] = _Facts(
-            kinds=tuple(str(part.kind) for part in path),
+            kinds=tuple(part.joint.kind for part in path if part.joint),
             mass=link.mass,
             moments=np.linalg.eigvalsh(link.inertia),
             lengths=(to_center, to_previous),
