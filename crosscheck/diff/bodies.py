@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import combinations
 
 from crosscheck.diff.difference import Difference, Quantity, difference, numbers
 from crosscheck.diff.frames import CommonFrames
 from crosscheck.diff.inertias import axes_angle, inertia_cause, moments
 from crosscheck.diff.short_angles import is_turn_by_short_pi
 from crosscheck.diff.stack import MassProperties, Side, distance, matrix_distance, relative
+
+CLEAR_TURN = 0.01
+"""rad, turn of the axes of an inertia that is told beside other moments."""
+
+MAX_PARTS = 10
+"""Largest number of parts of one body whose choices are tried."""
 
 
 def body_rows(common: CommonFrames, number: int) -> Iterator[Difference]:
@@ -86,14 +93,15 @@ def _inertia_rows(
     change = common.judge.compare(moments(first.inertia), moments(second.inertia), relative)
     turn = axes_angle(first.inertia, second.inertia, common.judge)
     moments_differ, axes_differ = change[0] > change[1], turn[0] > turn[1]
+    words = f"axes of the inertia turned by {math.degrees(turn[0]):.4g} degrees"
     if moments_differ:
+        cause = cause or (words if axes_differ and turn[0] > CLEAR_TURN else "")
         yield difference(name, "body", Quantity.INERTIA, values, change, cause)
-    if axes_differ and not (moments_differ and cause):
+    elif axes_differ:
         if is_turn_by_short_pi(*turn):
-            turn = turn[0], turn[0]
-        words = cause or f"axes of the inertia turned by {math.degrees(turn[0]):.4g} degrees"
-        yield difference(name, "body", Quantity.INERTIA_AXES, (0.0, turn[0]), turn, words)
-    elif not moments_differ:
+            turn, words = (turn[0], turn[0]), ""
+        yield difference(name, "body", Quantity.INERTIA_AXES, (0.0, turn[0]), turn, cause or words)
+    else:
         # Axes of nearly equal moments are turned
         yield difference(name, "body", Quantity.INERTIA, values, sizes, cause)
 
@@ -105,17 +113,30 @@ def _parts_in_one_file(common: CommonFrames, number: int) -> str:
     for (side, bodies, where), (other_side, other_bodies, _) in (sides, sides[::-1]):
         robot = side.file.robot
         known = {other_side.file.robot.bodies[body].name for body in other_bodies}
-        kept = tuple(body for body in bodies if robot.bodies[body].name in known or body == bodies[0])
-        extra = [robot.bodies[body] for body in bodies if body not in kept and robot.bodies[body].mass]
-        if not extra:
-            continue
-        own, other = _properties(common, number, side, kept), _properties(common, number, other_side)
-        sizes = (
-            common.judge.compare(own.mass, other.mass, relative),
-            common.compare(number, own.center, other.center, distance),
-            common.compare(number, own.inertia, other.inertia, matrix_distance),
-        )
-        if all(size <= uncertainty for size, uncertainty in sizes):
-            parts = ", ".join(f"{part.name} ({part.mass:.4g} kg)" for part in extra)
-            return f"{parts} only in the {where} file"
+        unknown = [
+            body for body in bodies[1:] if robot.bodies[body].mass and robot.bodies[body].name not in known
+        ]
+        other = _properties(common, number, other_side)
+        surplus = _properties(common, number, side).mass[0] - other.mass[0]
+        for extra in _with_sum(unknown, [robot.bodies[body].mass for body in unknown], surplus):
+            kept = tuple(body for body in bodies if body not in extra)
+            own = _properties(common, number, side, kept)
+            sizes = (
+                common.judge.compare(own.mass, other.mass, relative),
+                common.compare(number, own.center, other.center, distance),
+                common.compare(number, own.inertia, other.inertia, matrix_distance),
+            )
+            if all(size <= uncertainty for size, uncertainty in sizes):
+                parts = ", ".join(f"{robot.bodies[b].name} ({robot.bodies[b].mass:.4g} kg)" for b in extra)
+                return f"{parts} only in the {where} file"
     return ""
+
+
+def _with_sum(bodies: list[int], masses: list[float], total: float) -> Iterator[tuple[int, ...]]:
+    """Yield choices of bodies whose masses, kg, add up to a total, fewest bodies first."""
+    if len(bodies) > MAX_PARTS:
+        bodies, masses = [], []
+    for count in range(1, len(bodies) + 1):
+        for chosen in combinations(range(len(bodies)), count):
+            if math.isclose(sum(masses[index] for index in chosen), total, rel_tol=1e-3):
+                yield tuple(bodies[index] for index in chosen)

@@ -9,27 +9,30 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
 from crosscheck.diff.difference import Difference, Quantity, Standing, Value
 from newton_euler.reading.robot import RobotFile
+from newton_euler.scalars import Array
 
 RATIO_TOLERANCE = 1e-4
 """Relative difference of factors that count as one, such as 2.2046 and 2.20462."""
 
-FACTORS = {
-    1000.0: "kg against g, or m against mm",
-    1e6: "kg m^2 against g m^2 or mm^2",
-    1e9: "kg m^2 against g mm^2",
-    2.2046226: "kg against pounds",
-    39.370079: "m against inches",
-    180.0 / math.pi: "rad against degrees",
-}
-"""Factors between units, with words for the units."""
+MASS_UNITS = {1000.0: "kg against g", 2.2046226: "kg against pounds"}
+"""Factors between units of mass, with words for the units."""
+
+LENGTH_UNITS = {1000.0: "m against mm", 100.0: "m against cm", 39.370079: "m against inches"}
+"""Factors between units of length, with words for the units."""
+
+OTHER_UNITS = {1e6: "m^2 against mm^2", 1e9: "kg m^2 against g mm^2", 180.0 / math.pi: "rad against degrees"}
+"""Factors between units of other quantities, with words for the units."""
+
+LACKING = {"URDF": (Quantity.ARMATURE, Quantity.STIFFNESS, Quantity.PRESENCE), "MJCF": (Quantity.SPEED,)}
+"""Quantities that no file of a format has; presence is that of drives."""
 
 LENGTHS = (Quantity.CENTER, Quantity.JOINT_ORIGIN, Quantity.LOOP_POINT, Quantity.LOOP_LENGTH)
 """Quantities that grow with all lengths of a robot."""
@@ -73,10 +76,11 @@ def with_causes(rows: Iterable[Difference], first: RobotFile, second: RobotFile)
         lambda those: _missing_columns(those, formats),
         _exchanged,
         _scaled_lengths,
-        _scaled_masses,
         _servo_gains,
-        _only_in_one,
+        lambda those: _only_in_one(those, formats),
         _same_everywhere,
+        _rounded_off,
+        _scaled_masses,
         _scaled,
     ]
     while True:
@@ -129,7 +133,7 @@ def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
             continue
         replaced[id(limits)] = None
         if sign is not None:
-            words = "axis reversed, limits not mirrored"
+            words = f"{sign.cause}, limits are not mirrored"
             replaced[id(sign)] = replace(sign, size=limits.size, cause=words, effect=None, convention=False)
         if zero is not None and axis is not None and axis.cause:
             # A turn about any direction is a turn of the axis and a turn about the axis
@@ -157,7 +161,7 @@ def _are_as_written(limits: Difference, sign: Difference | None, zero: Differenc
 # Hypotheses
 
 
-def _numbers(value: Value) -> np.ndarray | None:
+def _numbers(value: Value) -> Array | None:
     """Return a value as an array of finite numbers; None if the value is anything else."""
     if value is None or isinstance(value, str):
         return None
@@ -202,12 +206,17 @@ def _with_one_factor(
         group.append(each)
 
 
-def _times(factor: float) -> str:
+def _times(factor: float, units: Mapping[float, str]) -> str:
     """Return a factor in words, with the units that it is between."""
-    for known, units in FACTORS.items():
+    for known, words in units.items():
         if math.isclose(factor, known, rel_tol=1e-3) or math.isclose(factor, 1.0 / known, rel_tol=1e-3):
-            return f"times {factor:.6g} ({units})"
+            return f"times {factor:.6g} ({words})"
     return f"times {factor:.6g}"
+
+
+def _lack(format: str, quantity: Quantity) -> str:
+    """Return words for a quantity that no file of a format has; "" for other quantities."""
+    return f"; {format} has none" if quantity in LACKING.get(format, ()) else ""
 
 
 def _missing_columns(rows: list[Difference], formats: tuple[str, str]) -> Iterator[Hypothesis]:
@@ -227,7 +236,8 @@ def _missing_columns(rows: list[Difference], formats: tuple[str, str]) -> Iterat
             finite = np.concatenate([value for value in values if value is not None] or [np.zeros(1)])
             span = f"{finite.min():.4g}" + (f" to {finite.max():.4g}" if np.ptp(finite) else "")
             name = ("first", "second")[where] + (f" file ({formats[where]})" if formats[where] else " file")
-            cause = f"only in the {name}, at {len(group)} elements: {span}"
+            lack = _lack(formats[other], quantity)
+            cause = f"only in the {name}, at {len(group)} elements: {span}{lack}"
             yield Hypothesis(frozenset(group), _merged([rows[index] for index in group], cause))
 
 
@@ -244,9 +254,12 @@ def _scaled_masses(rows: list[Difference]) -> Iterator[Hypothesis]:
             and (own := _factor(row))
             and math.isclose(own, factor, rel_tol=10 * RATIO_TOLERANCE)
         ]
-        words = "masses and inertias" if inertias else "masses"
-        number = f"{len(group)} " if len(group) > 1 else ""
-        row = _merged([rows[index] for index in group], f"{number}{words} {_times(factor)}")
+        if len(group) == 1 and Quantity.CENTER in {row.quantity for row in rows if row.element in elements}:
+            # A body of another shape
+            continue
+        words = f"{len(group)} masses" if len(group) > 1 else "mass"
+        words += (" and inertias" if len(group) > 1 else " and inertia") if inertias else ""
+        row = _merged([rows[index] for index in group], f"{words} {_times(factor, MASS_UNITS)}")
         yield Hypothesis(frozenset([*group, *inertias]), row)
 
 
@@ -258,7 +271,7 @@ def _scaled_lengths(rows: list[Difference]) -> Iterator[Hypothesis]:
     ):
         lengths = [rows[index] for index in group if rows[index].quantity in LENGTHS]
         if len(lengths) >= 3 and len({row.quantity for row in lengths}) > 1:
-            row = _merged(lengths, f"{len(lengths)} lengths {_times(factor)}")
+            row = _merged(lengths, f"{len(lengths)} lengths {_times(factor, LENGTH_UNITS)}")
             yield Hypothesis(frozenset(group), row)
 
 
@@ -272,10 +285,11 @@ def _scaled(rows: list[Difference]) -> Iterator[Hypothesis]:
         if quantity in (Quantity.SIGN, Quantity.ZERO, Quantity.JOINT_AXIS, Quantity.GRAVITY):
             continue
         for factor, group in _with_one_factor(rows, indices):
-            if len(group) > 2 or len({rows[index].first for index in group}) == 1:
+            if len(group) > 2:
                 those = [rows[index] for index in group]
                 kind = those[0].element_kind
-                row = _merged(those, f"{quantity} of {len(group)} {_plural(kind)} {_times(factor)}")
+                times = _times(factor, OTHER_UNITS)
+                row = _merged(those, f"{quantity} of {len(group)} {_plural(kind)} {times}")
                 yield Hypothesis(frozenset(group), row)
 
 
@@ -290,6 +304,27 @@ def _servo_gains(rows: list[Difference]) -> Iterator[Hypothesis]:
                 yield Hypothesis(frozenset((one, other)), rows[pair[Quantity.KP]])
 
 
+def _rounded_off(rows: list[Difference]) -> Iterator[Hypothesis]:
+    """Suggest that one file has the numbers of the other one with few decimals."""
+    for quantities in ((Quantity.MASS,), LENGTHS):
+        for decimals, (coarse, fine, name) in product((2, 3, 4, 5), ((0, 1, "first"), (1, 0, "second"))):
+            group = []
+            for index, row in enumerate(rows):
+                values = [_numbers(value) for value in (row.first, row.second)]
+                if row.quantity in quantities and _is_rounded(values[fine], values[coarse], decimals):
+                    group.append(index)
+            if len({rows[index].element for index in group}) > 2:
+                cause = f"{len(group)} numbers are rounded to {decimals} decimals in the {name} file"
+                yield Hypothesis(frozenset(group), _merged([rows[index] for index in group], cause))
+
+
+def _is_rounded(fine: Array | None, coarse: Array | None, decimals: int) -> bool:
+    """Return whether numbers are other numbers with some decimals."""
+    if fine is None or coarse is None or len(fine) != len(coarse):
+        return False
+    return bool(np.abs(np.round(fine, decimals) - coarse).max() < 1e-3 * 10.0**-decimals)
+
+
 def _exchanged(rows: list[Difference]) -> Iterator[Hypothesis]:
     """Suggest that two elements have each other's numbers."""
     of_element: dict[tuple[str, str], dict[Quantity, int]] = defaultdict(dict)
@@ -300,6 +335,9 @@ def _exchanged(rows: list[Difference]) -> Iterator[Hypothesis]:
     names: list[str] = []
     for (key, own), (other_key, other) in combinations(of_element.items(), 2):
         if key[0] != other_key[0] or own.keys() != other.keys() or explained & {*own.values()}:
+            continue
+        if own.keys() == {Quantity.INERTIA_AXES}:
+            # Left and right differ alike
             continue
         pairs = [(rows[own[quantity]], rows[other[quantity]]) for quantity in own]
         if all(_are_exchanged(a, b) for a, b in pairs):
@@ -328,7 +366,7 @@ def _same(value: Value, other: Value) -> bool:
     return bool(np.linalg.norm(second - first) <= 1e-5 * np.linalg.norm(first))
 
 
-def _only_in_one(rows: list[Difference]) -> Iterator[Hypothesis]:
+def _only_in_one(rows: list[Difference], formats: tuple[str, str]) -> Iterator[Hypothesis]:
     """Suggest that one file has elements of a kind that the other file lacks."""
     groups: dict[tuple[str, bool], list[int]] = defaultdict(list)
     for index, row in enumerate(rows):
@@ -337,7 +375,8 @@ def _only_in_one(rows: list[Difference]) -> Iterator[Hypothesis]:
     for (kind, in_first), group in groups.items():
         those = [rows[index] for index in group]
         where = "first" if in_first else "second"
-        cause = f"{len(those)} {_plural(kind)} only in the {where} file"
+        lack = _lack(formats[1 if in_first else 0], Quantity.PRESENCE) if kind == "drive" else ""
+        cause = f"{len(those)} {_plural(kind)} only in the {where} file{lack}"
         yield Hypothesis(frozenset(group), _merged(those, cause))
 
 
@@ -346,11 +385,12 @@ def _same_everywhere(rows: list[Difference]) -> Iterator[Hypothesis]:
     groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
     for index, row in enumerate(rows):
         if row.quantity != Quantity.PRESENCE:
-            key = (row.element_kind, row.quantity, row.unit, row.cause, *_without_side(row))
+            key = (row.element_kind, row.quantity, row.unit, *_without_side(row))
             groups[key].append(index)
     for group in groups.values():
         those = [rows[index] for index in group]
-        cause = those[0].cause or f"the same at {len(those)} {_plural(those[0].element_kind)}"
+        same = f"the same at {len(those)} {_plural(those[0].element_kind)}"
+        cause = "; ".join(dict.fromkeys(row.cause for row in those if row.cause)) or same
         yield Hypothesis(frozenset(group), _merged(those, cause))
 
 

@@ -26,8 +26,8 @@ JOINT_NUMBERS: dict[Quantity, str] = {
 }
 """Numbers of a joint that do not depend on frames, zeros and signs, with the names of their fields."""
 
-MIN_OFFSET = 1e-9
-"""rad or m, smallest distance of two zeros that is not round-off."""
+MIN_OFFSET = 1e-6
+"""rad or m, smallest distance of two zeros that is reported."""
 
 
 def joint_rows(common: CommonFrames, place: JointPlace, zeros: dict[JointKey, float]) -> Iterator[Difference]:
@@ -112,9 +112,18 @@ class _AxisJoint:
                 Quantity.ZERO, (0.0, self.offset), (abs(self.offset), 0.0), words, convention=True
             )
         if self.place.pair.sense < 0:
-            yield self._row(
-                Quantity.SIGN, (1.0, -1.0), (1.0, 0.0), "the joint counts the other way", convention=True
-            )
+            words = "the joint counts the other way" + self._words_for_drives()
+            yield self._row(Quantity.SIGN, (1.0, -1.0), (1.0, 0.0), words, convention=True)
+
+    def _words_for_drives(self) -> str:
+        """Return words for drives that push a reversed joint the other way; "" if their gears are reversed."""
+        pushes = []
+        sides = (self.common.first, self.place.pair.first), (self.common.second, self.place.pair.second)
+        for side, (body, number) in sides:
+            robot = side.file.robot
+            name = robot.bodies[body].joints[number].name
+            pushes.append(sum(drive.gears.get(name, 0.0) * drive.gain for drive in robot.drives))
+        return ", its drive pushes the other way" if pushes[0] * pushes[1] > 0 else ""
 
     def _points(self) -> tuple[list[Array], list[Array]]:
         """Return the point of the joint at the child and at the parent, (V, 3) for each robot.

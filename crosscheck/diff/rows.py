@@ -99,7 +99,7 @@ def _presence_rows(common: CommonFrames) -> Iterator[Difference]:
                     values(body_mass),
                     (body_mass / total if body_mass else 1.0, 0.0),
                 )
-                yield replace(row, unit="kg", elements=(row.element, *names))
+                yield replace(row, unit="kg", elements=tuple(dict.fromkeys((row.element, *names))))
 
 
 def _model_rows(common: CommonFrames) -> Iterator[Difference]:

@@ -12,16 +12,19 @@ SHORT_DECIMALS = (2, 3, 4, 5)
 """Decimals with which files write fractions of pi."""
 
 FRACTIONS = tuple(sorted({n * math.pi / parts for parts in (2, 3, 4, 6) for n in range(1, 4 * parts + 1)}))
-"""Angles that files write with few decimals: multiples of 30 and 45 degrees up to two revolutions."""
+"""Numbers that files write with few decimals: multiples of 30 and 45 degrees up to two revolutions."""
+
+TURNS = tuple(math.pi / parts for parts in (1, 2, 3, 4, 6))
+"""Turns of frames that files write with few decimals."""
 
 
 def _errors() -> tuple[float, ...]:
-    """Return the differences, rad, of fractions of pi from their short decimals, rounded or cut off."""
+    """Return the differences, rad, of turns from their short decimals, rounded or cut off."""
     errors: set[float] = set()
-    for angle, decimals in product(FRACTIONS, SHORT_DECIMALS):
-        unit = 10.0**-decimals
-        rounded, cut = round(angle, decimals), math.floor(angle / unit) * unit
-        errors.update((abs(angle - rounded), abs(angle - cut)))
+    for angle, decimals in product(TURNS, SHORT_DECIMALS):
+        errors.add(abs(angle - round(angle, decimals)))
+        if decimals > 3:
+            errors.add(angle - math.floor(angle * 10**decimals) / 10**decimals)
     return tuple(sorted(errors))
 
 
@@ -38,10 +41,13 @@ def is_short_pi(first: float, second: float) -> bool:
             continue
         decimals = len(repr(abs(short)).partition(".")[2]) if "e" not in repr(short) else 17
         digits = len(repr(abs(short)).replace(".", "").lstrip("0"))
-        if decimals <= 5 and abs(short - long) <= 0.5000001 * 10.0**-decimals:
-            is_fraction = any(abs(abs(long) - angle) < 1e-6 for angle in FRACTIONS)
-            if digits >= 4 or (is_fraction and decimals >= 2):
-                return True
+        is_fraction = any(abs(abs(long) - angle) < 1e-6 for angle in FRACTIONS)
+        # A fraction of pi may also be cut off, as in 3.1415
+        units = abs(short - long) * 10**decimals
+        if units <= 0.5000001 and digits >= 4 and decimals <= 5:
+            return True
+        if units < 1.0 and is_fraction and 2 <= decimals <= 5:
+            return True
     return False
 
 
@@ -54,7 +60,7 @@ def is_turn_by_short_pi(turn: float, uncertainty: float) -> bool:
         turn: rad.
         uncertainty: of the turn, rad.
     """
-    slack = max(uncertainty, 1e-4 * turn)
-    return turn < 0.01 and any(
+    slack = max(uncertainty, 1e-6)
+    return slack < 0.02 * turn and any(
         abs(turn - math.sqrt(angles) * error) <= slack for error in _ERRORS for angles in (1, 2, 3)
     )

@@ -246,7 +246,7 @@ class Judge:
         """
         size = float(metric(first[:1], second[:1])[0])
         unit = self.length if metric is distance else 1.0
-        if size <= ROUND_OFF * unit * 1e-3:
+        if size <= ROUND_OFF * unit:
             return 0.0, 0.0
         if self.tolerance is not None:
             return size, self.tolerance * unit

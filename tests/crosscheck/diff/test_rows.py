@@ -610,9 +610,34 @@ def test_a_reversed_axis_whose_limits_are_not_mirrored_is_one_difference():
     second = reversed_axis(first, "yaw")
     (row,) = rows_of(first, second, aligned(first, second, senses={"yaw": -1}))
     assert (row.element, row.quantity) == ("yaw", Quantity.SIGN)
-    assert row.cause == "axis reversed, limits not mirrored"
+    words = "the joint counts the other way, its drive pushes the other way, limits are not mirrored"
+    assert row.cause == words
     # Limits -1 to 2 rad become -2 to 1 rad
     assert row.size == pytest.approx(1.0)
+
+
+def test_a_reversed_axis_with_symmetric_limits_is_a_convention_that_names_the_drive():
+    first = walker()
+    second = reversed_axis(first, "left_hip_pitch")
+    alignment = aligned(first, second, senses={"left_hip_pitch": -1})
+    (row,) = differences(as_file(first), as_file(second), alignment, None)
+    assert (row.element, row.quantity, row.standing) == ("left_hip_pitch", Quantity.SIGN, Standing.CONVENTION)
+    assert row.cause == "the joint counts the other way, its drive pushes the other way"
+    with_gear = with_drive(second, "left_hip_pitch_motor", gears={"left_hip_pitch": -1.0})
+    (row,) = differences(as_file(first), as_file(with_gear), alignment, None)
+    assert row.cause == "the joint counts the other way"
+
+
+def test_a_file_with_few_decimals_is_one_difference():
+    first = second = walker()
+    for number, each in enumerate(first.bodies):
+        center = each.center + 1e-4 * np.array([1.7, 2.3, -3.1]) * (number + 1)
+        first = with_body(first, each.name, center=center)
+        second = with_body(second, each.name, center=np.round(center, 3))
+    (row,) = rows_of(first, second)
+    assert row.quantity is Quantity.CENTER
+    assert row.cause == "7 numbers are rounded to 3 decimals in the second file"
+    assert row.size < 0.5e-3 * np.sqrt(3)
 
 
 def test_a_moved_zero_without_moved_limits_is_one_difference():
