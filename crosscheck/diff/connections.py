@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -15,7 +15,6 @@ from crosscheck.diff.frames import IN_WORLD, CommonFrames
 from crosscheck.diff.short_angles import is_turn_by_short_pi
 from crosscheck.diff.stack import Poses, absolute, angle, distance, relative
 from newton_euler.reading.robot import (
-    FileCoupling,
     FileDrive,
     FileJoint,
     FileLoop,
@@ -72,16 +71,10 @@ def connection_rows(common: CommonFrames, zeros: Mapping[tuple[int, int], float]
     yield from _drive_rows(common, joints)
 
 
-Element = TypeVar("Element", FileLoop, FileCoupling, FileDrive)
-
-
-def _presence(kind: str, first: list[Element], second: list[Element]) -> Iterator[Difference]:
-    """Yield a row for each element that only one file has."""
-    for element in first:
-        values: tuple[Value, Value] = ("present", None)
-        yield difference(element.name or kind, kind, Quantity.PRESENCE, values, (1.0, 0.0))
-    for element in second:
-        yield difference(element.name or kind, kind, Quantity.PRESENCE, (None, "present"), (1.0, 0.0))
+def _only_in_one(kind: str, name: str, value: Value, in_first: bool) -> Difference:
+    """Return the row of an element that only one file has."""
+    values = (value, None) if in_first else (None, value)
+    return difference(name, kind, Quantity.PRESENCE, values, (1.0, 0.0))
 
 
 # Loops
@@ -122,7 +115,16 @@ def _loop_rows(common: CommonFrames) -> Iterator[Difference]:
             continue
         free.remove(best)
         yield from _paired_loop(common, index, best, ends, best_ends)
-    yield from _presence("loop", alone, [second.loops[other] for other in free])
+    others = [second.loops[other] for other in free]
+    for robot, loops in ((first, alone), (second, others)):
+        for loop in loops:
+            yield _only_in_one("loop", _loop_name(robot, loop), str(loop.kind), robot is first)
+
+
+def _loop_name(robot: Robot, loop: FileLoop) -> str:
+    """Return the name of a loop, or those of its bodies for a loop without name."""
+    bodies = [robot.bodies[body].name if body >= 0 else "the ground" for body in (loop.first, loop.second)]
+    return loop.name or " and ".join(bodies)
 
 
 def _loop_ends(common: CommonFrames, index: int, side: int) -> tuple[_LoopEnd, _LoopEnd]:
@@ -153,7 +155,7 @@ def _paired_loop(
     """Yield the rows of two loops that play the same role, given by their indices in the two robots."""
     first, second = common.first.file, common.second.file
     loop, other = first.robot.loops[index], second.robot.loops[other_index]
-    name = loop.name or "loop"
+    name = _loop_name(first.robot, loop)
     if loop.kind != other.kind:
         yield difference(name, "loop", Quantity.KIND, (str(loop.kind), str(other.kind)), (1.0, 0.0))
         return
@@ -225,7 +227,11 @@ def _coupling_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[
             name = coupling.name or coupling.follower
             values = tuple(numbers(np.trim_zeros(np.round(powers[0], 12), "b")) for powers in (own, other))
             yield difference(name, "coupling", Quantity.COUPLING, (values[0], values[1]), sizes)
-    yield from _presence("coupling", alone, [second.robot.couplings[other] for other in free])
+    others = [second.robot.couplings[other] for other in free]
+    for in_first, couplings in ((True, alone), (False, others)):
+        for coupling in couplings:
+            name = coupling.name or coupling.follower
+            yield _only_in_one("coupling", name, coupling.powers, in_first)
 
 
 def _padded(powers: tuple[float, ...]) -> list[float]:
@@ -284,7 +290,11 @@ def _drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Dif
             continue
         free.remove(rivals[0])
         yield from _paired_drive(common, index, rivals[0], by_second)
-    yield from _presence("drive", alone, [second.drives[other] for other in free])
+    others = [second.drives[other] for other in free]
+    for in_first, drives in ((True, alone), (False, others)):
+        for drive in drives:
+            name = drive.name or ", ".join(drive.gears)
+            yield _only_in_one("drive", name, f"on {', '.join(drive.gears) or 'a body'}", in_first)
 
 
 def _unlikeness(drive: FileDrive, other: FileDrive) -> tuple[bool, bool, bool]:
