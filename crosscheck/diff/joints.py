@@ -116,7 +116,7 @@ class _AxisJoint:
             yield self._row(Quantity.SIGN, (1.0, -1.0), (1.0, 0.0), words, convention=True)
 
     def _words_for_drives(self) -> str:
-        """Return words for drives that push a reversed joint the other way; "" if their gears are reversed."""
+        """Return words for drives that push a reversed joint the other way; "" for reversed gears."""
         pushes = []
         sides = (self.common.first, self.place.pair.first), (self.common.second, self.place.pair.second)
         for side, (body, number) in sides:
