@@ -26,7 +26,7 @@ from crosscheck.diff.stack import (
     distance,
     matrix_distance,
 )
-from newton_euler.reading.robot import JointKind, Placement, Robot
+from newton_euler.reading.robot import JointKind, Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 
 IN_WORLD = -1
@@ -67,6 +67,26 @@ class JointPlace:
     parent: int
     child: int
     alone: bool
+
+
+def common_frames(
+    first: RobotFile, second: RobotFile, alignment: Alignment, tolerance: float | None
+) -> CommonFrames:
+    """Put both robots in the pose of the first file, and choose a common frame for each pair of bodies.
+
+    Args:
+        first, second: the files.
+        alignment: pairs of their bodies and joints.
+        tolerance: relative difference that counts as rounding; None for the digits of the files.
+    """
+    pose = {}
+    for pair in alignment.joints:
+        body, number = pair.first
+        pose[pair.second] = pair.sense * first.robot.bodies[body].joints[number].zero + pair.offset
+    side = Side(first, {})
+    points = [line.point[0] for line in side.lines.values()]
+    extent = float(np.ptp(points, axis=0).max()) if points else 0.0
+    return CommonFrames(side, Side(second, pose), alignment, Judge(tolerance, extent or 1.0))
 
 
 class CommonFrames:

@@ -9,14 +9,24 @@ bound what can be told: the variants of both files show how much the last digits
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from crosscheck.diff.alignment import Alignment
 from crosscheck.diff.dynamics import Accelerations, Dynamics, size_of
-from crosscheck.diff.transfer import SCALAR, Cut, carry_over, cuts, drive_pairs, is_paired, mass_of_group
+from crosscheck.diff.frames import common_frames
+from crosscheck.diff.transfer import (
+    SCALAR,
+    Cut,
+    carry_over,
+    control_of_second,
+    cuts,
+    drive_pairs,
+    is_paired,
+    mass_of_group,
+)
 from newton_euler.reading.robot import Robot, RobotFile
 from newton_euler.scalars import Array
 
@@ -142,13 +152,13 @@ class CommonStates:
     """Two robots, cut to their common part, in the same random states.
 
     Attributes:
-        alignment: pairs of bodies and joints.
+        alignment: pairs of bodies and joints, with the frames in which most numbers agree.
         pairs: pairs of bodies that move.
         one, two: equations of both robots.
         cuts: what both robots lose.
         gravity: (3,) m/s^2, for a robot without gravity of its own.
         coordinates, velocities: (1, states, coordinates) of the first robot.
-        controls: (1, states, drives) of the first robot's drives.
+        controls: (1, states, drives) of the first robot's drives, and of drives that only the second has.
         is_closed: whether such states exist: loops of the first robot can be closed.
         notes: what was left out or held, one sentence each.
     """
@@ -160,8 +170,15 @@ class CommonStates:
             first, second: the robot files.
             alignment: their pairs of bodies and joints.
         """
-        self.alignment = alignment
         files = (first, second)
+        frames = common_frames(first, second, alignment, None).frames
+        self.alignment = alignment = replace(
+            alignment,
+            bodies=tuple(
+                replace(pair, placement=frames[number].placement) if number in frames else pair
+                for number, pair in enumerate(alignment.bodies)
+            ),
+        )
         gravities = [file.robot.gravity for file in files if file.robot.gravity is not None]
         self.gravity = gravities[0] if gravities else STANDARD_GRAVITY
         has_no_drives = [file.format == "URDF" and not file.robot.drives for file in files]
@@ -190,8 +207,12 @@ class CommonStates:
         )
         of_second = self._controls(self.two, self.coordinates_of_second, self.velocities_of_second, random)
         for own, other in drive_pairs(one, two, alignment):
-            of_second[..., other] = self.controls[..., own]
+            control = control_of_second(one, two, alignment, one.drives[own], two.drives[other])
+            of_second[..., other] = control.sense * self.controls[..., own] + control.shift
         self.controls_of_second = of_second
+        paired = {other for _, other in drive_pairs(one, two, alignment)}
+        alone = [index for index in range(len(two.drives)) if index not in paired]
+        self.controls = np.concatenate([self.controls, of_second[..., alone]], axis=-1)
 
     def _controls(
         self, robot: Dynamics, coordinates: Array, velocities: Array, random: np.random.Generator
@@ -219,14 +240,16 @@ class CommonStates:
     def of_first(self, robots: Sequence[Robot]) -> Array:
         """Return accelerations of pairs of bodies of robots that have the structure of the first.
 
+        Args:
+            robots: the robots; their drives may be followed by those that only the second robot has.
+
         Returns:
             (robots, states, pairs, 6) m/s^2, acceleration of the center of mass, and angular acceleration
             times the radius of gyration, in the frame of the first robot's body. The root of the sum of
             squares is about the root mean square of the acceleration over the mass of the body.
         """
         robot = Dynamics(robots, self.one.length)
-        controls = np.zeros((1, len(PHASES), len(robot.robot.drives)))
-        controls[..., : self.controls.shape[-1]] = self.controls
+        controls = self.controls[..., : len(robot.robot.drives)]
         points = np.zeros((1, len(robot.robot.bodies), 3))
         for pair, (center, _) in zip(self.pairs, self._spreads, strict=True):
             points[0, pair.first[0]] = center

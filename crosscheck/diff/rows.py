@@ -16,10 +16,10 @@ from crosscheck.diff.bodies import body_rows
 from crosscheck.diff.causes import with_causes
 from crosscheck.diff.connections import connection_rows
 from crosscheck.diff.difference import Difference, Quantity, Standing, Value, difference, numbers
-from crosscheck.diff.frames import IN_WORLD, CommonFrames, joint_name
+from crosscheck.diff.frames import IN_WORLD, CommonFrames, common_frames, joint_name
 from crosscheck.diff.joints import joint_rows, moved_joint_row
 from crosscheck.diff.short_angles import is_turn_by_short_pi
-from crosscheck.diff.stack import Judge, Side, angle, distance
+from crosscheck.diff.stack import angle, distance
 from newton_euler.reading.robot import JointKind, RobotFile
 from newton_euler.scalars import Array
 
@@ -46,14 +46,7 @@ def differences(
     Returns:
         True differences, then differences within the digits of the files, then conventions.
     """
-    pose = {}
-    for pair in alignment.joints:
-        body, number = pair.first
-        pose[pair.second] = pair.sense * first.robot.bodies[body].joints[number].zero + pair.offset
-    side = Side(first, {})
-    points = [line.point[0] for line in side.lines.values()]
-    extent = float(np.ptp(points, axis=0).max()) if points else 0.0
-    common = CommonFrames(side, Side(second, pose), alignment, Judge(tolerance, extent or 1.0))
+    common = common_frames(first, second, alignment, tolerance)
     zeros: dict[tuple[int, int], float] = {}
     rows = [
         *_presence_rows(common),

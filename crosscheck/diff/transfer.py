@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from newton_euler.scalars import Array
 
 SCALAR = (JointKind.HINGE, JointKind.SLIDE)
 """Joints with one coordinate, on which drives, springs and couplings act."""
+
+MAX_LIMIT_ERROR = 0.02
+"""rad or m: largest error of limits that are meant to be mirrored or shifted with the zero of a joint."""
 
 GROUND = Placement(np.zeros(3), np.eye(3))
 """Placement of the ground in the world."""
@@ -187,6 +191,44 @@ def drive_pairs(first: Robot, second: Robot, alignment: Alignment) -> list[tuple
     return pairs
 
 
+class Control(NamedTuple):
+    """Control of a drive of the second robot by that of the first: sense times it, plus shift."""
+
+    sense: int = 1
+    shift: float = 0.0
+
+
+def control_of_second(
+    first: Robot, second: Robot, alignment: Alignment, own: FileDrive, drive: FileDrive
+) -> Control:
+    """Return the control of a drive of the second robot that commands the same as that of the first.
+
+    If a joint counts the other way, or from another zero, and its limits do so too, the file means it:
+    controls count as the joint does. If its limits do not, or the gear makes up for it, equal numbers command
+    the same.
+
+    Args:
+        first, second: the robots.
+        alignment: their pairs of bodies and joints.
+        own, drive: drives of the first and the second robot on the same joints.
+    """
+    pairs = [pair for pair in alignment.joints if _name(second, pair.second) in drive.gears]
+    senses = {pair.sense for pair in pairs}
+    if len(senses) != 1 or not drive.gain:
+        return Control()
+    sense, is_reversed, shift = senses.pop(), False, 0.0
+    for pair in pairs:
+        limits = first.bodies[pair.first[0]].joints[pair.first[1]].limits
+        other = second.bodies[pair.second[0]].joints[pair.second[1]].limits
+        expected = sorted(pair.sense * limit + pair.offset for limit in limits)
+        if not np.allclose(expected, other, atol=MAX_LIMIT_ERROR):
+            return Control()
+        gear = drive.gears[_name(second, pair.second)]
+        shift += gear * pair.offset
+        is_reversed |= sense * gear * drive.gain * own.gears[_name(first, pair.first)] * own.gain < 0
+    return Control(sense if is_reversed else 1, -drive.stiffness * shift / drive.gain)
+
+
 def _name(robot: Robot, key: tuple[int, int]) -> str:
     """Return the name of a joint by the indices of body and joint."""
     return robot.bodies[key[0]].joints[key[1]].name
@@ -199,14 +241,19 @@ class Merged:
     Attributes:
         first: the first robot; the mass of bodies that are fixed to each other is at the first of them. It
             has a drive without gear for each drive that only the second robot has.
-        second: the same robot with the numbers of the second robot, where that has them, and with the loops
-            and couplings that the second robot has of those of the first.
-        drives: index of each drive, by name; the second robot's name is another key.
+        second: the same robot with the numbers of the second robot, where that has them. It has no gear for
+            each drive that only the first robot has.
+        loops, couplings: indices of those of the first robot that have a partner in the second.
+        other_loops, other_couplings: those that only the second robot has, between bodies and joints that
+            have partners.
     """
 
     first: Robot
     second: Robot
-    drives: dict[str, int]
+    loops: frozenset[int]
+    couplings: frozenset[int]
+    other_loops: tuple[FileLoop, ...]
+    other_couplings: tuple[FileCoupling, ...]
 
 
 def merged(first: Robot, second: Robot, alignment: Alignment) -> Merged:
@@ -217,30 +264,31 @@ def merged(first: Robot, second: Robot, alignment: Alignment) -> Merged:
         alignment: their pairs of bodies and joints.
     """
     terms = _Terms(first, second, alignment)
-    pairs = drive_pairs(first, second, alignment)
-    paired = dict(pairs)
-    new = [k for k in range(len(second.drives)) if k not in paired.values()]
-    added = [terms.drive(second.drives[k]) for k in new]
-    of_first = [*first.drives, *(replace(drive, gears={}) for drive in added)]
-    of_second = [
-        replace(terms.drive(second.drives[paired[k]]), name=drive.name)
+    paired = dict(drive_pairs(first, second, alignment))
+    added = [terms.drive(drive, None) for k, drive in enumerate(second.drives) if k not in paired.values()]
+    own = [*first.drives, *(replace(drive, gears={}) for drive in added)]
+    other = [
+        replace(terms.drive(second.drives[paired[k]], drive), name=drive.name)
         if k in paired
         else replace(drive, gears={})
         for k, drive in enumerate(first.drives)
     ]
-    names = {second.drives[b].name: a for a, b in pairs}
-    names |= {drive.name: k for k, drive in enumerate(of_first)}
+    loops, other_loops = terms.loops()
+    couplings, other_couplings = terms.couplings()
     return Merged(
-        replace(first, bodies=terms.merged_bodies(), drives=tuple(of_first)),
+        replace(first, bodies=terms.merged_bodies(), drives=tuple(own)),
         replace(
             first,
             bodies=terms.bodies(),
-            loops=terms.loops(),
-            couplings=terms.couplings(),
-            drives=(*of_second, *added),
+            loops=tuple(loops.get(k, loop) for k, loop in enumerate(first.loops)),
+            couplings=tuple(couplings.get(k, coupling) for k, coupling in enumerate(first.couplings)),
+            drives=(*other, *added),
             gravity=second.gravity,
         ),
-        names,
+        frozenset(loops),
+        frozenset(couplings),
+        tuple(other_loops),
+        tuple(other_couplings),
     )
 
 
@@ -337,33 +385,52 @@ class _Terms:
             rest=pair.sense * (partner.rest - pair.offset),
         )
 
-    def drive(self, drive: FileDrive) -> FileDrive:
-        """Return a drive of the second robot with gears and lengths at the first robot's joints."""
-        gears, shift = {}, 0.0
-        for name, gear in drive.gears.items():
-            if name in self.partners:
-                own, pair = self.partners[name]
-                gears[own] = pair.sense * gear
-                shift += gear * pair.offset
-        return replace(drive, gears=gears, constant=drive.constant + drive.stiffness * shift)
+    def drive(self, drive: FileDrive, own: FileDrive | None) -> FileDrive:
+        """Return a drive of the second robot with gears and lengths at the first robot's joints.
 
-    def couplings(self) -> tuple[FileCoupling, ...]:
-        """Return the second robot's couplings of the same joints as those of the first, in its order."""
-        found = {}
+        Args:
+            drive: the drive.
+            own: drive of the first robot on the same joints, whose controls it gets; None without one.
+        """
+        partners = {name: self.partners[name] for name in drive.gears if name in self.partners}
+        control = control_of_second(self.one, self.two, self.alignment, own, drive) if own else Control()
+        shift = sum(drive.gears[name] * pair.offset for name, (_, pair) in partners.items())
+        constant = drive.constant + drive.stiffness * shift + drive.gain * control.shift
+        # a control of the other sense is a gear of the other sense
+        return replace(
+            drive,
+            gears={
+                name: control.sense * pair.sense * drive.gears[other]
+                for other, (name, pair) in partners.items()
+            },
+            constant=control.sense * constant,
+        )
+
+    def couplings(self) -> tuple[dict[int, FileCoupling], list[FileCoupling]]:
+        """Return the second robot's couplings in terms of the first.
+
+        Returns:
+            those of the same joints as couplings of the first, by index there; and the others.
+        """
+        found: dict[int, FileCoupling] = {}
+        others = []
         for coupling in self.two.couplings:
-            follower = self.partners.get(coupling.follower)
-            leader = self.partners.get(coupling.leader)
+            follower, leader = self.partners.get(coupling.follower), self.partners.get(coupling.leader)
             if follower is None or (coupling.leader and leader is None):
                 continue
-            names = (follower[0], leader[0] if leader else "")
-            found[names] = self._powers(
-                coupling, follower[1].second, leader[1].second if leader else None, names
-            )
-        return tuple(
-            replace(own, powers=found[own.follower, own.leader])
-            for own in self.one.couplings
-            if (own.follower, own.leader) in found
-        )
+            names = follower[0], leader[0] if leader else ""
+            powers = self._powers(coupling, follower[1].second, leader[1].second if leader else None, names)
+            changed = FileCoupling(coupling.name, *names, powers)
+            fits = [
+                k
+                for k, own in enumerate(self.one.couplings)
+                if (own.follower, own.leader) == names and k not in found
+            ]
+            if fits:
+                found[fits[0]] = changed
+            else:
+                others.append(changed)
+        return found, others
 
     def _powers(
         self,
@@ -387,31 +454,43 @@ class _Terms:
         partner = self.two.bodies[key[0]].joints[key[1]]
         return pair.sense, pair.sense * own.zero + pair.offset - partner.zero
 
-    def loops(self) -> tuple[FileLoop, ...]:
-        """Return the second robot's loops between the same bodies as those of the first, in its order."""
-        left = list(self.two.loops)
-        found = []
-        for own in self.one.loops:
-            ends = self._end(own.first), self._end(own.second)
-            fits = [
-                loop
-                for loop in left
-                if loop.kind is own.kind
-                and (self._end_in_first(loop.first), self._end_in_first(loop.second)) == ends
-            ]
-            named = [loop for loop in fits if loop.name == own.name] or fits
-            if not named:
+    def loops(self) -> tuple[dict[int, FileLoop], list[FileLoop]]:
+        """Return the second robot's loops in terms of the first.
+
+        Returns:
+            those of the same kind and bodies as loops of the first, by index there; and the others.
+        """
+        found: dict[int, FileLoop] = {}
+        others = []
+        for loop in self.two.loops:
+            first, second = self._end_in_first(loop.first), self._end_in_first(loop.second)
+            if first is None or second is None:
                 continue
-            left.remove(named[0])
-            found.append(
-                replace(
-                    own,
-                    first_frame=self._frame(own.first, named[0].first, named[0].first_frame),
-                    second_frame=self._frame(own.second, named[0].second, named[0].second_frame),
-                    length=named[0].length,
-                )
+            fits = [
+                (own.name != loop.name, k)
+                for k, own in enumerate(self.one.loops)
+                if own.kind is loop.kind and k not in found
+                if {self._end(own.first), self._end(own.second)} == {first, second}
+            ]
+            bodies = first, second
+            if fits:
+                own = self.one.loops[min(fits)[1]]
+                bodies = own.first, own.second
+            sides = [(loop.first, loop.first_frame), (loop.second, loop.second_frame)]
+            if self._end(bodies[0]) != first:
+                sides.reverse()
+            changed = replace(
+                loop,
+                first=bodies[0],
+                second=bodies[1],
+                first_frame=self._frame(bodies[0], *sides[0]),
+                second_frame=self._frame(bodies[1], *sides[1]),
             )
-        return tuple(found)
+            if fits:
+                found[min(fits)[1]] = changed
+            else:
+                others.append(changed)
+        return found, others
 
     def _end(self, body: int) -> int:
         """Return the first body of the rigid group of a body of the first robot; -1 for the ground."""

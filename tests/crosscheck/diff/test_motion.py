@@ -47,8 +47,14 @@ def compared(first: RobotFile, second: RobotFile, flipped: tuple[str, ...] = ())
     return compare_motions(first, second, pairs_by_name(first.robot, second.robot, flipped))
 
 
-def in_other_frames(robot: Robot, seed: int) -> Robot:
-    """Return the same robot with other frames of its bodies, and the other sense of hinges and slides."""
+def in_other_frames(robot: Robot, seed: int, gear: int) -> Robot:
+    """Return the same robot with other frames of its bodies, and the other sense of hinges and slides.
+
+    Args:
+        robot: the robot.
+        seed: of the frames.
+        gear: factor of the gears: -1 if controls keep their sense, 1 if they count as the joints do.
+    """
     random = np.random.default_rng(seed)
     bodies: list[FileBody] = []
     frames: list[Placement] = []
@@ -76,13 +82,24 @@ def in_other_frames(robot: Robot, seed: int) -> Robot:
                 inertia=back.rotation @ body.inertia @ back.rotation.T,
             )
         )
-    drives = tuple(replace(drive, gears={k: -g for k, g in drive.gears.items()}) for drive in robot.drives)
-    return replace(robot, bodies=tuple(bodies), drives=drives)
+    loops = tuple(
+        replace(
+            loop,
+            first_frame=frames[loop.first].inverse() @ loop.first_frame,
+            second_frame=frames[loop.second].inverse() @ loop.second_frame,
+        )
+        for loop in robot.loops
+    )
+    drives = tuple(
+        replace(drive, gears={k: gear * g for k, g in drive.gears.items()}) for drive in robot.drives
+    )
+    return replace(robot, bodies=tuple(bodies), loops=loops, drives=drives)
 
 
-def test_frames_and_senses_do_not_change_the_motion() -> None:
+@pytest.mark.parametrize("gear", [1, -1])
+def test_frames_and_senses_do_not_change_the_motion(gear: int) -> None:
     first = of_text(TREE)
-    second = RobotFile(in_other_frames(first.robot, 0), format="MJCF")
+    second = RobotFile(in_other_frames(first.robot, 0, gear), format="MJCF")
     found = compared(first, second, ("a1", "a2", "l1"))
     assert found.likeness is Likeness.EQUAL
     assert found.freedoms == (12, 12)
@@ -178,13 +195,18 @@ def test_drives(before: str, after: str) -> None:
     assert found.change > 0.1
 
 
-def test_flipped_axis_of_a_driven_joint() -> None:
-    """The same pose, counted the other way: only the drive pushes the other way."""
-    text = ARM.replace('<joint name="shoulder" axis="0 1 0"/>', '<joint name="shoulder" axis="0 -1 0"/>')
-    found = compared(of_text(ARM), of_text(text), ("shoulder",))
-    assert found.phase is Phase.DRIVEN
-    assert found.change > 0.5
-    without = [RobotFile(replace(of_text(each).robot, drives=()), format="MJCF") for each in (ARM, text)]
+@pytest.mark.parametrize(("limits", "is_meant"), [("-120 30", True), ("-30 120", False)])
+def test_flipped_axis_of_a_driven_joint(limits: str, is_meant: bool) -> None:
+    """If the limits are not mirrored, the drive pushes the other way."""
+    text = ARM.replace('<joint name="shoulder"', '<joint name="shoulder" range="-30 120"')
+    flipped = ARM.replace('"shoulder" axis="0 1 0"', f'"shoulder" axis="0 -1 0" range="{limits}"')
+    found = compared(of_text(text), of_text(flipped), ("shoulder",))
+    if is_meant:
+        assert found.likeness is Likeness.EQUAL
+    else:
+        assert found.phase is Phase.DRIVEN
+        assert found.change > 0.5
+    without = [RobotFile(replace(of_text(each).robot, drives=()), format="MJCF") for each in (text, flipped)]
     assert compared(*without, ("shoulder",)).likeness is Likeness.EQUAL
 
 

@@ -1,0 +1,262 @@
+"""Effect of each differing number of two robot files on the motion.
+
+In: two robot files, their `Alignment`, and rows of differences. Out: for each row, the relative change of
+accelerations of the first robot if this row's numbers, and no others, are taken from the second file. The
+equations are evaluated again for each row, at the states in which `crosscheck.diff.motion` compares.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from crosscheck.diff.alignment import Alignment
+from crosscheck.diff.causes import LENGTHS
+from crosscheck.diff.difference import Difference, Quantity, Standing
+from crosscheck.diff.motion import CommonStates, relative_changes
+from crosscheck.diff.transfer import Merged, merged
+from newton_euler.reading.robot import FileBody, FileCoupling, FileLoop, Robot, RobotFile
+from newton_euler.scalars import Array
+
+Fields = Mapping[Quantity, tuple[str, ...]]
+"""Names of fields of a description, by the quantity of a row."""
+
+MASS_FIELDS: Fields = {
+    Quantity.MASS: ("mass",),
+    Quantity.CENTER: ("center",),
+    Quantity.INERTIA: ("inertia",),
+    Quantity.INERTIA_AXES: ("inertia",),
+}
+"""Fields of a body, by the quantity of a row."""
+
+JOINT_FIELDS: Fields = {
+    Quantity.JOINT_ORIGIN: ("point",),
+    Quantity.JOINT_AXIS: ("axis",),
+    Quantity.DAMPING: ("damping",),
+    Quantity.ARMATURE: ("armature",),
+    Quantity.STIFFNESS: ("stiffness",),
+    Quantity.REST: ("rest",),
+}
+"""Fields of a joint, by the quantity of a row."""
+
+PLACEMENT_FIELDS: Fields = {
+    Quantity.JOINT_ORIGIN: ("position",),
+    Quantity.JOINT_AXIS: ("rotation",),
+    Quantity.JOINT_ORIENTATION: ("rotation",),
+    Quantity.ZERO: ("rotation",),
+    Quantity.BASE: ("position", "rotation"),
+}
+"""Fields of the placement of a joint's body in its parent, by the quantity of a row."""
+
+DRIVE_FIELDS: Fields = {
+    Quantity.PRESENCE: ("gears",),
+    Quantity.GEAR: ("gears",),
+    Quantity.GAIN: ("gain",),
+    Quantity.KP: ("stiffness", "gain", "constant"),
+    Quantity.KV: ("damping",),
+    Quantity.CONSTANT: ("constant",),
+}
+"""Fields of a drive, by the quantity of a row."""
+
+DRIVE_FIELDS_OF_JOINT: Fields = {Quantity.SIGN: ("gears", "constant"), Quantity.ZERO: ("constant",)}
+"""Fields of the drives of a joint, by the quantity of a row of the joint."""
+
+LOOP_FIELDS: Fields = {
+    Quantity.LOOP_POINT: ("first_frame", "second_frame"),
+    Quantity.LOOP_AXIS: ("first_frame", "second_frame"),
+    Quantity.LOOP_LENGTH: ("length",),
+}
+"""Fields of a loop, by the quantity of a row."""
+
+REPLACED = (Quantity.PRESENCE, Quantity.KIND)
+"""Quantities of a loop or coupling that is exchanged as a whole."""
+
+
+def effects(
+    first: RobotFile, second: RobotFile, alignment: Alignment, rows: Sequence[Difference]
+) -> list[float | None]:
+    """Return the effect of each row on the motion.
+
+    Args:
+        first, second: the robot files.
+        alignment: their pairs of bodies and joints.
+        rows: differences of the two files.
+
+    Returns:
+        for each row, the largest change of the acceleration of a body relative to its acceleration; 0 for a
+        convention; None for numbers that are no part of the equations of motion, such as limits, and for
+        joints that cannot be exchanged one by one.
+    """
+    found: list[float | None] = [0.0 if row.standing is Standing.CONVENTION else None for row in rows]
+    if not alignment.joints:
+        return found
+    states = CommonStates(first, second, alignment)
+    if not states.is_closed:
+        return found
+    terms = merged(states.one.robot, states.two.robot, states.alignment)
+    before = states.of_first([terms.first])
+    # robots of one structure are evaluated at once
+    groups: dict[tuple[object, ...], list[tuple[int, Robot]]] = defaultdict(list)
+    for index, row in enumerate(rows):
+        changed = None if row.standing is Standing.CONVENTION else _changed(terms, row)
+        if changed is not None:
+            groups[_structure(changed)].append((index, changed))
+        elif row.element_kind == "body" and row.quantity is Quantity.PRESENCE:
+            found[index] = _effect_of_branches(states, first, second, row)
+    for group in groups.values():
+        after = states.of_first([robot for _, robot in group])
+        for (index, _), change in zip(group, _largest(before, after), strict=True):
+            found[index] = change
+    return found
+
+
+def _largest(before: Array, after: Array) -> list[float]:
+    """Return the largest change of accelerations of each robot, over phases and bodies."""
+    return [float(change.max()) for change in relative_changes(before, after)]
+
+
+def _structure(robot: Robot) -> tuple[object, ...]:
+    """Return a key that is equal for robots with the same constraints."""
+    return (
+        tuple((loop.kind, loop.first, loop.second) for loop in robot.loops),
+        tuple((coupling.follower, coupling.leader) for coupling in robot.couplings),
+    )
+
+
+def _effect_of_branches(
+    states: CommonStates, first: RobotFile, second: RobotFile, row: Difference
+) -> float | None:
+    """Return the effect of the mass of bodies that only one file has, held in the pose of the file.
+
+    Args:
+        states: common states, from which such bodies are cut.
+        first, second: the robot files.
+        row: the row of their presence.
+    """
+    for file, cut, robot, accelerations in (
+        (first, states.cuts[0], states.one.robot, states.of_first),
+        (second, states.cuts[1], states.two.robot, states.of_second),
+    ):
+        bodies = list(robot.bodies)
+        restored = [index for index in cut.bodies if file.robot.bodies[index].name in row.elements]
+        for index in restored:
+            bodies[index] = replace(file.robot.bodies[index], joints=())
+        if restored:
+            before, after = (accelerations([each]) for each in (robot, replace(robot, bodies=tuple(bodies))))
+            return _largest(before, after)[0]
+    return None
+
+
+def _changed(terms: Merged, row: Difference) -> Robot | None:
+    """Return the first robot with a row's numbers of the second; None if the row plays no part in motions."""
+    names = {*row.elements, row.element}
+    robot = terms.first
+    if row.quantity is Quantity.GRAVITY:
+        return replace(robot, gravity=terms.second.gravity)
+    if row.element_kind == "model":
+        return None
+    if row.element_kind == "loop":
+        return _with_loops(terms, row.quantity, names)
+    if row.element_kind == "coupling":
+        return _with_couplings(terms, row.quantity, names)
+    if row.element_kind == "drive":
+        fields = DRIVE_FIELDS.get(row.quantity)
+        drives = [
+            _exchanged(own, other, fields or ()) if own.name in names else own
+            for own, other in zip(robot.drives, terms.second.drives, strict=True)
+        ]
+        return replace(robot, drives=tuple(drives)) if fields else None
+    return _with_bodies(terms, _quantities(row), names)
+
+
+def _quantities(row: Difference) -> set[Quantity]:
+    """Return the quantities of bodies and joints that a row stands for; one cause may change several."""
+    has_cause = bool(row.cause) and row.standing is Standing.DIFFERENT
+    if has_cause and row.quantity in LENGTHS:
+        return {*LENGTHS, *MASS_FIELDS}
+    if has_cause and row.quantity in MASS_FIELDS:
+        return {*MASS_FIELDS}
+    return {row.quantity}
+
+
+def _with_bodies(terms: Merged, quantities: set[Quantity], names: set[str]) -> Robot | None:
+    """Return the first robot with quantities of bodies and joints of given names from the second."""
+    known = {*MASS_FIELDS, *JOINT_FIELDS, *PLACEMENT_FIELDS, *DRIVE_FIELDS_OF_JOINT}
+    if not quantities & known:
+        return None
+    bodies: list[FileBody] = []
+    of_joints: set[str] = set()
+    for own, other in zip(terms.first.bodies, terms.second.bodies, strict=True):
+        joints = list(own.joints)
+        place = own.name in names and Quantity.BASE in quantities
+        for k, joint in enumerate(joints):
+            if (joint.name or own.name) in names:
+                place = True
+                of_joints.add(joint.name)
+                joints[k] = _exchanged(joint, other.joints[k], _fields(JOINT_FIELDS, quantities))
+        placement = own.placement
+        if place:
+            fields = _fields(PLACEMENT_FIELDS, quantities)
+            placement = placement._replace(**{field: getattr(other.placement, field) for field in fields})
+        changed = replace(own, joints=tuple(joints), placement=placement)
+        bodies.append(
+            _exchanged(changed, other, _fields(MASS_FIELDS, quantities) if own.name in names else ())
+        )
+    drives = [
+        _exchanged(own, other, _fields(DRIVE_FIELDS_OF_JOINT, quantities) if {*own.gears} & of_joints else ())
+        for own, other in zip(terms.first.drives, terms.second.drives, strict=True)
+    ]
+    return replace(terms.first, bodies=tuple(bodies), drives=tuple(drives))
+
+
+def _fields(table: Fields, quantities: set[Quantity]) -> tuple[str, ...]:
+    """Return the fields of all quantities of a table."""
+    return tuple(field for quantity in table if quantity in quantities for field in table[quantity])
+
+
+def _with_loops(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | None:
+    """Return the first robot with a quantity of loops of given names from the second."""
+    robot = terms.first
+    if quantity in REPLACED:
+        kept = [loop for k, loop in enumerate(robot.loops) if k in terms.loops or not _is_named(loop, names)]
+        added = [loop for loop in terms.other_loops if _is_named(loop, names)]
+        return replace(robot, loops=(*kept, *added))
+    if quantity not in LOOP_FIELDS:
+        return None
+    loops = [
+        _exchanged(own, other, LOOP_FIELDS[quantity] if _is_named(own, names) else ())
+        for own, other in zip(robot.loops, terms.second.loops, strict=True)
+    ]
+    return replace(robot, loops=tuple(loops))
+
+
+def _with_couplings(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | None:
+    """Return the first robot with a quantity of couplings of given names from the second."""
+    robot = terms.first
+    if quantity in REPLACED:
+        kept = [c for k, c in enumerate(robot.couplings) if k in terms.couplings or not _is_named(c, names)]
+        added = [coupling for coupling in terms.other_couplings if _is_named(coupling, names)]
+        return replace(robot, couplings=(*kept, *added))
+    if quantity is not Quantity.COUPLING:
+        return None
+    couplings = [
+        _exchanged(own, other, ("powers",) if _is_named(own, names) else ())
+        for own, other in zip(robot.couplings, terms.second.couplings, strict=True)
+    ]
+    return replace(robot, couplings=tuple(couplings))
+
+
+def _is_named(element: FileLoop | FileCoupling, names: set[str]) -> bool:
+    """Return whether a row names an element; one without name is called by its kind."""
+    kind = "loop" if isinstance(element, FileLoop) else "coupling"
+    return (element.name or kind) in names
+
+
+Element = TypeVar("Element", bound=object)
+
+
+def _exchanged(own: Element, other: Element, fields: Sequence[str]) -> Element:
+    """Return a description with some fields of another one."""
+    return replace(own, **{field: getattr(other, field) for field in fields})  # type: ignore[type-var]
