@@ -1,7 +1,8 @@
 """Describe the robot of a URDF in the terms of the file: links, joints, loops and couplings.
 
-`describe` reads the XML of the file itself, without Pinocchio's parser, which merges links that fixed joints
-connect. It imports no scene. `crosscheck diff` compares two robots.
+`describe` reads the XML of a file itself, without Pinocchio's parser, which merges links that fixed joints
+connect. `urdf.model_robot` describes models that Pinocchio has in memory. No scene is imported. `crosscheck
+diff` compares two robots.
 """
 
 from __future__ import annotations
@@ -10,23 +11,35 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from newton_euler.model.source_file import element_lines, path_text, read_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
+from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.robot import (
     FileBody,
     FileCoupling,
     FileJoint,
+    FileLoop,
     JointKind,
+    LoopKind,
     Placement,
     Robot,
     RobotFile,
 )
 from newton_euler.scalars import Array
-from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, parsed
+from urdf.errors import LoopFileError
+from urdf.extensions import Extensions
+from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops
+from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, parsed, read_loops
+from urdf.reading.vocabulary import unknown
+
+if TYPE_CHECKING:
+    from urdf.reading.given import PinocchioModel
 
 JOINT_KINDS = {
     "revolute": JointKind.HINGE,
@@ -36,53 +49,136 @@ JOINT_KINDS = {
 }
 """Kind of a joint by its type in a URDF; a fixed joint has none, and a planar joint has three motions."""
 
-NUMBERS = frozenset(name for names in NUMBER_ATTRIBUTES.values() for name in names)
+LOOP_KINDS = {"3d": LoopKind.POINT, "6d": LoopKind.WELD, REVOLUTE: LoopKind.HINGE, "rod": LoopKind.ROD}
+"""Kind of a loop by its type in a loop file."""
+
+NUMBERS = frozenset(name for names in NUMBER_ATTRIBUTES.values() for name in names) | {
+    "armature",
+    "spring_reference",
+    "spring_stiffness",
+}
 """Names of attributes with numbers."""
 
+NUMBER_TAGS = (
+    "pose",
+    "xyz",
+    "damping",
+    "spring_reference",
+    "spring_stiffness",
+    "springReference",
+    "springStiffness",
+)
+"""Tags of elements that tools add and whose texts are numbers."""
 
-def describe(source: str | os.PathLike[str]) -> RobotFile:
-    """Describe the robot of a URDF.
+IN_PLACE = Placement(np.zeros(3), np.eye(3))
+"""Placement of a frame that coincides with another one."""
+
+
+def describe(
+    source: str | os.PathLike[str] | PinocchioModel, loops: str | os.PathLike[str] | None = None
+) -> RobotFile:
+    """Describe the robot of a model.
 
     Args:
-        source: path of the file.
+        source: path of a URDF; or a `pinocchio.Model`, alone or in a pair with its constraints, which has no
+            text and so no uncertainty.
+        loops: path of the loop file of a URDF; None for no loop file.
 
     Raises:
-        SourceError: for a file that cannot be read or that is no URDF.
+        SourceError: for a file that cannot be read or that is no URDF, and for an unknown model.
+        LoopFileError: for a loop file that is not valid or does not fit to the URDF.
 
     Examples:
-        >>> tracker = describe("urdf/tracker.urdf")
-        >>> [joint.name for body in tracker.robot.bodies for joint in body.joints][0]
-        'motor_1'
+        >>> tracker = describe("urdf/tracker.urdf", "urdf/tracker.loops.yaml")
+        >>> tracker.robot.bodies[1].joints[0].kind.value, len(tracker.robot.loops)
+        ('hinge', 2)
     """
+    if not isinstance(source, str | os.PathLike):
+        from urdf.model_robot import describe_model
+
+        return describe_model(source)
     path = path_text(source, SourceError)
     text = read_text(path, limit="file_size", error=SourceError)
-    robot = _robot(parsed(path, text), path)
-    numbers = NumbersOfText(text, NUMBERS.__contains__)
+    root = parsed(path, text)
+    loop_content = NO_LOOPS
+    if loops is not None:
+        loop_path = path_text(loops, SourceError)
+        loop_content = read_loops(loop_path, read_text(loop_path, limit="scene_size", error=SourceError))
+    notes: list[str] = []
+    robot = _robot(path, text, root, loop_content, notes)
+    numbers = NumbersOfText(text, NUMBERS.__contains__, NUMBER_TAGS)
     random = np.random.default_rng(0)
+    variants = []
+    for _ in range(VARIANTS):
+        changed = numbers.variant(random)
+        variants.append(_robot(path, changed, ET.fromstring(changed), loop_content, []))
     return RobotFile(
         robot,
-        variants=tuple(_robot(ET.fromstring(numbers.variant(random)), path) for _ in range(VARIANTS)),
+        variants=tuple(variants),
         source=path,
         format="URDF",
         lines=element_lines(path, text, SourceError),
+        notes=tuple(notes),
     )
 
 
-def _robot(root: ET.Element, path: str) -> Robot:
-    """Describe the robot of the root element of a checked URDF."""
+def _robot(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str]) -> Robot:
+    """Describe the robot of a checked URDF.
+
+    Args:
+        path: path of the file.
+        text: its text.
+        root: its root element.
+        loops: content of the loop file.
+        notes: list that receives what the files have and the robot has not.
+    """
+    extensions = _extensions(path, text, root, loops, notes)
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = root.findall("joint")
     joint_above = {_link_of(joint, "child"): joint for joint in joints}
     # parents before children
+    children: dict[str, list[str]] = {name: [] for name in links}
+    for child, joint in joint_above.items():
+        children[_link_of(joint, "parent")].append(child)
     order = [name for name in links if name not in joint_above]
     for parent in order:  # grows during the loop
-        order.extend(child for child, joint in joint_above.items() if _link_of(joint, "parent") == parent)
+        order.extend(children[parent])
+    types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
     number = {name: k for k, name in enumerate(order)}
-    return Robot(
-        name=root.get("name", "") or Path(path).stem,
-        bodies=tuple(_body(links[name], joint_above.get(name), number) for name in order),
-        couplings=tuple(_mimics(joints)),
+    bodies: list[FileBody] = []
+    for name in order:
+        above = joint_above.get(name)
+        above_number = -1 if above is None else number[_link_of(above, "parent")]
+        motions = () if above is None else tuple(_motions(above, types, extensions))
+        bodies.append(_body(links[name], above, above_number, motions))
+    robot = Robot(name=root.get("name", "") or Path(path).stem, bodies=tuple(bodies))
+    return replace(
+        robot,
+        loops=tuple(_loops(robot, root, extensions, loops)),
+        couplings=(*_mimics(joints), *_coupled(loops, notes)),
     )
+
+
+def _extensions(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str]) -> Extensions:
+    """Return the loops, springs and rotors that tools add to a URDF; for the arguments see `_robot`."""
+    additional = (
+        dynamics.attrib.keys() - {"damping", "friction"} for dynamics in root.findall("joint/dynamics")
+    )
+    if not any(additional) and next(unknown(root), None) is None:
+        return Extensions(text)
+    from urdf.reading.extensions import read_extensions
+
+    report = ImportReport()
+    try:
+        extensions = read_extensions(path, text, root, loops, (), report)
+    except SourceError as error:
+        notes.append(f"loops and springs that tools add to the URDF are not described: {error.problem}")
+        return Extensions(text)
+    notes.extend(f"{entry.element}: {entry.how}" for entry in report.entries if entry.is_unsimulated)
+    notes.extend(
+        f"spring {spring.name!r} between two points is not described" for spring in extensions.point_springs
+    )
+    return extensions
 
 
 def _link_of(joint: ET.Element, end: str) -> str:
@@ -91,13 +187,16 @@ def _link_of(joint: ET.Element, end: str) -> str:
     return "" if element is None else str(element.get("link"))
 
 
-def _body(link: ET.Element, joint: ET.Element | None, number: dict[str, int]) -> FileBody:
-    """Describe a link and the joint to its parent; the root link has none.
+def _body(
+    link: ET.Element, joint: ET.Element | None, parent: int, motions: tuple[FileJoint, ...]
+) -> FileBody:
+    """Describe a link.
 
     Args:
         link: element of the link.
-        joint: element of the joint.
-        number: index of each link in the robot, by name.
+        joint: element of the joint to its parent; None for the root link.
+        parent: index of the parent.
+        motions: motions of the joint.
     """
     mass, center, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     inertial = link.find("inertial")
@@ -111,43 +210,55 @@ def _body(link: ET.Element, joint: ET.Element | None, number: dict[str, int]) ->
         inertia = frame.rotation @ inertia @ frame.rotation.T
     return FileBody(
         name=str(link.get("name")),
-        parent=-1 if joint is None else number[_link_of(joint, "parent")],
-        placement=Placement(np.zeros(3), np.eye(3)) if joint is None else _origin(joint),
-        joints=() if joint is None else tuple(_motions(joint)),
+        parent=parent,
+        placement=IN_PLACE if joint is None else _origin(joint),
+        joints=motions,
         mass=mass,
         center=center,
         inertia=inertia,
     )
 
 
-def _motions(joint: ET.Element) -> Iterator[FileJoint]:
-    """Yield the motions of a joint: one, none of a fixed joint, or the three of a planar joint."""
+def _motions(joint: ET.Element, types: dict[str, str], extensions: Extensions) -> Iterator[FileJoint]:
+    """Yield the motions of a joint: one, none of a fixed joint, or several, such as of a planar joint.
+
+    Args:
+        joint: element of the joint.
+        types: types of joints in the loop file, by name of the joint.
+        extensions: springs, dampers and rotors that tools add to joints.
+    """
     kind, name = str(joint.get("type")), str(joint.get("name"))
-    if kind == "planar":
-        for number, letter in enumerate("xyz"):
-            yield FileJoint(
-                f"{name}_{letter}",
-                JointKind.HINGE if letter == "z" else JointKind.SLIDE,
-                axis=np.eye(3)[number],
-                point=np.zeros(3),
-            )
-        return
-    if kind not in JOINT_KINDS:
-        return
-    dynamics, limit = joint.find("dynamics"), joint.find("limit")
-    has_axis = kind != "floating"
-    has_limits = limit is not None and kind in ("revolute", "prismatic")
-    yield FileJoint(
-        name,
-        JOINT_KINDS[kind],
-        axis=_axis(joint) if has_axis else np.zeros(3),
-        point=np.zeros(3),
-        damping=_number(dynamics, "damping"),
-        friction=_number(dynamics, "friction"),
-        limits=(_number(limit, "lower"), _number(limit, "upper")) if has_limits else (-math.inf, math.inf),
-        effort=_number(limit, "effort", math.inf),
-        speed=_number(limit, "velocity", math.inf),
-    )
+    kind = types.get(name, kind)
+    if kind == "SPHERICAL":
+        yield FileJoint(name, JointKind.BALL, axis=np.zeros(3), point=np.zeros(3))
+    elif kind in UNIVERSAL:
+        for letter in UNIVERSAL[kind]:
+            axis = np.eye(3)["XYZ".index(letter)]
+            yield FileJoint(f"{name}_{letter}", JointKind.HINGE, axis, point=np.zeros(3))
+    elif kind == "planar":
+        for letter, axis in zip("xyz", np.eye(3), strict=True):
+            motion = JointKind.HINGE if letter == "z" else JointKind.SLIDE
+            yield FileJoint(f"{name}_{letter}", motion, axis, point=np.zeros(3))
+    elif kind in JOINT_KINDS:
+        dynamics, limit = joint.find("dynamics"), joint.find("limit")
+        has_limits = limit is not None and kind in ("revolute", "prismatic")
+        stiffness, rest = extensions.springs.get(name, (0.0, 0.0))
+        yield FileJoint(
+            name,
+            JOINT_KINDS[kind],
+            axis=np.zeros(3) if kind == "floating" else _axis(joint),
+            point=np.zeros(3),
+            damping=_number(dynamics, "damping") + extensions.dampings.get(name, 0.0),
+            armature=extensions.armatures.get(name, 0.0),
+            friction=_number(dynamics, "friction"),
+            stiffness=stiffness,
+            rest=rest,
+            limits=(_number(limit, "lower"), _number(limit, "upper"))
+            if has_limits
+            else (-math.inf, math.inf),
+            effort=_number(limit, "effort", math.inf),
+            speed=_number(limit, "velocity", math.inf),
+        )
 
 
 def _axis(joint: ET.Element) -> Array:
@@ -166,6 +277,56 @@ def _mimics(joints: list[ET.Element]) -> Iterator[FileCoupling]:
             yield FileCoupling(name, name, str(mimic.get("joint")), powers)
 
 
+def _coupled(loops: Loops, notes: list[str]) -> Iterator[FileCoupling]:
+    """Yield the couplings of two joints in a loop file; others become notes.
+
+    The sum of the polynomials of both joints is zero, and one of them has the first power only.
+    """
+    for number, polynomials in enumerate(loops.coupled, start=1):
+        linear = [name for name, factors in polynomials.items() if not any(factors[1:]) and factors[0]]
+        if len(polynomials) != 2 or not linear:
+            notes.append(f"coupling of joints {', '.join(polynomials)} is not described")
+            continue
+        follower = linear[0]
+        (leader,) = polynomials.keys() - {follower}
+        powers = (-factor / polynomials[follower][0] for factor in polynomials[leader])
+        yield FileCoupling(f"coupling_{number}", follower, leader, (0.0, *powers))
+
+
+def _loops(robot: Robot, root: ET.Element, extensions: Extensions, loops: Loops) -> Iterator[FileLoop]:
+    """Yield the loops of a loop file and of elements that tools add to a URDF.
+
+    Args:
+        robot: robot without loops.
+        root: root element of the URDF.
+        extensions: elements that tools add; its text has a link at each end of their loops.
+        loops: content of the loop file.
+    """
+    numbers = {body.name: number for number, body in enumerate(robot.bodies)}
+    # link and placement of each named frame: links, joints, and the links that `extensions` adds
+    frames = {body.name: (numbers[body.name], IN_PLACE) for body in robot.bodies}
+    for joint in root.findall("joint"):
+        frames.setdefault(str(joint.get("name")), (numbers[_link_of(joint, "child")], IN_PLACE))
+    if extensions.closed_loop:
+        for joint in ET.fromstring(extensions.text).findall("joint"):
+            added = _link_of(joint, "child")
+            if added not in numbers:
+                frames[added] = numbers[_link_of(joint, "parent")], _origin(joint)
+    all_loops = extensions.added_to(loops)
+    placements = robot.placements()
+    for pair, kind in zip(all_loops.closed_loop, all_loops.type, strict=True):
+        for name in pair:
+            if name not in frames:
+                raise LoopFileError(loops.source, "closed_loop", f"the URDF has no link or joint {name!r}")
+        (first, first_frame), (second, second_frame) = (frames[name] for name in pair)
+        ends = placements[first] @ first_frame, placements[second] @ second_frame
+        length = float(np.linalg.norm(ends[1].position - ends[0].position)) if kind == "rod" else 0.0
+        first_name, second_name = (name.rpartition("_on_")[0] for name in pair)
+        # frames that `urdf.write` and `extensions` add are named "<loop>_on_<link>"
+        name = first_name if first_name and first_name == second_name else " ".join(pair)
+        yield FileLoop(name, LOOP_KINDS[kind], first, second, first_frame, second_frame, length)
+
+
 def _number(element: ET.Element | None, name: str, default: float = 0.0) -> float:
     """Return the number of an attribute; the default if the element or the attribute is missing."""
     return default if element is None else float(element.get(name, default))
@@ -180,7 +341,7 @@ def _origin(element: ET.Element) -> Placement:
     """Return the placement that the `<origin>` of an element gives; none means the frame of the parent."""
     origin = element.find("origin")
     if origin is None:
-        return Placement(np.zeros(3), np.eye(3))
+        return IN_PLACE
     roll, pitch, yaw = _vector(origin, "rpy")
     (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
     rotation = np.array(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterator
 
 import numpy as np
 
@@ -25,11 +25,11 @@ SIGNIFICANT_DIGITS = 6
 # fmt: off
 TAG = re.compile(
     r"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>"  # comment, text, instruction
-    r"""|<[\w:.-]+((?>[^<>"']+|"[^"]*"|'[^']*')*)>""",  # start of an element, with its attributes
+    r"""|<([\w:.-]+)((?>[^<>"']+|"[^"]*"|'[^']*')*)>""",  # start of an element, with its attributes
     re.DOTALL,
 )
 # fmt: on
-"""Pattern of the start of an element in well-formed XML, with its attributes; None of comments and text."""
+"""Pattern of the start of an element in well-formed XML: its tag, None of comments, and its attributes."""
 
 ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 """Pattern of an attribute: its name, and its value between quotation marks of either kind."""
@@ -60,33 +60,28 @@ def half_unit(number: str) -> float:
 
 
 class NumbersOfText:
-    """Numbers in the attributes of an XML text, which it changes within the rounding of their digits."""
+    """Numbers in an XML text, which it changes within the rounding of their digits."""
 
-    def __init__(self, text: str, is_number: Callable[[str], bool]) -> None:
+    def __init__(self, text: str, is_number: Callable[[str], bool], number_tags: Container[str] = ()) -> None:
         """Find the numbers of a well-formed text.
 
         Args:
             text: content of the file.
             is_number: returns False for attributes that hold no numbers, such as names.
+            number_tags: tags of elements that hold numbers between their start and their end.
         """
         # text before each number and after the last one; value and half unit of each number
         self._between: list[str] = []
         values: list[float] = []
         half_units: list[float] = []
         end = 0  # position up to which the text is stored
-        for tag in TAG.finditer(text):
-            if tag[1] is None:
-                continue
-            for attribute in ATTRIBUTE.finditer(text, tag.start(1), tag.end(1)):
-                if not is_number(attribute[1]):
-                    continue
-                group = 2 if attribute[2] is not None else 3
-                for token in TOKEN.finditer(text, attribute.start(group), attribute.end(group)):
-                    if NUMBER.fullmatch(token[0]) and (half := half_unit(token[0])):
-                        self._between.append(text[end : token.start()])
-                        values.append(float(token[0]))
-                        half_units.append(half)
-                        end = token.end()
+        for start, stop in _values(text, is_number, number_tags):
+            for token in TOKEN.finditer(text, start, stop):
+                if NUMBER.fullmatch(token[0]) and (half := half_unit(token[0])):
+                    self._between.append(text[end : token.start()])
+                    values.append(float(token[0]))
+                    half_units.append(half)
+                    end = token.end()
         self._between.append(text[end:])
         self._values, self._half_units = np.array(values), np.array(half_units)
 
@@ -98,3 +93,17 @@ class NumbersOfText:
         for number, after in zip(numbers, self._between[1:], strict=True):
             parts += number, after
         return "".join(parts)
+
+
+def _values(
+    text: str, is_number: Callable[[str], bool], number_tags: Container[str]
+) -> Iterator[tuple[int, int]]:
+    """Yield start and end of each text that can hold numbers; for the arguments see `NumbersOfText`."""
+    for tag in TAG.finditer(text):
+        if tag[1] is None:
+            continue
+        for attribute in ATTRIBUTE.finditer(text, tag.start(2), tag.end(2)):
+            if is_number(attribute[1]):
+                yield attribute.span(2 if attribute[2] is not None else 3)
+        if tag[1] in number_tags:
+            yield tag.end(), text.find("<", tag.end())

@@ -233,7 +233,7 @@ class RobotFile:
             its last digit, at most of its sixth significant digit; the signs are random. Zeros and whole
             numbers are exact. Empty for a model without text, such as one in memory.
         source: path of the file; "" for a model in memory.
-        format: "MJCF", "URDF" or "scene file".
+        format: "MJCF", "URDF", "scene file", or "Pinocchio" for its model in memory.
         lines: line of an element in the file, by its tag and its name, such as ("joint", "knee").
         notes: what the file has and the description has not, one sentence each.
     """

@@ -1,15 +1,22 @@
-"""Described links of URDF files move and weigh as in plain Pinocchio."""
+"""Described links of URDF files and Pinocchio models move and weigh as in plain Pinocchio."""
 
 from __future__ import annotations
 
+import math
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from robot_dynamics import mass_matrix, pose
-from urdf_files import CHAIN, TIPS, robot
+from robot_dynamics import Pose, mass_matrix, pose
+from urdf_files import CHAIN, LOOPS, TIPS, joint, link, robot
 
+from newton_euler.reading.robot import JointKind, LoopKind, Robot, RobotFile
+from newton_euler.scalars import Array
+from urdf.errors import LoopFileError
+from urdf.reading.source import SourceError
 from urdf.robot import describe
 
 ROOT = Path(__file__).parents[2]
@@ -22,30 +29,240 @@ ROUND_OFF = 1e-12
 """Largest error relative to the largest entry: both sum the same numbers, in another order."""
 
 
-@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS.keys())
-def test_links_move_as_in_pinocchio(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "model.urdf"
-    path.write_text(text)
-    model = pin.buildModelFromXML(text)
+def compound_model() -> Any:
+    """Joints of Pinocchio with several coordinates, one after the other, and a body fixed to the last one."""
+    model = pin.Model()
+    random = np.random.default_rng(5)
+    kinds = (
+        pin.JointModelFreeFlyer(), pin.JointModelPlanar(), pin.JointModelTranslation(),
+        pin.JointModelUniversal(np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.0, 1.0])),
+        pin.JointModelSphericalZYX(), pin.JointModelRUBY(), pin.JointModelSpherical(),
+        pin.JointModelPrismaticUnaligned(np.array([0.0, 0.6, 0.8])),
+    )  # fmt: skip
+    parent = 0
+    for number, kind in enumerate(kinds):
+        placement = pin.SE3(pin.exp3(random.normal(size=3)), random.normal(size=3))
+        parent = model.addJoint(parent, kind, placement if number else pin.SE3.Identity(), f"j{number}")
+        inertia = pin.Inertia(1.5 + number, random.normal(size=3), np.diag([1.0, 1.5, 2.0]))
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        model.addJointFrame(parent)
+        model.addBodyFrame(f"b{number}", parent, pin.SE3.Identity(), -1)
+    model.armature = random.uniform(size=model.nv)
+    return model
+
+
+def from_mjcf() -> Any:
+    """A body with a slide and a hinge at other points, which Pinocchio makes one joint of."""
+    text = """<mujoco><worldbody><body name="base" pos="0 0 1"><joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="turn" axis="0 1 0" pos="0.1 0 0.2" range="-1 2" limited="true"/>
+      <inertial pos="0.1 0.2 0.3" mass="2" fullinertia="0.3 0.4 0.5 0.01 0.02 0.03"/>
+      <body name="arm" pos="0.5 0 0"><joint name="elbow" axis="0 0 1" pos="0 0.3 0"/>
+      <inertial pos="0.1 0 0" mass="1" diaginertia="0.1 0.2 0.15"/></body></body></worldbody></mujoco>"""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.xml"
+        path.write_text(text)
+        return pin.buildModelFromMJCF(str(path))
+
+
+MODELS = {
+    **{name: lambda text=text: pin.buildModelFromXML(text) for name, text in TEXTS.items()},
+    "floating": lambda: pin.buildModelFromXML(CHAIN, pin.JointModelFreeFlyer()),
+    "compound": compound_model,
+    "MJCF": from_mjcf,
+}
+
+
+def coordinates(model: Any, described: Robot, q: Array) -> tuple[Pose, list[int]]:
+    """Return a robot at Pinocchio's configuration, and Pinocchio's index of each column of its velocities."""
+    names = {str(name): number for number, name in enumerate(model.names)}
+    values, columns = {}, []
+    for number, body in enumerate(described.bodies):
+        for k, motion in enumerate(body.joints):
+            is_part = motion.name not in names
+            found = model.joints[names[motion.name.rpartition("_")[0] if is_part else motion.name]]
+            x = q[found.idx_q : found.idx_q + found.nq]
+            if motion.kind in (JointKind.BALL, JointKind.FREE):
+                values[number, k] = np.concatenate(
+                    [x[:-4], np.roll(x[-4:], 1)]
+                )  # (x, y, z, w) to (w, x, y, z)
+                columns += range(found.idx_v, found.idx_v + found.nv)
+                continue
+            if found.nq == found.nv + 1:  # the last angle has cosine and sine
+                x = np.append(x[:-2], np.arctan2(x[-1], x[-2]))
+            values[number, k] = x[k : k + 1]
+            columns.append(found.idx_v + k)
+    return pose(described, values), columns
+
+
+def check_motion(model: Any, described: Robot) -> None:
+    """Compare the placements of all bodies and the mass matrix with Pinocchio's at random configurations."""
     data = model.createData()
-    described = describe(path).robot
     random = np.random.default_rng(1)
     for _ in range(3):
         q = pin.integrate(model, pin.neutral(model), random.normal(size=model.nv))
-        coordinates = {}
-        for number, body in enumerate(described.bodies):
-            for k, joint in enumerate(body.joints):
-                in_model = model.joints[model.getJointId(joint.name)]
-                # a continuous joint has cosine and sine
-                x = q[in_model.idx_q : in_model.idx_q + in_model.nq]
-                coordinates[number, k] = x if len(x) == 1 else np.array([np.arctan2(x[1], x[0])])
-        at = pose(described, coordinates)
+        at, columns = coordinates(model, described, q)
         pin.framesForwardKinematics(model, data, q)
         for body, placed in zip(described.bodies, at.placements, strict=True):
             frame = data.oMf[model.getFrameId(body.name, pin.FrameType.BODY)]
             assert placed.position == pytest.approx(frame.translation, abs=ROUND_OFF)
             assert placed.rotation == pytest.approx(frame.rotation, abs=ROUND_OFF)
-        columns = [model.joints[model.getJointId(column.name)].idx_v for column in at.columns]
         upper = np.triu(pin.crba(model, data, q))
         expected = (upper + np.triu(upper, 1).T)[np.ix_(columns, columns)]
-        assert mass_matrix(described, at) == pytest.approx(expected, abs=ROUND_OFF * np.max(expected))
+        armatures = np.array([column.armature for column in at.columns])
+        found = mass_matrix(described, at) - np.diag(armatures)
+        # the linear velocity of these joints is in the moving frame in Pinocchio
+        change = np.eye(len(columns))
+        for each in list(model.joints)[1:]:
+            first = columns.index(each.idx_v)
+            rows = slice(first, first + 3)
+            if each.shortname() == "JointModelFreeFlyer":
+                change[rows, rows] = at.placements[0].rotation
+            elif each.shortname() == "JointModelPlanar":
+                cosine, sine = q[each.idx_q + 2 : each.idx_q + 4]
+                change[rows, rows] = [[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]]
+        found = change.T @ found @ change + np.diag(model.armature[columns])
+        assert found == pytest.approx(expected, abs=ROUND_OFF * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS.keys())
+def test_links_move_as_in_pinocchio(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.urdf"
+    path.write_text(text)
+    check_motion(pin.buildModelFromXML(text), describe(path).robot)
+
+
+@pytest.mark.parametrize("make", MODELS.values(), ids=MODELS.keys())
+def test_models_in_memory_are_described(make: Any) -> None:
+    model = make()
+    found = describe(model)
+    check_motion(model, found.robot)
+    assert (found.variants, found.source, found.format) == ((), "", "Pinocchio")
+    assert found.robot.gravity == pytest.approx([0.0, 0.0, -9.81])
+
+
+def test_a_model_in_memory_has_the_numbers_of_the_file() -> None:
+    """Links keep their own masses, although Pinocchio adds that of `c` to the one of `b`."""
+    bodies = {body.name: body for body in describe(pin.buildModelFromXML(CHAIN)).robot.bodies}
+    assert {name: body.mass for name, body in bodies.items()} == pytest.approx(
+        {"base": 0.0, "a": 1.0, "b": 2.0, "c": 0.5, "d": 0.3}, rel=1e-14
+    )
+    first, slide = bodies["a"].joints[0], bodies["b"].joints[0]
+    assert (first.damping, first.friction) == (0.5, 0.1)
+    assert (first.limits, first.effort, first.speed) == ((-1.0, 1.0), 9.0, 9.0)
+    assert slide.kind == JointKind.SLIDE
+    assert bodies["d"].joints[0].limits == (-math.inf, math.inf)
+    compound = compound_model()
+    motions = {motion.name: motion for body in describe(compound).robot.bodies for motion in body.joints}
+    assert [motions[f"j1_{k + 1}"].armature for k in range(3)] == compound.armature[6:9].tolist()
+
+
+def test_constraints_in_memory_are_loops() -> None:
+    model = pin.buildModelFromXML(robot(*TIPS))
+    tips = [model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in ("tip_a", "tip_b")]
+    ends = [(tip.parentJoint, tip.placement) for tip in tips]
+    constraint = pin.RigidConstraintModel(
+        pin.ContactType.CONTACT_3D, model, *ends[0], *ends[1], pin.ReferenceFrame.LOCAL
+    )
+    constraint.name = "pin"
+    found = describe((model, [constraint])).robot
+    (loop,) = found.loops
+    assert (loop.name, loop.kind) == ("pin", LoopKind.POINT)
+    assert [found.bodies[k].name for k in (loop.first, loop.second)] == ["a", "b"]
+    assert loop.first_frame.position == pytest.approx(np.array([0.3, 0.0, 0.4]), abs=1e-15)
+
+
+def test_an_unknown_source_raises() -> None:
+    with pytest.raises(SourceError, match="needed: a path of a file"):
+        describe(5)  # type: ignore[arg-type]
+
+
+def described(folder: Path, text: str, loops: str = "") -> RobotFile:
+    """Describe files of these texts."""
+    (folder / "robot.urdf").write_text(text)
+    if not loops:
+        return describe(folder / "robot.urdf")
+    (folder / "robot.yaml").write_text(loops)
+    return describe(folder / "robot.urdf", folder / "robot.yaml")
+
+
+def test_joints_have_the_numbers_of_the_file(tmp_path: Path) -> None:
+    found = described(
+        tmp_path,
+        CHAIN.replace('effort="9" velocity="9"', 'effort="7" velocity="3"', 1).replace(
+            "</robot>",
+            '<joint name="fourth" type="continuous"><parent link="d"/><child link="e"/>'
+            '<dynamics damping="0.5" spring_stiffness="2" spring_reference="0.25" armature="0.125"/>'
+            '<mimic joint="first" multiplier="-2" offset="0.5"/></joint><link name="e"/></robot>',
+        ),
+    )
+    joints = {joint.name: joint for body in found.robot.bodies for joint in body.joints}
+    first, third, fourth = joints["first"], joints["third"], joints["fourth"]
+    assert (first.damping, first.friction, first.limits) == (0.5, 0.1, (-1.0, 1.0))
+    assert (first.effort, first.speed, joints["second"].effort) == (7.0, 3.0, 9.0)
+    # limits of a continuous joint do not count, but those of effort and speed do
+    assert (third.limits, third.effort) == ((-math.inf, math.inf), 9.0)
+    assert (fourth.stiffness, fourth.rest, fourth.armature, fourth.damping) == (2.0, 0.25, 0.125, 0.5)
+    assert (fourth.effort, fourth.axis.tolist()) == (math.inf, [1.0, 0.0, 0.0])
+    (coupling,) = found.robot.couplings
+    assert (coupling.follower, coupling.leader, coupling.powers) == ("fourth", "first", (0.5, -2.0))
+    assert found.robot.gravity is None
+    assert [body.name for body in found.robot.bodies] == ["base", "a", "b", "c", "d", "e"]
+
+
+def test_loop_files_are_described(tmp_path: Path) -> None:
+    text = robot(
+        *TIPS, link("c"), joint("jc", "revolute", "base", "c"), link("e"), joint("je", "fixed", "c", "e")
+    )
+    loops = (
+        "closed_loop: [[tip_a, tip_b], [jc, ta], [c, a]]\ntype: [6d, 3D, rod]\nname_mot: []\n"
+        "joint_name: [jb, jc]\njoint_type: [SPHERICAL, UJOINT_XZ]\ncoupled: [{ja: 2, jc: [0, 3]}, {ja: 1}]\n"
+    )
+    found = described(
+        tmp_path, text, loops.replace("jc: [0, 3]", "je: [0, 3]").replace("[jc, ta]", "[je, ta]")
+    )
+    bodies = {body.name: body for body in found.robot.bodies}
+    weld, point, rod = found.robot.loops
+    names = [body.name for body in found.robot.bodies]
+    assert [(each.kind, names[each.first], names[each.second]) for each in (weld, point, rod)] == [
+        (LoopKind.WELD, "tip_a", "tip_b"),
+        (LoopKind.POINT, "e", "tip_a"),
+        (LoopKind.ROD, "c", "a"),
+    ]
+    # `c` is at (0.3, 0.1, 0), `a` at the origin
+    assert rod.length == pytest.approx(math.hypot(0.3, 0.1), rel=1e-15)
+    assert [motion.kind for motion in bodies["b"].joints] == [JointKind.BALL]
+    assert [(motion.name, motion.axis.tolist()) for motion in bodies["c"].joints] == [
+        ("jc_X", [1.0, 0.0, 0.0]),
+        ("jc_Z", [0.0, 0.0, 1.0]),
+    ]
+    # 2 ja + 3 je^2 = 0
+    (coupling,) = found.robot.couplings
+    assert (coupling.follower, coupling.leader, coupling.powers) == ("ja", "je", (0.0, 0.0, -1.5))
+    assert found.notes == ("coupling of joints ja is not described",)
+    with pytest.raises(LoopFileError, match="nowhere"):
+        described(tmp_path, text, LOOPS.format(pairs="[[tip_a, nowhere]]", types="[3d]", motors="[]"))
+
+
+def test_loops_of_gazebo_are_described(tmp_path: Path) -> None:
+    """The axis of the hinge is y of the joint, whose frame is that of `tip_b` moved by 0.125 along z."""
+    text = robot(*TIPS).replace(
+        "</robot>",
+        '<gazebo><joint name="close" type="revolute"><parent>tip_a</parent><child>tip_b</child>'
+        "<pose>0 0 0.125 0 0 0</pose><axis><xyz>0 1 0</xyz></axis></joint></gazebo></robot>",
+    )
+    found = described(tmp_path, text)
+    (loop,) = found.robot.loops
+    placements = found.robot.placements()
+    assert (loop.name, loop.kind) == ("close", LoopKind.HINGE)
+    assert found.robot.bodies[loop.second].name == "tip_b"
+    assert loop.second_frame.position.tolist() == [0.0, 0.0, 0.125]
+    assert loop.second_frame.rotation[:, 0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-15)
+    # both ends coincide in the pose of the file
+    first, second = placements[loop.first] @ loop.first_frame, placements[loop.second] @ loop.second_frame
+    assert first.position == pytest.approx(second.position, abs=1e-14)
+    assert first.rotation == pytest.approx(second.rotation, abs=1e-14)
+
+
+def test_elements_that_may_act_become_notes(tmp_path: Path) -> None:
+    found = described(tmp_path, CHAIN.replace("</robot>", '<constraint name="odd"/></robot>'))
+    assert "<constraint> 'odd' is unknown, and may close a loop" in found.notes[0]
