@@ -37,6 +37,20 @@ def body_acceleration(model: Any, data: Any, body: int) -> tuple[Array, Array]:
     return angular_and_linear[3:] + model.opt.gravity, angular_and_linear[:3]
 
 
+def fixed_tendon_weights(model: Any, tendon: int) -> dict[int, float] | None:
+    """Return the weight of each of MuJoCo's joints in a fixed tendon, by number; None for other tendons.
+
+    The length of a fixed tendon is the weighted sum of the joint coordinates.
+    """
+    rows = slice(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))
+    if np.any(model.wrap_type[rows] != mujoco.mjtWrap.mjWRAP_JOINT):
+        return None
+    weights: dict[int, float] = {}
+    for joint, weight in zip(model.wrap_objid[rows], model.wrap_prm[rows], strict=True):
+        weights[int(joint)] = weights.get(int(joint), 0.0) + float(weight)
+    return weights
+
+
 class Loop:
     """Equality constraint that closes a loop, at the state in `data`.
 

@@ -105,13 +105,14 @@ def describe(
         loop_path = path_text(loops, SourceError)
         loop_content = read_loops(loop_path, read_text(loop_path, limit="scene_size", error=SourceError))
     notes: list[str] = []
-    robot = _robot(path, text, root, loop_content, notes)
+    has_additions = _has_additions(root)
+    robot = _robot(path, text, root, loop_content, has_additions, notes)
     numbers = NumbersOfText(text, NUMBERS.__contains__, NUMBER_TAGS)
     random = np.random.default_rng(0)
     variants = []
     for _ in range(VARIANTS):
         changed = numbers.variant(random)
-        variants.append(_robot(path, changed, ET.fromstring(changed), loop_content, []))
+        variants.append(_robot(path, changed, ET.fromstring(changed), loop_content, has_additions, []))
     return RobotFile(
         robot,
         variants=tuple(variants),
@@ -122,7 +123,9 @@ def describe(
     )
 
 
-def _robot(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str]) -> Robot:
+def _robot(
+    path: str, text: str, root: ET.Element, loops: Loops, has_additions: bool, notes: list[str]
+) -> Robot:
     """Describe the robot of a checked URDF.
 
     Args:
@@ -130,9 +133,10 @@ def _robot(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str
         text: its text.
         root: its root element.
         loops: content of the loop file.
+        has_additions: True if tools have added elements.
         notes: list that receives what the files have and the robot has not.
     """
-    extensions = _extensions(path, text, root, loops, notes)
+    extensions = _extensions(path, text, root, loops, notes) if has_additions else Extensions(text)
     links = {str(link.get("name")): link for link in root.findall("link")}
     joints = root.findall("joint")
     joint_above = {_link_of(joint, "child"): joint for joint in joints}
@@ -159,13 +163,16 @@ def _robot(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str
     )
 
 
-def _extensions(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str]) -> Extensions:
-    """Return the loops, springs and rotors that tools add to a URDF; for the arguments see `_robot`."""
+def _has_additions(root: ET.Element) -> bool:
+    """Return True if a URDF has elements or attributes beyond the standard, which may move something."""
     additional = (
         dynamics.attrib.keys() - {"damping", "friction"} for dynamics in root.findall("joint/dynamics")
     )
-    if not any(additional) and next(unknown(root), None) is None:
-        return Extensions(text)
+    return any(additional) or next(unknown(root), None) is not None
+
+
+def _extensions(path: str, text: str, root: ET.Element, loops: Loops, notes: list[str]) -> Extensions:
+    """Return the loops, springs and rotors that tools add to a URDF; for the arguments see `_robot`."""
     from urdf.reading.extensions import read_extensions
 
     report = ImportReport()
@@ -175,9 +182,8 @@ def _extensions(path: str, text: str, root: ET.Element, loops: Loops, notes: lis
         notes.append(f"loops and springs that tools add to the URDF are not described: {error.problem}")
         return Extensions(text)
     notes.extend(f"{entry.element}: {entry.how}" for entry in report.entries if entry.is_unsimulated)
-    notes.extend(
-        f"spring {spring.name!r} between two points is not described" for spring in extensions.point_springs
-    )
+    springs = extensions.point_springs
+    notes.extend(f"spring {spring.name!r} between two points is not described" for spring in springs)
     return extensions
 
 
@@ -302,6 +308,9 @@ def _loops(robot: Robot, root: ET.Element, extensions: Extensions, loops: Loops)
         extensions: elements that tools add; its text has a link at each end of their loops.
         loops: content of the loop file.
     """
+    all_loops = extensions.added_to(loops)
+    if not all_loops.closed_loop:
+        return
     numbers = {body.name: number for number, body in enumerate(robot.bodies)}
     # link and placement of each named frame: links, joints, and the links that `extensions` adds
     frames = {body.name: (numbers[body.name], IN_PLACE) for body in robot.bodies}
@@ -312,7 +321,6 @@ def _loops(robot: Robot, root: ET.Element, extensions: Extensions, loops: Loops)
             added = _link_of(joint, "child")
             if added not in numbers:
                 frames[added] = numbers[_link_of(joint, "parent")], _origin(joint)
-    all_loops = extensions.added_to(loops)
     placements = robot.placements()
     for pair, kind in zip(all_loops.closed_loop, all_loops.type, strict=True):
         for name in pair:

@@ -29,6 +29,7 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
+from mjcf.loops import fixed_tendon_weights
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.force_limits import (
     FORCE_LIMITS,
@@ -42,7 +43,6 @@ from mjcf.reading.force_limits import (
 from mjcf.reading.forces import Forces, reduced_inertia
 from mjcf.reading.joints import FREE, GearGroups, Joints
 from mjcf.reading.laws import Affine, Drive, JointActuation, constant_plus_sines, control_per_activation
-from mjcf.reading.loops import fixed_tendon_weights
 from mjcf.reading.start import ModelAtStart
 from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.forces import Wrench

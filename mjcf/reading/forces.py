@@ -15,9 +15,10 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
+from mjcf.loops import fixed_tendon_weights
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.joints import BALL, FREE, GearGroups, Joints
-from mjcf.reading.loops import fixed_tendon_weights, straight_tendon_ends
+from mjcf.reading.loops import straight_tendon_ends
 from mjcf.reading.start import ModelAtStart
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key

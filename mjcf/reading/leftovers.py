@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from mjcf.layout import element_name
+from mjcf.loops import fixed_tendon_weights
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
-from mjcf.reading.loops import fixed_tendon_weights
 from mjcf.reading.start import ModelAtStart
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.reading.activity import (

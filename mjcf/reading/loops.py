@@ -10,7 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.loops import closure_ends
+from mjcf.loops import closure_ends, fixed_tendon_weights
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE_INDEX, ModelAtStart
@@ -223,17 +223,3 @@ def straight_tendon_ends(
     site_1, site_2 = model.wrap_objid[first : first + 2]
     bodies, points = model.site_bodyid, start.data.site_xpos
     return (int(bodies[site_1]), points[site_1].copy()), (int(bodies[site_2]), points[site_2].copy())
-
-
-def fixed_tendon_weights(model: mujoco.MjModel, tendon: int) -> dict[int, float] | None:
-    """Return the weight of each of MuJoCo's joints in a fixed tendon, by number; None for other tendons.
-
-    The length of a fixed tendon is the weighted sum of the joint coordinates.
-    """
-    rows = slice(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))
-    if np.any(model.wrap_type[rows] != mujoco.mjtWrap.mjWRAP_JOINT):
-        return None
-    weights: dict[int, float] = {}
-    for joint, weight in zip(model.wrap_objid[rows], model.wrap_prm[rows], strict=True):
-        weights[int(joint)] = weights.get(int(joint), 0.0) + float(weight)
-    return weights
