@@ -266,3 +266,44 @@ def test_loops_of_gazebo_are_described(tmp_path: Path) -> None:
 def test_elements_that_may_act_become_notes(tmp_path: Path) -> None:
     found = described(tmp_path, CHAIN.replace("</robot>", '<constraint name="odd"/></robot>'))
     assert "<constraint> 'odd' is unknown, and may close a loop" in found.notes[0]
+
+
+def test_uncertainties_by_hand(tmp_path: Path) -> None:
+    """The inertia about the hinge is m c^2 + Izz, where Izz = 1 is exact, and m and c change by 0.5e-6."""
+    file = described(
+        tmp_path,
+        '<robot name="rod"><link name="base"/><link name="rod"><inertial><origin xyz="0.75 0 0"/>'
+        '<mass value="0.123"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'
+        '<joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 0 1"/>'
+        '<origin xyz="0 0.250 0" rpy="0 0 0.5"/><limit lower="-1.5" upper="2" effort="3.25" velocity="1"/>'
+        "</joint></robot>",
+    )
+    half = 0.5e-6
+    at = {(1, 0): np.zeros(1)}
+    written = mass_matrix(file.robot, pose(file.robot, at))[0, 0]
+    variants = [mass_matrix(variant, pose(variant, at))[0, 0] for variant in file.variants]
+    assert len(variants) == 16
+    expected = (0.75**2 + 2.0 * 0.123 * 0.75) * half
+    assert np.max(np.abs(np.subtract(variants, written))) == pytest.approx(expected, rel=1e-5)
+    for variant in file.variants:
+        rod = variant.bodies[1]
+        assert abs(rod.placement.position[1] - 0.25) == pytest.approx(half, rel=1e-9)
+        yaw = math.atan2(rod.placement.rotation[1, 0], rod.placement.rotation[0, 0])
+        assert abs(yaw - 0.5) == pytest.approx(half, rel=1e-9)
+        # numbers from 1 to 10 have a sixth significant digit of 1e-5; whole numbers are exact
+        low, high = rod.joints[0].limits
+        assert (abs(low + 1.5), high) == (pytest.approx(0.5e-5, rel=1e-9), 2.0)
+        assert abs(rod.joints[0].effort - 3.25) == pytest.approx(0.5e-5, rel=1e-9)
+        assert rod.joints[0].speed == 1.0
+
+
+def test_loops_of_gazebo_have_uncertainties(tmp_path: Path) -> None:
+    """The point of the loop is a text between tags."""
+    text = robot(*TIPS).replace(
+        "</robot>",
+        '<gazebo><joint name="close" type="ball"><parent>tip_a</parent><child>tip_b</child>'
+        "<pose>0 0 0.123 0 0 0</pose></joint></gazebo></robot>",
+    )
+    for variant in described(tmp_path, text).variants:
+        (loop,) = variant.loops
+        assert abs(loop.second_frame.position[2] - 0.123) == pytest.approx(0.5e-6, rel=1e-9)
