@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 
 from crosscheck.diff.difference import Difference, Quantity, difference, numbers
@@ -19,8 +20,11 @@ MAX_PARTS = 10
 """Largest number of parts of one body whose choices are tried."""
 
 
-def body_rows(common: CommonFrames, number: int) -> Iterator[Difference]:
-    """Yield the rows of a pair of bodies; one row if parts that only one file has explain all of them.
+def body_rows(common: CommonFrames, number: int) -> list[Difference]:
+    """Return the rows of a pair of bodies that may consist of several parts fixed to each other.
+
+    If both files have the same parts, the rows are those of parts. If parts that only one file has explain
+    the rows, one row remains.
 
     Args:
         common: both robots.
@@ -28,16 +32,37 @@ def body_rows(common: CommonFrames, number: int) -> Iterator[Difference]:
     """
     first = _properties(common, number, common.first)
     second = _properties(common, number, common.second)
-    rows = [*_mass_rows(common, number, first, second)]
+    rows = [*_mass_rows(common, number, common.body_name(number), first, second)]
     true_rows = [row for row in rows if row.size > row.uncertainty]
-    parts = _parts_in_one_file(common, number) if true_rows else ""
-    if not parts:
-        yield from rows
-        return
-    main = true_rows[0]
-    yield difference(
-        main.element, "body", main.quantity, (main.first, main.second), (main.size, main.uncertainty), parts
+    if not true_rows:
+        return rows
+    parts = _parts_in_one_file(common, number)
+    if parts:
+        return [replace(true_rows[0], cause=parts)]
+    return _rows_of_parts(common, number) or rows
+
+
+def _rows_of_parts(common: CommonFrames, number: int) -> list[Difference]:
+    """Return the rows of the parts of a pair of bodies; none if the files do not have the same parts."""
+    pair = common.alignment.bodies[number]
+    robots = common.first.file.robot, common.second.file.robot
+    parts, others = (
+        {robot.bodies[body].name: body for body in bodies}
+        for robot, bodies in zip(robots, (pair.first, pair.second), strict=True)
     )
+    if len(parts) == 1 or parts.keys() != others.keys():
+        return []
+    return [
+        row
+        for name in parts
+        for row in _mass_rows(
+            common,
+            number,
+            name,
+            _properties(common, number, common.first, (parts[name],)),
+            _properties(common, number, common.second, (others[name],)),
+        )
+    ]
 
 
 def _properties(
@@ -51,10 +76,9 @@ def _properties(
 
 
 def _mass_rows(
-    common: CommonFrames, number: int, first: MassProperties, second: MassProperties
+    common: CommonFrames, number: int, name: str, first: MassProperties, second: MassProperties
 ) -> Iterator[Difference]:
-    """Yield the rows of mass, center of mass and inertia of a pair of bodies."""
-    name = common.body_name(number)
+    """Yield the rows of mass, center of mass and inertia of a pair of bodies or of parts, with their name."""
     sizes = common.judge.compare(first.mass, second.mass, relative)
     if sizes[0]:
         values = float(first.mass[0]), float(second.mass[0])

@@ -61,8 +61,15 @@ def connection_rows(common: CommonFrames, zeros: Mapping[tuple[int, int], float]
         zeros: coordinate of each joint in the second file where that in the first file is zero, by the key
             of the joint in the first file.
     """
+    # Joints of other kinds between the same bodies have one partner each if their numbers are equal
+    regrouped = [
+        JointPair(one, two, 1, 0.0)
+        for group in common.alignment.groups
+        if len(group.first) == len(group.second)
+        for one, two in zip(group.first, group.second, strict=True)
+    ]
     joints = []
-    for pair in common.alignment.joints:
+    for pair in (*common.alignment.joints, *regrouped):
         first = common.first.file.robot.bodies[pair.first[0]].joints[pair.first[1]]
         second = common.second.file.robot.bodies[pair.second[0]].joints[pair.second[1]]
         joints.append(PairedJoint(pair, first, second, pair.sense, zeros.get(pair.first, pair.offset)))

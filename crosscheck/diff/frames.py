@@ -22,15 +22,20 @@ from crosscheck.diff.stack import (
     Metric,
     Poses,
     Side,
+    absolute,
     angle,
     distance,
     matrix_distance,
+    twist,
 )
 from newton_euler.reading.robot import JointKind, Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 
 IN_WORLD = -1
 """Number of the ground among the pairs of bodies."""
+
+MIN_OFFSET = 1e-6
+"""rad or m, smallest distance of two zeros that is reported."""
 
 
 @dataclass
@@ -205,16 +210,15 @@ class CommonFrames:
                 for placement in (pair.placement, Placement(inside.position[0], inside.rotation[0]))
             ),
         ]
-        fewest: float = np.inf
-        best = candidates[0]
+        costs: list[int] = []
         for candidate in candidates:
             self.frames[number] = candidate
-            count = sum(size > uncertainty for size, uncertainty in self._sizes(number))
-            if count < fewest:
-                fewest, best = count, candidate
-            if count == 0:
+            # Another frame is a difference of its own
+            cost = sum(size > uncertainty for size, uncertainty in self._sizes(number)) + bool(costs)
+            costs.append(cost)
+            if cost <= 1:
                 break
-        self.frames[number] = best
+        self.frames[number] = candidates[costs.index(min(costs))]
 
     def _slack(self, first: Poses, second: Poses, above: CommonFrame) -> tuple[float, float]:
         """Return the uncertainties, rad and m, of a frame that is found from its place at the parent body."""
@@ -242,6 +246,18 @@ class CommonFrames:
         for place in self.joints:
             if number in (place.parent, place.child):
                 yield from self._joint_sizes(place, number)
+            if number == place.child and place.alone and place.kind == JointKind.HINGE:
+                yield self._zero_size(place)
+
+    def _zero_size(self, place: JointPlace) -> tuple[float, float]:
+        """Return the distance of the zeros of a hinge, rad, and its uncertainty."""
+        parent, child = self.frames.get(place.parent, self.frames[IN_WORLD]), self.frames[place.child]
+        inside = parent.first.inverse() @ child.first, parent.second.inverse() @ child.second
+        axis = self.lines(place.pair, place.child)[0].axis[0]
+        turns = [twist(inside[0].rotation[0], each.rotation, axis) for each in inside]
+        zeros = turns[0], turns[1] - place.pair.sense * place.pair.offset
+        slack = 2.0 * (parent.slack_angle + child.slack_angle) + MIN_OFFSET
+        return self.judge.compare(zeros[0], zeros[1], absolute, slack)
 
     def _joint_sizes(self, place: JointPlace, number: int) -> Iterator[tuple[float, float]]:
         """Yield size and uncertainty of the differences of a joint's axis in a pair's common frame."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import assert_never
 
 import numpy as np
 
 from crosscheck.diff.alignment import JointPair
 from crosscheck.diff.difference import Difference, Quantity, Value, difference, numbers
-from crosscheck.diff.frames import CommonFrames, JointPlace
+from crosscheck.diff.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
 from crosscheck.diff.short_angles import is_short_pi, is_turn_by_short_pi
-from crosscheck.diff.stack import JointKey, Metric, absolute, angle, distance, dot, relative
+from crosscheck.diff.stack import JointKey, Metric, absolute, angle, distance, dot, relative, twist
 from newton_euler.reading.robot import JointKind
 from newton_euler.scalars import Array
 
@@ -25,9 +26,6 @@ JOINT_NUMBERS: dict[Quantity, str] = {
     Quantity.SPEED: "speed",
 }
 """Numbers of a joint that do not depend on frames, zeros and signs, with the names of their fields."""
-
-MIN_OFFSET = 1e-6
-"""rad or m, smallest distance of two zeros that is reported."""
 
 
 def joint_rows(common: CommonFrames, place: JointPlace, zeros: dict[JointKey, float]) -> Iterator[Difference]:
@@ -58,6 +56,31 @@ def joint_rows(common: CommonFrames, place: JointPlace, zeros: dict[JointKey, fl
         if sizes[0]:
             values = _finite(first[0]), _finite(second[0])
             yield difference(name, "joint", quantity, values, sizes, slide=slide)
+
+
+def regrouped_rows(common: CommonFrames) -> Iterator[Difference]:
+    """Yield the rows of joints of other kinds between the same bodies, such as a ball and three hinges.
+
+    A joint may also be a loop of the other file, which then cuts the mechanism elsewhere.
+    """
+    first, second = common.first.file.robot, common.second.file.robot
+    for group in common.alignment.groups:
+        kinds = [
+            " and ".join(str(robot.bodies[body].joints[number].kind) for body, number in keys)
+            for robot, keys in ((first, group.first), (second, group.second))
+        ]
+        names = tuple(joint_name(first, key) for key in group.first)
+        row = difference(names[0], "joint", Quantity.KIND, (kinds[0], kinds[1]), (1.0, 0.0))
+        yield replace(row, elements=names)
+    for pair in common.alignment.loops:
+        robot, other = (first, second) if pair.in_first else (second, first)
+        body, number = pair.joint
+        joint, loop = (
+            str(robot.bodies[body].joints[number].kind),
+            f"loop of kind {other.loops[pair.loop].kind}",
+        )
+        values = (joint, loop) if pair.in_first else (loop, joint)
+        yield difference(joint_name(robot, pair.joint), "joint", Quantity.KIND, values, (1.0, 0.0))
 
 
 def moved_joint_row(common: CommonFrames, pair: JointPair) -> Difference:
@@ -173,7 +196,7 @@ class _AxisJoint:
         """Correct the offset by the place of the child in the parent, and yield rows of rounding."""
         reference = self.child_in_parent[0].rotation[0]
         axis = self.at_child[0].axis[0]
-        turns = [_twist(reference, frame.rotation, axis) for frame in self.child_in_parent]
+        turns = [twist(reference, frame.rotation, axis) for frame in self.child_in_parent]
         change, sizes = turns, self._at_parent(turns[0], turns[1], absolute)
         if is_turn_by_short_pi(*sizes):
             sizes = sizes[0], max(sizes)
@@ -260,26 +283,6 @@ def _coordinate_rows(
             yield difference(
                 name, "joint", Quantity.REST, (float(rest[0]), float(other[0])), sizes, slide=slide
             )
-
-
-def _twist(reference: Array, rotations: Array, axis: Array) -> Array:
-    """Return the turns (V,), rad, about an axis (3,) from a rotation (3, 3) to rotations (V, 3, 3).
-
-    The axis is in the turned frame. A turn of the axis itself is left out.
-    """
-    turns = reference.T @ rotations
-    twice_sine = np.stack(
-        [
-            turns[:, 2, 1] - turns[:, 1, 2],
-            turns[:, 0, 2] - turns[:, 2, 0],
-            turns[:, 1, 0] - turns[:, 0, 1],
-        ],
-        axis=-1,
-    )
-    # Of the plane across the axis: trace 2 c cos(twist), antisymmetric part 2 c sin(twist), c > 0
-    trace = np.trace(turns, axis1=1, axis2=2) - (turns @ axis) @ axis
-    twist: Array = np.arctan2(twice_sine @ axis, trace)
-    return twist
 
 
 def _finite(value: float) -> float | None:

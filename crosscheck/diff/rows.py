@@ -17,7 +17,7 @@ from crosscheck.diff.causes import with_causes
 from crosscheck.diff.connections import connection_rows
 from crosscheck.diff.difference import Difference, Quantity, Standing, Value, difference, numbers
 from crosscheck.diff.frames import IN_WORLD, CommonFrames, common_frames, joint_name
-from crosscheck.diff.joints import joint_rows, moved_joint_row
+from crosscheck.diff.joints import joint_rows, moved_joint_row, regrouped_rows
 from crosscheck.diff.short_angles import is_turn_by_short_pi
 from crosscheck.diff.stack import angle, distance
 from newton_euler.reading.robot import JointKind, RobotFile
@@ -54,6 +54,7 @@ def differences(
         *(row for number in common.frames if number != IN_WORLD for row in body_rows(common, number)),
         *(row for place in common.joints for row in joint_rows(common, place, zeros)),
         *(moved_joint_row(common, pair) for pair in common.moved_joints),
+        *regrouped_rows(common),
         *connection_rows(common, zeros),
     ]
     return with_causes(rows, first, second)

@@ -60,7 +60,8 @@ def is_turn_by_short_pi(turn: float, uncertainty: float) -> bool:
         turn: rad.
         uncertainty: of the turn, rad.
     """
-    slack = max(uncertainty, 1e-6)
+    # The error of a rotation that is the product of several has terms of second order
+    slack = max(uncertainty, 1e-3 * turn)
     return slack < 0.02 * turn and any(
         abs(turn - math.sqrt(angles) * error) <= slack for error in _ERRORS for angles in (1, 2, 3)
     )

@@ -173,6 +173,26 @@ def rotations(axis: Array, angle: float) -> Array:
     return rotation
 
 
+def twist(reference: Array, rotations: Array, axis: Array) -> Array:
+    """Return the turns (V,), rad, about an axis (3,) from a rotation (3, 3) to rotations (V, 3, 3).
+
+    The axis is in the turned frame. A turn of the axis itself is left out.
+    """
+    turns = reference.T @ rotations
+    twice_sine = np.stack(
+        [
+            turns[:, 2, 1] - turns[:, 1, 2],
+            turns[:, 0, 2] - turns[:, 2, 0],
+            turns[:, 1, 0] - turns[:, 0, 1],
+        ],
+        axis=-1,
+    )
+    # Of the plane across the axis: trace 2 c cos(twist), antisymmetric part 2 c sin(twist), c > 0
+    trace = np.trace(turns, axis1=1, axis2=2) - (turns @ axis) @ axis
+    angle: Array = np.arctan2(twice_sine @ axis, trace)
+    return angle
+
+
 def _moved(kind: JointKind, axis: Array, point: Array, displacement: float) -> Poses:
     """Return the motion of a body by a joint whose coordinate changes, in the frame of the body."""
     if kind == JointKind.SLIDE:

@@ -128,7 +128,10 @@ PLANTS: dict[str, Plant] = {
     "mass by 1e-4": Plant(
         "arm",
         lambda r: with_body(r, "tool", mass=0.20002),
-        (Row("hand", Q.MASS, 2e-5 / 0.7),),
+        (Row("tool", Q.MASS, 1e-4),),
+    ),
+    "fixed part moved": Plant(
+        "arm", lambda r: moved(r, "tool", [0.01, 0, 0]), (Row("tool", Q.CENTER, 0.01),)
     ),
     "no mass": Plant(
         "walker", lambda r: with_body(r, "left_shin", mass=0.0), (Row("left_shin", Q.MASS, 1.0),)
@@ -333,7 +336,7 @@ PLANTS: dict[str, Plant] = {
     "masses in g": Plant(
         "arm",
         lambda r: scaled_masses(r, 1000.0),
-        (Row("base", Q.MASS, 999.0, "5 masses and inertias times 1000 (kg against g", 5),),
+        (Row("base", Q.MASS, 999.0, "6 masses and inertias times 1000 (kg against g", 6),),
     ),
     "masses in pounds, inertias not": Plant(
         "walker",
@@ -437,6 +440,7 @@ def together() -> list[tuple[str, ...]]:
     """Return names of two and three changes of one robot whose elements are not the same."""
     alone = {
         "masses in g",
+        "two links exchanged",
         "masses in pounds, inertias not",
         "lengths in mm",
         "no mass",
