@@ -125,10 +125,10 @@ def _loop_rows(common: CommonFrames) -> Iterator[Difference]:
     others = [second.loops[other] for other in free]
     for robot, loops in ((first, alone), (second, others)):
         for loop in loops:
-            yield _only_in_one("loop", _loop_name(robot, loop), str(loop.kind), robot is first)
+            yield _only_in_one("loop", loop_name(robot, loop), str(loop.kind), robot is first)
 
 
-def _loop_name(robot: Robot, loop: FileLoop) -> str:
+def loop_name(robot: Robot, loop: FileLoop) -> str:
     """Return the name of a loop, or those of its bodies for a loop without name."""
     bodies = [robot.bodies[body].name if body >= 0 else "the ground" for body in (loop.first, loop.second)]
     return loop.name or " and ".join(bodies)
@@ -162,7 +162,7 @@ def _paired_loop(
     """Yield the rows of two loops that play the same role, given by their indices in the two robots."""
     first, second = common.first.file, common.second.file
     loop, other = first.robot.loops[index], second.robot.loops[other_index]
-    name = _loop_name(first.robot, loop)
+    name = loop_name(first.robot, loop)
     if loop.kind != other.kind:
         yield difference(name, "loop", Quantity.KIND, (str(loop.kind), str(other.kind)), (1.0, 0.0))
         return

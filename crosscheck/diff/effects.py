@@ -17,7 +17,7 @@ from crosscheck.diff.causes import LENGTHS
 from crosscheck.diff.difference import Difference, Quantity, Standing
 from crosscheck.diff.motion import CommonStates, relative_changes
 from crosscheck.diff.transfer import Merged, merged
-from newton_euler.reading.robot import FileBody, FileCoupling, FileLoop, Robot, RobotFile
+from newton_euler.reading.robot import FileBody, Robot, RobotFile
 from newton_euler.scalars import Array
 
 Fields = Mapping[Quantity, tuple[str, ...]]
@@ -97,10 +97,15 @@ def effects(
         return found
     terms = merged(states.one.robot, states.two.robot, states.alignment)
     before = states.of_first([terms.first])
+    # the mass of a base that is held to compare has an effect that is not computed
+    moving = {pair.first for pair in states.pairs}
+    held = {first.robot.bodies[pair.first[0]].name for pair in alignment.bodies if pair.first not in moving}
     # robots of one structure are evaluated at once
     groups: dict[tuple[object, ...], list[tuple[int, Robot]]] = defaultdict(list)
     for index, row in enumerate(rows):
-        changed = None if row.standing is Standing.CONVENTION else _changed(terms, row)
+        if row.standing is Standing.CONVENTION or (alignment.base and {*row.elements} <= held):
+            continue
+        changed = _changed(terms, row)
         if changed is not None:
             groups[_structure(changed)].append((index, changed))
         elif row.element_kind == "body" and row.quantity is Quantity.PRESENCE:
@@ -162,12 +167,13 @@ def _changed(terms: Merged, row: Difference) -> Robot | None:
     if row.element_kind == "coupling":
         return _with_couplings(terms, row.quantity, names)
     if row.element_kind == "drive":
-        fields = DRIVE_FIELDS.get(row.quantity)
+        fields = DRIVE_FIELDS.get(row.quantity, ())
         drives = [
-            _exchanged(own, other, fields or ()) if own.name in names else own
+            _exchanged(own, other, fields) if own.name in names else own
             for own, other in zip(robot.drives, terms.second.drives, strict=True)
         ]
-        return replace(robot, drives=tuple(drives)) if fields else None
+        has_part = bool(fields) and any(own.name in names for own in robot.drives)
+        return replace(robot, drives=tuple(drives)) if has_part else None
     return _with_bodies(terms, _quantities(row), names)
 
 
@@ -220,13 +226,18 @@ def _with_loops(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | N
     """Return the first robot with a quantity of loops of given names from the second."""
     robot = terms.first
     if quantity in REPLACED:
-        kept = [loop for k, loop in enumerate(robot.loops) if k in terms.loops or not _is_named(loop, names)]
-        added = [loop for loop in terms.other_loops if _is_named(loop, names)]
+        kept = [loop for k, loop in enumerate(robot.loops) if k in terms.loops or loop.name not in names]
+        ends = [{loop.first, loop.second} for loop in robot.loops if loop not in kept]
+        added = [
+            loop
+            for loop in terms.other_loops
+            if loop.name in names or (quantity is Quantity.KIND and {loop.first, loop.second} in ends)
+        ]
         return replace(robot, loops=(*kept, *added))
     if quantity not in LOOP_FIELDS:
         return None
     loops = [
-        _exchanged(own, other, LOOP_FIELDS[quantity] if _is_named(own, names) else ())
+        _exchanged(own, other, LOOP_FIELDS[quantity] if own.name in names else ())
         for own, other in zip(robot.loops, terms.second.loops, strict=True)
     ]
     return replace(robot, loops=tuple(loops))
@@ -236,22 +247,16 @@ def _with_couplings(terms: Merged, quantity: Quantity, names: set[str]) -> Robot
     """Return the first robot with a quantity of couplings of given names from the second."""
     robot = terms.first
     if quantity in REPLACED:
-        kept = [c for k, c in enumerate(robot.couplings) if k in terms.couplings or not _is_named(c, names)]
-        added = [coupling for coupling in terms.other_couplings if _is_named(coupling, names)]
+        kept = [c for k, c in enumerate(robot.couplings) if k in terms.couplings or c.name not in names]
+        added = [coupling for coupling in terms.other_couplings if coupling.name in names]
         return replace(robot, couplings=(*kept, *added))
     if quantity is not Quantity.COUPLING:
         return None
     couplings = [
-        _exchanged(own, other, ("powers",) if _is_named(own, names) else ())
+        _exchanged(own, other, ("powers",) if own.name in names else ())
         for own, other in zip(robot.couplings, terms.second.couplings, strict=True)
     ]
     return replace(robot, couplings=tuple(couplings))
-
-
-def _is_named(element: FileLoop | FileCoupling, names: set[str]) -> bool:
-    """Return whether a row names an element; one without name is called by its kind."""
-    kind = "loop" if isinstance(element, FileLoop) else "coupling"
-    return (element.name or kind) in names
 
 
 Element = TypeVar("Element", bound=object)

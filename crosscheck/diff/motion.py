@@ -481,6 +481,9 @@ def _notes(first: Robot, second: Robot, alignment: Alignment, taken: Sequence[Cu
         names = [robot.bodies[index].name for index in cut.bodies if robot.bodies[index].mass > 0]
         if names:
             yield f"Only in the {file} file, and left out: {', '.join(names)}."
+        joints = [joint.name for index in cut.held for joint in robot.bodies[index].joints]
+        if joints:
+            yield f"Only in the {file} file, and held: {', '.join(joints)}."
     if taken[0].without_drives and (first.drives or second.drives):
         yield "Drives do not act: only one of the formats has them."
     if first.gravity is None and second.gravity is None:

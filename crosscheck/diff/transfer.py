@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.diff.alignment import Alignment
+from crosscheck.diff.connections import loop_name
 from crosscheck.diff.dynamics import Dynamics
 from crosscheck.diff.vectors import cross, rotation_vector
 from newton_euler.reading.robot import (
@@ -43,12 +44,14 @@ class Cut:
 
     Attributes:
         bodies: indices of bodies that lose their mass and their joints.
+        held: indices of bodies that lose their joints, since these are fixed in the other robot.
         base: index of the body whose free joint is taken away; -1 for none.
         base_placement: of that body in the world.
         without_drives: whether drives are taken away.
     """
 
     bodies: tuple[int, ...] = ()
+    held: tuple[int, ...] = ()
     base: int = -1
     base_placement: Placement = GROUND
     without_drives: bool = False
@@ -60,10 +63,12 @@ class Cut:
             robot: the robot, or the same robot with other numbers.
             gravity: (3,) m/s^2, for a robot without gravity of its own.
         """
-        gone = {joint.name for index in self.bodies for joint in robot.bodies[index].joints}
+        gone = {joint.name for index in (*self.bodies, *self.held) for joint in robot.bodies[index].joints}
         bodies = list(robot.bodies)
         for index in self.bodies:
             bodies[index] = replace(bodies[index], joints=(), mass=0.0, inertia=np.zeros((3, 3)))
+        for index in self.held:
+            bodies[index] = replace(bodies[index], joints=())
         if self.base >= 0:
             bodies[self.base] = replace(bodies[self.base], joints=(), placement=self.base_placement)
         return replace(
@@ -98,8 +103,19 @@ def cuts(first: Robot, second: Robot, alignment: Alignment, without_drives: bool
                     else first.placements()[pair.first[0]] @ pair.placement
                 )
     branches = _branches(first, alignment.first_bodies), _branches(second, alignment.second_bodies)
-    one, two = (Cut(branches[side], bases[side], placements[side], without_drives) for side in (0, 1))
+    held = (
+        _held(first, [pair.first for pair in alignment.bodies]),
+        _held(second, [pair.second for pair in alignment.bodies]),
+    )
+    one, two = (
+        Cut(branches[side], held[side], bases[side], placements[side], without_drives) for side in (0, 1)
+    )
     return one, two
+
+
+def _held(robot: Robot, groups: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
+    """Return the bodies that a joint moves within a group, which is rigid in the other robot."""
+    return tuple(body for group in groups for body in group[1:] if robot.bodies[body].joints)
 
 
 def _branches(robot: Robot, unpaired: Sequence[int]) -> tuple[int, ...]:
@@ -256,6 +272,16 @@ class Merged:
     other_couplings: tuple[FileCoupling, ...]
 
 
+def _named(robot: Robot) -> Robot:
+    """Return a robot whose loops, couplings and drives have the names that rows of differences give them."""
+    return replace(
+        robot,
+        loops=tuple(replace(loop, name=loop_name(robot, loop)) for loop in robot.loops),
+        couplings=tuple(replace(c, name=c.name or c.follower) for c in robot.couplings),
+        drives=tuple(replace(drive, name=drive.name or ", ".join(drive.gears)) for drive in robot.drives),
+    )
+
+
 def merged(first: Robot, second: Robot, alignment: Alignment) -> Merged:
     """Write the numbers of the second robot in the structure, frames, zeros and senses of the first.
 
@@ -263,6 +289,7 @@ def merged(first: Robot, second: Robot, alignment: Alignment) -> Merged:
         first, second: robots, cut to their common part.
         alignment: their pairs of bodies and joints.
     """
+    first, second = _named(first), _named(second)
     terms = _Terms(first, second, alignment)
     paired = dict(drive_pairs(first, second, alignment))
     added = [terms.drive(drive, None) for k, drive in enumerate(second.drives) if k not in paired.values()]
@@ -420,6 +447,9 @@ class _Terms:
                 continue
             names = follower[0], leader[0] if leader else ""
             powers = self._powers(coupling, follower[1].second, leader[1].second if leader else None, names)
+            is_backwards = any((own.leader, own.follower) == names for own in self.one.couplings)
+            if is_backwards and len(powers) > 1 and powers[1] and not any(powers[2:]):
+                names, powers = names[::-1], (-powers[0] / powers[1], 1.0 / powers[1])
             changed = FileCoupling(coupling.name, *names, powers)
             fits = [
                 k
