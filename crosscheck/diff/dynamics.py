@@ -18,15 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.diff.vectors import (
+    Equations,
     apply,
     cross,
     cross_force,
     cross_matrix,
     cross_motion,
-    least_solution,
     rotation_matrix,
     rotation_vector,
-    solution_and_kernel,
     stacked,
 )
 from newton_euler.reading.robot import FileJoint, JointKind, LoopKind, Robot
@@ -38,8 +37,8 @@ MAX_CLOSING_STEPS = 40
 MAX_CLOSING_STEP = 0.5
 """Largest change of a coordinate in a Gauss-Newton step, rad or lengths."""
 
-CLOSED_STEP = 1e-13
-"""Largest change of a coordinate, rad or lengths, at which Gauss-Newton steps end."""
+LAST_STEP = 1e-7
+"""Change of a coordinate, rad or lengths, at which Gauss-Newton steps end: the next one is its square."""
 
 MASSLESS = 1e-14
 """A coordinate whose inertia is below this part of the largest one moves no mass."""
@@ -434,20 +433,24 @@ class Dynamics:
             (robots, states, coordinates), and (robots, states) rad or lengths.
         """
         scale = self.scale if free is None else self.scale * free
-        at_rest = np.zeros(coordinates.shape)
         coordinates = coordinates + np.zeros((len(self._mass), 1, 1))
+        if not self.rows:
+            return coordinates, np.zeros(coordinates.shape[:2])
+        found = self._constraints_at(coordinates)
         for _ in range(MAX_CLOSING_STEPS):
-            found = self.constraints(coordinates, at_rest, self.kinematics(coordinates, at_rest))
-            if found.residual.shape[-1] == 0:
-                return coordinates, np.zeros(coordinates.shape[:2])
-            error = np.abs(found.residual).max(axis=-1)
-            step = -scale * least_solution(found.jacobian * scale, found.residual)
+            step = -scale * Equations(found.jacobian * scale).solution(found.residual)
             largest = np.abs(step / self.scale).max(axis=-1)
-            if largest.max() < CLOSED_STEP:
-                break
             step *= np.minimum(1.0, MAX_CLOSING_STEP / np.maximum(largest, MAX_CLOSING_STEP))[..., None]
             coordinates = self.moved(coordinates, step)
-        return coordinates, error
+            found = self._constraints_at(coordinates)
+            if largest.max() < LAST_STEP:
+                break
+        return coordinates, np.abs(found.residual).max(axis=-1)
+
+    def _constraints_at(self, coordinates: Array) -> Constraints:
+        """Return the constraint equations of the robot at rest."""
+        at_rest = np.zeros(coordinates.shape)
+        return self.constraints(coordinates, at_rest, self.kinematics(coordinates, at_rest))
 
     def moved(self, coordinates: Array, step: Array) -> Array:
         """Return coordinates after a small motion, given as velocities during one second."""
@@ -470,25 +473,19 @@ class Dynamics:
             coordinates, velocities: (robots, states, coordinates).
             free: (coordinates,) whether each velocity may change; all if None.
         """
+        if not self.rows:
+            return velocities + np.zeros((len(self._mass), 1, 1))
         scale = self.scale if free is None else self.scale * free
-        velocities = velocities + np.zeros((len(self._mass), 1, 1))
-        jacobian = self.constraints(
-            coordinates, velocities, self.kinematics(coordinates, velocities)
-        ).jacobian
-        if jacobian.shape[-2] == 0:
-            return velocities
-        return velocities - scale * least_solution(
-            jacobian * scale, np.einsum("...ij,...j->...i", jacobian, velocities)
-        )
+        jacobian = self._constraints_at(coordinates).jacobian
+        return velocities - scale * Equations(jacobian * scale).solution(apply(jacobian, velocities))
 
     def basis(self, coordinates: Array) -> Array:
         """Return (..., coordinates, coordinates) with a basis of the admissible velocities in some columns.
 
         The other columns are zero.
         """
-        at_rest = np.zeros(coordinates.shape)
-        rows = self.constraints(coordinates, at_rest, self.kinematics(coordinates, at_rest))
-        return np.asarray(self.scale[:, None] * solution_and_kernel(rows.jacobian * self.scale, rows.bias)[1])
+        kernel = Equations(self._constraints_at(coordinates).jacobian * self.scale).kernel
+        return self.scale[:, None] * kernel
 
     def loads(self, coordinates: Array, velocities: Array) -> tuple[Array, Array]:
         """Return inertias and forces at the coordinates, without constraints and drives.
@@ -515,31 +512,34 @@ class Dynamics:
         equations, N^T M N y = N^T (f - M a_0) and a = a_0 + N y. Redundant constraints need no care.
 
         Args:
-            coordinates, velocities: (robots, states, coordinates), which fulfill the constraints.
+            coordinates: (robots, states, coordinates), which fulfill the constraints.
+            velocities: (robots, states, coordinates); the nearest ones that the constraints allow are taken.
             controls: (robots, states, drives) controls of the drives.
             driven: (states,) whether the drives act.
             points: (robots, bodies, 3) m, in the frame of each body, whose acceleration is asked for.
         """
+        if self.rows:
+            jacobian = self._constraints_at(coordinates).jacobian
+            equations = Equations(jacobian * self.scale)
+            velocities = velocities - self.scale * equations.solution(apply(jacobian, velocities))
         moving = self.kinematics(coordinates, velocities)
         mass, force = self._mass_and_force(moving)
         force = force + self._joint_forces(coordinates, velocities, controls, driven)
         # a coordinate that moves no mass, as of a massless last link, has no acceleration of its own
         diagonal = np.einsum("...ii->...i", mass)
-        idle = diagonal <= MASSLESS * diagonal.max(axis=-1, initial=0.0, keepdims=True)
+        largest = diagonal.max(axis=-1, initial=0.0, keepdims=True)
+        idle = diagonal <= MASSLESS * largest
         force = np.where(idle, 0.0, force)
-        diagonal += np.where(
-            idle, np.maximum(diagonal.max(axis=-1, initial=0.0, keepdims=True), 1.0) * MASSLESS, 0.0
-        )
-        rows = self.constraints(coordinates, velocities, moving)
-        if rows.residual.shape[-1] == 0:
+        diagonal += np.where(idle, np.maximum(largest, 1.0) * MASSLESS, 0.0)
+        if not self.rows:
             found = np.linalg.solve(mass, force[..., None])[..., 0]
         else:
-            start, basis = solution_and_kernel(rows.jacobian * self.scale, -rows.bias)
-            start, basis = self.scale * start, self.scale[:, None] * basis
+            bias = self.constraints(coordinates, velocities, moving).bias
+            start = -self.scale * equations.solution(bias)
+            basis = self.scale[:, None] * equations.kernel
             reduced = np.swapaxes(basis, -1, -2) @ mass @ basis
             # columns of zeros pad the basis to the same width at all states
-            padding = np.all(basis == 0.0, axis=-2)
-            np.einsum("...ii->...i", reduced)[...] += padding
+            np.einsum("...ii->...i", reduced)[...] += np.all(basis == 0.0, axis=-2)
             right = np.einsum("...ji,...j->...i", basis, force - apply(mass, start))
             found = start + apply(basis, np.linalg.solve(reduced, right[..., None])[..., 0])
         return self._at_points(moving, found, points)

@@ -26,6 +26,7 @@ from crosscheck.diff.transfer import (
     drive_pairs,
     is_paired,
     mass_of_group,
+    paired_joints,
 )
 from newton_euler.reading.robot import Robot, RobotFile
 from newton_euler.scalars import Array
@@ -231,7 +232,7 @@ class CommonStates:
     def _in_second(self, coordinates: Array, velocities: Array) -> tuple[Array, Array]:
         """Return the state of the second robot; joints without partner close the loops as far as they can."""
         coordinates, velocities = carry_over(self.alignment, self.one, self.two, coordinates, velocities)
-        alone = ~is_paired(self.two, [pair.second for pair in self.alignment.joints])
+        alone = ~is_paired(self.two, paired_joints(self.alignment)[1])
         if alone.any():
             coordinates, _ = self.two.closed(coordinates, alone)
             velocities = self.two.admissible(coordinates, velocities, alone)
@@ -287,7 +288,6 @@ class CommonStates:
     ) -> Accelerations:
         """Return accelerations in the states nearest to the given ones that the constraints allow."""
         coordinates, _ = robot.closed(coordinates)
-        velocities = robot.admissible(coordinates, velocities)
         return robot.accelerations(coordinates, velocities, controls, self._driven, points)
 
     def gaps(self, first_variants: Sequence[Robot], second_variants: Sequence[Robot]) -> tuple[Gap, ...]:
@@ -324,11 +324,10 @@ class CommonStates:
 
     def freedoms(self) -> tuple[int, int]:
         """Return the number of independent motions of joints with partner, in both robots."""
+        first, second = paired_joints(self.alignment)
         return (
-            self._freedom(self.one, self.coordinates, [pair.first for pair in self.alignment.joints]),
-            self._freedom(
-                self.two, self.coordinates_of_second, [pair.second for pair in self.alignment.joints]
-            ),
+            self._freedom(self.one, self.coordinates, first),
+            self._freedom(self.two, self.coordinates_of_second, second),
         )
 
     def _freedom(self, robot: Dynamics, coordinates: Array, joints: Sequence[tuple[int, int]]) -> int:

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.diff.alignment import Alignment
+from crosscheck.diff.alignment import Alignment, JointKey
 from crosscheck.diff.connections import loop_name
 from crosscheck.diff.dynamics import Dynamics
-from crosscheck.diff.vectors import cross, rotation_vector
+from crosscheck.diff.vectors import Equations, apply, cross, rotation_vector
 from newton_euler.reading.robot import (
     FileBody,
     FileCoupling,
@@ -33,6 +33,15 @@ SCALAR = (JointKind.HINGE, JointKind.SLIDE)
 
 MAX_LIMIT_ERROR = 0.02
 """rad or m: largest error of limits that are meant to be mirrored or shifted with the zero of a joint."""
+
+PLACE_WEIGHT = 1e-3
+"""Weight of a place, in lengths of the robot, against an angle in rad, where joints cannot reach both."""
+
+MAX_STEPS = 30
+"""Gauss-Newton steps to move a body to a pose."""
+
+SMALL_STEP = 1e-9
+"""Change of a coordinate, rad or m, at which these steps end: the next one is about its square."""
 
 GROUND = Placement(np.zeros(3), np.eye(3))
 """Placement of the ground in the world."""
@@ -139,6 +148,16 @@ def is_paired(dynamics: Dynamics, joints: Sequence[tuple[int, int]]) -> Array:
     return paired
 
 
+def paired_joints(alignment: Alignment) -> tuple[list[JointKey], list[JointKey]]:
+    """Return the joints of both robots that have partners, one by one or in groups."""
+    first = [pair.first for pair in alignment.joints]
+    second = [pair.second for pair in alignment.joints]
+    for group in alignment.groups:
+        first += group.first
+        second += group.second
+    return first, second
+
+
 def carry_over(
     alignment: Alignment, first: Dynamics, second: Dynamics, coordinates: Array, velocities: Array
 ) -> tuple[Array, Array]:
@@ -156,36 +175,79 @@ def carry_over(
     """
     found = second.zero[:1] + np.zeros((*coordinates.shape[:2], 1))
     rates = np.zeros(found.shape)
-    placements = {pair.second[0]: (pair.first[0], pair.placement) for pair in alignment.bodies}
-    turning = []
+    others = [(group.first, group.second) for group in alignment.groups]
     for pair in alignment.joints:
         if pair.first not in first.at or pair.second not in second.at:
             continue
-        at, to = first.at[pair.first], second.at[pair.second]
         if first.robot.bodies[pair.first[0]].joints[pair.first[1]].kind in SCALAR:
+            at, to = first.at[pair.first], second.at[pair.second]
             found[..., to] = pair.sense * coordinates[..., at] + pair.offset
             rates[..., to] = pair.sense * velocities[..., at]
-        elif pair.second[0] in placements:
-            turning.append((pair, at, to))
+        else:
+            others.append(((pair.first,), (pair.second,)))
+    # balls, free joints, and groups of joints such as three hinges for a ball: move the body of the second
+    # robot from where it is to where it should be, from the root outwards
     moving = first.kinematics(coordinates, velocities)
-    for pair, at, to in sorted(turning, key=lambda each: each[0].second):
-        # balls and free joints: move the body of the second robot from where it is to where it should be
-        body, placement = placements[pair.second[0]]
-        now = second.kinematics(found, rates)
-        index = pair.second[0]
-        back = np.swapaxes(now.rotation[..., index, :, :], -1, -2)
-        turn = back @ moving.rotation[..., body, :, :] @ placement.rotation
-        found[..., to.stop - 3 : to.stop] = rotation_vector(turn)
-        angular = velocities[..., at.stop - 3 : at.stop]
-        rates[..., to.stop - 3 : to.stop] = angular @ placement.rotation
-        if to.stop - to.start == 6:
-            goal = moving.position[..., body, :] + moving.rotation[..., body, :, :] @ placement.position
-            found[..., to.start : to.start + 3] = (back @ (goal - now.position[..., index, :])[..., None])[
-                ..., 0
-            ]
-            linear = velocities[..., at.start : at.start + 3] + cross(angular, placement.position)
-            rates[..., to.start : to.start + 3] = linear @ placement.rotation
+    placements = {(pair.first[0], pair.second[0]): pair.placement for pair in alignment.bodies}
+    for own, other in sorted(others, key=lambda each: each[1]):
+        bodies = own[-1][0], other[-1][0]
+        columns = np.flatnonzero(is_paired(second, other))
+        if bodies in placements and len(columns):
+            goal = _Goal(
+                moving.position[..., bodies[0], :]
+                + moving.rotation[..., bodies[0], :, :] @ placements[bodies].position,
+                moving.rotation[..., bodies[0], :, :] @ placements[bodies].rotation,
+                moving.twist[..., bodies[0], :],
+            )
+            found, rates = _moved_to(goal, second, bodies[1], columns, found, rates)
     return found, rates
+
+
+class _Goal(NamedTuple):
+    """Pose and twist that a body should have, with the axes robots and states."""
+
+    position: Array
+    rotation: Array
+    twist: Array
+
+
+def _moved_to(
+    goal: _Goal, robot: Dynamics, body: int, columns: Array, coordinates: Array, velocities: Array
+) -> tuple[Array, Array]:
+    """Return coordinates and velocities at which a body has a pose and a twist.
+
+    Args:
+        goal: pose and twist of the body.
+        robot: equations of the robot.
+        body: index of the body.
+        columns: indices of the coordinates that move.
+        coordinates, velocities: (robots, states, coordinates) before.
+    """
+    # a rotation counts more than a place that the joint cannot reach
+    weights = np.repeat([1.0, PLACE_WEIGHT / robot.length], 3)
+    scale = robot.scale[columns]
+    for _ in range(MAX_STEPS):
+        now = robot.kinematics(coordinates, np.zeros(coordinates.shape))
+        turn, place = now.rotation[..., body, :, :], now.position[..., body, :]
+        tilt = apply(turn, rotation_vector(np.swapaxes(turn, -1, -2) @ goal.rotation))
+        error = np.concatenate([tilt, goal.position - place], axis=-1)
+        twists = now.columns[..., columns, :]
+        at_body = np.concatenate(
+            [twists[..., :3], twists[..., 3:] + cross(twists[..., :3], place[..., None, :])], axis=-1
+        )
+        step = np.zeros(coordinates.shape)
+        matrix = np.swapaxes(at_body * weights, -1, -2) * scale
+        step[..., columns] = scale * Equations(matrix).solution(weights * error)
+        coordinates = robot.moved(coordinates, step)
+        if np.abs(step).max() < SMALL_STEP:
+            break
+    now = robot.kinematics(coordinates, velocities)
+    missing = goal.twist - now.twist[..., body, :]
+    # twists count at the body
+    missing[..., 3:] += cross(missing[..., :3], now.position[..., body, :])
+    velocities = velocities.copy()
+    velocities[..., columns] += scale * Equations(matrix).solution(weights * missing)
+    return coordinates, velocities
 
 
 def drive_pairs(first: Robot, second: Robot, alignment: Alignment) -> list[tuple[int, int]]:

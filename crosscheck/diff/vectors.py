@@ -43,31 +43,29 @@ def rotation_vector(matrix: Array) -> Array:
     return found[..., 1:] * (angle / np.where(half > 0, half, 1.0) + 2.0 * (half == 0))
 
 
-def solution_and_kernel(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """Return the least solution of linear equations, and a basis of the kernel of the matrix.
+class Equations:
+    """Linear equations of many states, without those that depend on others to within `RANK_TOLERANCE`.
 
-    Args:
-        matrix: (..., rows, columns).
-        right: (..., rows).
-
-    Returns:
-        (..., columns), and (..., columns, columns) with the basis vectors and columns of zeros.
+    Attributes:
+        kernel: (..., columns, columns) basis of the vectors that the matrix takes to zero, orthonormal, in
+            some columns; the other columns are zero.
     """
-    left, values, rows = np.linalg.svd(matrix)
-    columns = matrix.shape[-1]
-    used = values > RANK_TOLERANCE * values.max(axis=-1, initial=0.0, keepdims=True)
-    parts = np.einsum("...ij,...i->...j", left[..., : values.shape[-1]], right)
-    parts = np.where(used, parts / np.where(used, values, 1.0), 0.0)
-    count = values.shape[-1]
-    kernel = np.ones((*matrix.shape[:-2], columns), bool)
-    kernel[..., :count] = ~used
-    basis = np.swapaxes(rows, -1, -2) * kernel[..., None, :]
-    return np.einsum("...ji,...j->...i", rows[..., :count, :], parts), basis
 
+    def __init__(self, matrix: Array) -> None:
+        """Decompose the matrices (..., rows, columns)."""
+        left, values, right = np.linalg.svd(matrix)
+        count = values.shape[-1]
+        used = values > RANK_TOLERANCE * values.max(axis=-1, initial=0.0, keepdims=True)
+        self._inverse = np.where(used, 1.0 / np.where(used, values, 1.0), 0.0)
+        self._left, self._right = left[..., :count], right[..., :count, :]
+        is_kernel = np.ones(right.shape[:-1], bool)
+        is_kernel[..., :count] = ~used
+        self.kernel = np.swapaxes(right, -1, -2) * is_kernel[..., None, :]
 
-def least_solution(matrix: Array, right: Array) -> Array:
-    """Return the least solution of linear equations; see `solution_and_kernel`."""
-    return solution_and_kernel(matrix, right)[0]
+    def solution(self, right: Array) -> Array:
+        """Return the least solutions (..., columns) for right sides (..., rows)."""
+        parts = self._inverse * np.einsum("...ij,...i->...j", self._left, right)
+        return np.asarray(np.einsum("...ji,...j->...i", self._right, parts))
 
 
 def stacked(values: object) -> Array:

@@ -11,6 +11,7 @@ from mujoco_robots import robot_of, to_mujoco
 from paired_robots import pairs_by_name
 from test_dynamics import TREE
 
+from crosscheck.diff.alignment import align
 from crosscheck.diff.motion import PHASES, STATES, CommonStates, Likeness, Motion, Phase, compare_motions
 from crosscheck.diff.vectors import rotation_matrix
 from newton_euler.reading.robot import FileBody, FileJoint, JointKind, Placement, Robot, RobotFile
@@ -240,6 +241,36 @@ def test_free_base_is_held_where_the_fixed_one_is() -> None:
         assert found.likeness is Likeness.EQUAL
         assert found.notes == ("Both bases are held to compare: floating in one, fixed in the other.",)
         assert found.freedoms == (6, 6)
+
+
+SHOULDER = """
+<mujoco><worldbody><body name="chest" pos="0 0 1"><joint name="lift" type="slide" axis="0 0 1"/>
+    <geom type="box" size=".1 .05 .2"/>
+  <body name="upper" pos=".1 .2 0">JOINTS<geom type="capsule" fromto="0 0 0 .3 .05 0" size=".02"/>
+  <body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 .2 0 0" size=".02"/></body></body></body></worldbody></mujoco>"""
+BALL = '<joint name="ball" type="ball"/>'
+HINGES = '<joint name="x" axis="1 0 0"/><joint name="y" axis="0 1 0"/><joint name="z" axis="0 0 1"/>'
+
+
+@pytest.mark.parametrize("joints", [(BALL, HINGES), (HINGES, BALL)])
+def test_ball_and_three_hinges(joints: tuple[str, str]) -> None:
+    first, second = (of_text(SHOULDER.replace("JOINTS", each)) for each in joints)
+    alignment = align(first.robot, second.robot, {})
+    assert len(alignment.groups) == 1
+    found = compare_motions(first, second, alignment)
+    assert found.likeness is Likeness.EQUAL
+    assert found.freedoms == (5, 5)
+
+
+def test_joint_that_is_fixed_in_one_file_is_held() -> None:
+    text = SHOULDER.replace("JOINTS", HINGES)
+    fixed = text.replace('<joint name="elbow" axis="0 1 0"/>', "")
+    for files, where in (((text, fixed), "first"), ((fixed, text), "second")):
+        first, second = (of_text(each) for each in files)
+        found = compare_motions(first, second, align(first.robot, second.robot, {}))
+        assert found.likeness is Likeness.EQUAL
+        assert found.notes == (f"Only in the {where} file, and held: elbow.",)
 
 
 def pendulum(mass: float, armature: float = 0.05) -> Robot:
