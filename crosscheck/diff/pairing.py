@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from crosscheck.diff.links import GROUND, Link, LinkTree, composite
 from crosscheck.diff.registration import (
     Further,
+    Rigid,
     line_value,
     principal_rotations,
     register,
@@ -31,6 +33,9 @@ ROUND_OFF = 1e-12
 
 MIN_MOVED_VALUE = 0.4
 """Smallest value of a pair of links that hang on other parents; a half of that of an equal name and joint."""
+
+UNCLEAR = 1.5
+"""Difference of values of subtrees below which places of branches decide; sides in names are worth more."""
 
 ADDED_MASS = 1e-3
 """Largest difference, relative to the mass of a link, if it was added to another link's mass."""
@@ -145,10 +150,15 @@ class _Pairer:
     def _root(self) -> tuple[int, int]:
         """Pair the roots: both grounds, or the ground with the base that another joint holds in one robot."""
         choices = [(0, 0)]
-        if self.second.links[0].bodies:
-            choices += [(child, 0) for child in self.first.branches[0]]
-        if self.first.links[0].bodies:
-            choices += [(0, child) for child in self.second.branches[0]]
+        floating = _floating(self.first), _floating(self.second)
+        if self.second.links[0].bodies or not floating[1]:
+            choices += [
+                (k, 0) for k in self.first.branches[0] if k in floating[0] or self.second.links[0].bodies
+            ]
+        if self.first.links[0].bodies or not floating[0]:
+            choices += [
+                (0, k) for k in self.second.branches[0] if k in floating[1] or self.first.links[0].bodies
+            ]
         root = max(choices, key=lambda pair: (self._root_value(*pair), pair == (0, 0)))
         self.pairing.base = root
         extra = _whole_motions(self.first.below(root[0]), self.second.below(root[1]))
@@ -190,8 +200,10 @@ class _Pairer:
             rigid([self.first.links[k] for k in links.first], self.first.links, one),
             rigid([self.second.links[k] for k in links.second], self.second.links, two),
         )
-        following = self._following(self.first.links[links.first[0]], self.second.links[links.second[0]])
-        found = register(*ends, above, self.size, self._likeness, extra, following)
+        tops = self.first.links[links.first[0]], self.second.links[links.second[0]]
+        on_ground = tops[0].index == tops[1].index == 0
+        further = self._branches_further(*ends) if on_ground else self._following(*tops)
+        found = register(*ends, above, self.size, self._likeness, extra, further, pose_first=on_ground)
         links.motion, links.same_pose = found.motion, found.same_pose
         return links
 
@@ -206,6 +218,27 @@ class _Pairer:
         ends = rigid([after], self.first.links, after), rigid([other], self.second.links, other)
         further = self._following(after, other)
         return lambda motion: register(*ends, motion, self.size, self._likeness, (), further).value
+
+    def _branches_further(self, one: Rigid, two: Rigid) -> Further:
+        """Return the value of the links next to the ground, by the motion between both grounds."""
+        pairs = [
+            [(c, d) for d in two.branches if c.kind == d.kind and self._likeness(c, d) > 0]
+            for c in one.branches
+            if c.kind is not JointKind.FREE
+        ]
+        ends = [
+            [(rigid([c], self.first.links, c), rigid([d], self.second.links, d)) for c, d in choices]
+            for choices in pairs
+        ]
+
+        def further(motion: Placement) -> float:
+            values = (
+                [register(*pair, motion, self.size, self._likeness).value for pair in choices]
+                for choices in ends
+            )
+            return sum(max(found, default=0.0) for found in values)
+
+        return further
 
     def _unmatched_below(self, a: int, b: int) -> tuple[list[Link], list[Link]]:
         """Return the links of both robots next below two nodes that get no partner of their own."""
@@ -256,37 +289,45 @@ class _Pairer:
                 [k for k in forest.first if k not in self._of_first],
                 [k for k in forest.second if k not in self._of_second],
             )
-            motion = self._of_first[one].motion
-            # links on the way to the branches, whose joints are next to the paired links
-            starts = (
-                {k: self.first.path(k, one)[0] for k in free[0]},
-                {k: self.second.path(k, two)[0] for k in free[1]},
-            )
-
-            def value(
-                c: int,
-                d: int,
-                starts: tuple[dict[int, Link], dict[int, Link]] = starts,
-                motion: Placement = motion,
-            ) -> float:
-                tree = self.match.subtree(c, d)
-                if tree <= 0 or tree > FORCED / 2:
-                    return tree
-                nearby = line_value(starts[0][c], starts[1][d], motion, self.size)
-                return tree + nearby + self._whole_value(c, d, motion)
-
-            for c, d in assignment(*free, value):
+            places = self._place_values(*free, self._of_first[one], one, two)
+            for c, d in assignment(*free, partial(self._branch_value, places)):
                 nodes = self.match.matched(c, d)
                 if nodes[0] in self._of_first or nodes[1] in self._of_second:
                     continue
                 self._walk(one, two, *nodes)
                 grown.append(nodes)
 
-    def _whole_value(self, c: int, d: int, motion: Placement) -> float:
-        """Return how near the centers of mass of two subtrees are in the poses of the files, from 0 to 1."""
-        one, two = (_whole(tree.below(node)) for tree, node in ((self.first, c), (self.second, d)))
-        apart = motion.position + motion.rotation @ two[1] - one[1]
-        return 1.0 / (1.0 + 10.0 * float(np.linalg.norm(apart)) / self.size)
+    def _branch_value(self, places: Mapping[tuple[int, int], float], c: int, d: int) -> float:
+        """Return the value of two branches as partners, with that of their places by the pair."""
+        return self.match.subtree(c, d) + places.get((c, d), 0.0)
+
+    def _place_values(
+        self, first: Sequence[int], second: Sequence[int], above: LinkPair, a: int, b: int
+    ) -> dict[tuple[int, int], float]:
+        """Return how well branches of two paired nodes fit by their places, for pairs that can be partners.
+
+        Args:
+            first, second: nodes of the branches.
+            above: pair of the nodes that hold them.
+            a, b: the nodes that hold them.
+        """
+        if len(first) < 2 and len(second) < 2:
+            return {}
+        found = {}
+        for c in first:
+            trees = {d: self.match.subtree(c, d) for d in second}
+            best = max(trees.values(), default=0.0)
+            for d in (d for d, tree in trees.items() if 0 < tree < FORCED / 2):
+                # the links next to the paired nodes, on the way to the branches
+                starts = self.first.path(c, a)[0], self.second.path(d, b)[0]
+                found[c, d] = line_value(*starts, above.motion, self.size)
+                if best - trees[d] < UNCLEAR and starts[0].kind == starts[1].kind:
+                    ends = (
+                        rigid(starts[:1], self.first.links, starts[0]),
+                        rigid(starts[1:], self.second.links, starts[1]),
+                    )
+                    found[c, d] += register(*ends, above.motion, self.size, self._likeness).value
+        return found
 
     def _walk(self, a: int, b: int, end: int, other_end: int) -> None:
         """Pair the joints and the links on the paths between two paired nodes and two nodes below them.
@@ -469,6 +510,11 @@ def _nodes_below(tree: LinkTree) -> dict[int, int]:
         elif link.children:
             found[link.index] = found[link.children[0]]
     return found
+
+
+def _floating(tree: LinkTree) -> list[int]:
+    """Return the links with a free joint."""
+    return [link.index for link in tree.links if link.kind is JointKind.FREE]
 
 
 def _paired_above(tree: LinkTree, index: int, paired: Mapping[int, LinkPair]) -> int:

@@ -40,14 +40,14 @@ class Rigid:
     """A rigid body of a robot, in the world and in the pose of its file.
 
     Attributes:
-        frame: frame of its first body.
+        frame: frame of its first body; None between two joints of one body.
         joint: link with the joint that holds the body; None without one, or if that of the partner is of
             another kind.
         mass, center, inertia: as in `Link`.
         branches: links whose joints connect them to the body.
     """
 
-    frame: Placement
+    frame: Placement | None
     joint: Link | None
     mass: float
     center: Array
@@ -61,7 +61,7 @@ class Registered(NamedTuple):
     Attributes:
         motion: takes the second robot's link to the first robot's, both in the pose of the file.
         same_pose: whether the motion of the parent explains the numbers as well.
-        value: of the equal numbers of the link.
+        value: of the equal numbers of the link, and of an equal frame and an equal pose.
     """
 
     motion: Placement
@@ -88,8 +88,9 @@ def rigid(links: Sequence[Link], all_links: Sequence[Link], joint: Link | None) 
     mass, center, inertia = composite(parts, links[-1].center)
     own = {link.index for link in links}
     branches = tuple(all_links[child] for link in links for child in link.children if child not in own)
-    frame = min((link for link in links if link.bodies), key=lambda link: link.bodies[0], default=links[-1])
-    return Rigid(frame.frame, joint, mass, center, inertia, branches)
+    framed = [link for link in links if link.bodies or link.joint is None]
+    frame = min(framed, key=lambda link: link.bodies).frame if framed else None
+    return Rigid(frame, joint, mass, center, inertia, branches)
 
 
 def register(
@@ -100,6 +101,8 @@ def register(
     likeness: Likeness,
     extra: Sequence[Placement] = (),
     further: Further | None = None,
+    *,
+    pose_first: bool = False,
 ) -> Registered:
     """Find the motion that takes a link of the second robot to its partner in the first robot.
 
@@ -109,29 +112,33 @@ def register(
         size: typical length of the robots, m.
         likeness: value of matched subtrees; tells branches apart.
         extra: more motions to try.
-        further: tells explanations of equal value apart; None if the link has enough numbers of its own.
+        further: value of what follows; None if the link has enough numbers of its own.
+        pose_first: whether an equal pose is preferred to equal frames if both explain the same.
     """
     comparison = _Comparison(first, second, size, likeness, above)
-    by_frame = comparison.by_frame
-    best, best_total, best_value = by_frame, comparison.total(by_frame), comparison.value(by_frame)
-    pose, pose_value = above, comparison.value(above)
+    by_frame, pose = comparison.by_frame, above
     if comparison.located:
         # a joint at another place moves what it holds, but turns nothing
         moved = comparison.joint_points_equal(above.rotation)
-        if (moved_value := comparison.value(moved)) > pose_value + MARGIN:
-            pose, pose_value = moved, moved_value
-    if (total := comparison.total(pose)) > best_total + MARGIN:
-        best, best_total, best_value = pose, total, pose_value
-    if best_value < comparison.largest - MARGIN:
+        if comparison.value(moved) > comparison.value(pose) + MARGIN:
+            pose = moved
+    totals = [comparison.total(motion) + (further(motion) if further else 0.0) for motion in (by_frame, pose)]
+    if totals[1] > totals[0] + (-MARGIN if pose_first else MARGIN):
+        best, best_total = pose, totals[1]
+    else:
+        best, best_total = by_frame, totals[0]
+    if comparison.value(best) < comparison.largest - MARGIN:
         others = [*extra, *comparison.candidates()]
-        totals = [comparison.total(motion) for motion in others]
-        largest = max(totals, default=0.0)
-        if largest > best_total + MARGIN:
-            equal = [k for k, total in enumerate(totals) if total > largest - MARGIN]
-            number = max(equal, key=lambda k: (further(others[k]) if further else 0.0, totals[k]))
-            best, best_value = others[number], comparison.value(others[number])
-    same_pose = pose_value > best_value - MARGIN and comparison.same_pose(best) == 1.0
-    return Registered(best, same_pose, best_value)
+        own_totals = [comparison.total(motion) for motion in others]
+        largest = max(own_totals, default=0.0)
+        for motion, total in zip(others, own_totals, strict=True):
+            # what follows is compared only for the best explanations, since that costs more
+            if total > largest - MARGIN and further:
+                total += further(motion)
+            if total > best_total + MARGIN:
+                best, best_total = motion, total
+    pose_equal = comparison.value(pose) > comparison.value(best) - MARGIN
+    return Registered(best, pose_equal and comparison.same_pose(best) == 1.0, best_total)
 
 
 class _Comparison:
@@ -141,7 +148,7 @@ class _Comparison:
         first, second: the link and its partner.
         size: typical length of the robots, m.
         above: motion of the parent.
-        by_frame: motion that makes the frames equal.
+        by_frame: motion that makes the frames equal; that of the parent if a frame is missing.
         located: whether both are held by a joint whose place matters.
         largest: value if all numbers are equal.
     """
@@ -151,7 +158,11 @@ class _Comparison:
     ) -> None:
         """Collect the numbers."""
         self.first, self.second, self.size, self.above = first, second, size, above
-        self.by_frame = first.frame @ second.frame.inverse()
+        self._origin = second.frame.position if second.frame else second.center
+        self._framed = first.frame is not None and second.frame is not None
+        self.by_frame = above
+        if first.frame is not None and second.frame is not None:
+            self.by_frame = first.frame @ second.frame.inverse()
         values = {
             (one.index, two.index): likeness(one, two) for one in first.branches for two in second.branches
         }
@@ -203,6 +214,8 @@ class _Comparison:
 
     def same_frame(self, motion: Placement) -> float:
         """Return 1 if a motion makes the frames equal, up to 0.3 if it makes them similar."""
+        if not self._framed:
+            return 0.0
         return _sameness(max(self._turn(motion, self.by_frame), self._shift(motion, self.by_frame)))
 
     def same_pose(self, motion: Placement) -> float:
@@ -216,8 +229,7 @@ class _Comparison:
 
     def _shift(self, one: Placement, two: Placement) -> float:
         """Return how far apart two motions take the origin of the second link, relative to the size."""
-        origin = self.second.frame.position
-        apart = one.rotation @ origin + one.position - two.rotation @ origin - two.position
+        apart = one.rotation @ self._origin + one.position - two.rotation @ self._origin - two.position
         return _norm(apart) / self.size
 
     def joint_points_equal(self, rotation: Array) -> Placement:
