@@ -37,6 +37,9 @@ SINGLE_MOTION = re.compile(
 COMPOUND_JOINTS = ("Universal", "Translation", "Planar", "SphericalZYX")
 """Names of Pinocchio's joints with several hinges and slides, which are in the order of the velocities."""
 
+MIN_MASS_RATIO = 1e-14
+"""Mass of a body without its parts, relative to the whole, below which the mass is the round-off of 0."""
+
 LOOP_KINDS = {"3d": LoopKind.POINT, "6d": LoopKind.WELD}
 """Kind of a loop by its type, see `urdf.loops`."""
 
@@ -98,9 +101,8 @@ class _Description:
         own_inertias = {number: frames[frames[number].parentFrame].inertia for number in fixed}
         for number in fixed:
             joint_frame = frames[frames[number].parentFrame]
-            if joint_frame.inertia.mass > 0.0:
-                joint = joint_frame.parentJoint
-                inertias[joint] = inertias[joint] - joint_frame.placement.act(joint_frame.inertia)
+            part = joint_frame.placement.act(joint_frame.inertia)
+            inertias[joint_frame.parentJoint] = _without(inertias[joint_frame.parentJoint], part)
         # bodies by joint; a body on the ground is there only if it has a frame
         self._body_of_joint = {0: -1}
         self.bodies: list[FileBody] = []
@@ -223,6 +225,19 @@ class _Description:
                 first_frame=_placement(self._placements[first.parentJoint].actInv(first.placement)),
                 second_frame=_placement(self._placements[second.parentJoint].actInv(second.placement)),
             )
+
+
+def _without(whole: Any, part: Any) -> Any:
+    """Return the `pinocchio.Inertia` of a body without one of its parts, which may have no inertia."""
+    difference = whole.matrix() - part.matrix()
+    mass = float(difference[0, 0])
+    if not np.any(part.matrix()):
+        return whole
+    if mass <= MIN_MASS_RATIO * whole.mass:
+        return pin.Inertia(0.0, np.zeros(3), difference[3:, 3:])
+    center = pin.unSkew(difference[3:, :3]) / mass
+    about_center = difference[3:, 3:] + mass * pin.skewSquare(center, center)
+    return pin.Inertia(mass, center, about_center)
 
 
 def _placement(placement: Any) -> Placement:

@@ -181,7 +181,11 @@ def _extensions(path: str, text: str, root: ET.Element, loops: Loops, notes: lis
     except SourceError as error:
         notes.append(f"loops and springs that tools add to the URDF are not described: {error.problem}")
         return Extensions(text)
-    notes.extend(f"{entry.element}: {entry.how}" for entry in report.entries if entry.is_unsimulated)
+    elements_of: dict[str, list[str]] = {}  # by reason
+    for entry in report.entries:
+        if entry.is_unsimulated:
+            elements_of.setdefault(entry.how, []).append(entry.element)
+    notes.extend(f"{', '.join(elements)}: {why}" for why, elements in elements_of.items())
     springs = extensions.point_springs
     notes.extend(f"spring {spring.name!r} between two points is not described" for spring in springs)
     return extensions
