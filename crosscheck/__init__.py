@@ -1,7 +1,8 @@
 """crosscheck: simulate a closed-loop mechanism in several dynamics engines, and compare the results.
 
 The public names are `check` with its `Verdict` and `Outcome`, and `Log`, a run of another simulator. `tune`
-with its `Tuning` finds the cheapest settings of an engine for an error. `sweep` with its `Sweep` makes Monte
+with its `Tuning` finds the cheapest settings of an engine for an error. `diff` with its `Diff` compares two
+model files. `sweep` with its `Sweep` makes Monte
 Carlo and design-of-experiments studies. `CrosscheckError` is the base class of errors.
 """
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from crosscheck.support.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.tuning import Tuning, tune
+    from crosscheck.two_files import Diff, diff
     from crosscheck.verdict import Verdict, check
 else:
 
@@ -28,6 +30,8 @@ else:
             from crosscheck.sweeps import sweep as module
         elif name in ("Tuning", "tune"):
             from crosscheck import tuning as module
+        elif name in ("Diff", "diff"):
+            from crosscheck import two_files as module
         elif name == "CrosscheckError":
             from crosscheck.support import errors as module
         elif name == "Log":
@@ -40,4 +44,16 @@ else:
         return getattr(module, name)
 
 
-__all__ = ["CrosscheckError", "Log", "Outcome", "Sweep", "Tuning", "Verdict", "check", "sweep", "tune"]
+__all__ = [
+    "CrosscheckError",
+    "Diff",
+    "Log",
+    "Outcome",
+    "Sweep",
+    "Tuning",
+    "Verdict",
+    "check",
+    "diff",
+    "sweep",
+    "tune",
+]

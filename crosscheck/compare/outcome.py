@@ -66,6 +66,8 @@ class Outcome(StrEnum):
     """Several engines were requested, but only one can represent the model."""
     SAME = "SAME"
     """Two models do not differ."""
+    SAME_TO_ROUNDING = "SAME TO ROUNDING"
+    """Two models differ by no more than the digits of their files leave open."""
     DIFFERENT = "DIFFERENT"
     """Two models differ."""
     QUIET = "QUIET"
@@ -79,7 +81,7 @@ class Outcome(StrEnum):
     def judged(self) -> Verdict:
         """Judgment of the outcome, which selects its color in the terminal, in tables and on pages."""
         match self:
-            case Outcome.AGREE | Outcome.SAME | Outcome.QUIET:
+            case Outcome.AGREE | Outcome.SAME | Outcome.SAME_TO_ROUNDING | Outcome.QUIET:
                 return "holds"
             case (
                 Outcome.AGREE_ON_A_REDUCED_MODEL
@@ -109,6 +111,7 @@ class Outcome(StrEnum):
                 | Outcome.AGREE_AT_RANDOM_STATES_ONLY
                 | Outcome.ONE_ENGINE_ALONE
                 | Outcome.SAME
+                | Outcome.SAME_TO_ROUNDING
                 | Outcome.QUIET
             ):
                 return ExitStatus.AGREE

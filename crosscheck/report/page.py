@@ -50,6 +50,7 @@ RESULTS = (
     "loads.json",
     "identify.json",
     "tune.json",
+    "diff.json",
 )
 """Names of result files that contain a report."""
 

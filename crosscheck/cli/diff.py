@@ -1,0 +1,97 @@
+"""`crosscheck diff`: compare two model files of one robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import (
+    cli,
+    folder_option,
+    next_step,
+    progress_shown,
+    scene_options,
+    show,
+    verbose_option,
+)
+from crosscheck.report.render import as_json
+from crosscheck.support.errors import CrosscheckError
+
+
+@cli.command("diff")
+@click.argument("first")
+@click.argument("second")
+@click.option(
+    "--set-first", multiple=True, metavar="OPTION=VALUE", help="Option of FIRST, such as loops=FILE."
+)
+@click.option("--set-second", multiple=True, metavar="OPTION=VALUE", help="Option of SECOND.")
+@click.option(
+    "--names",
+    type=click.Path(path_type=Path),
+    help="YAML file with names in FIRST and in SECOND, if they differ.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0.0, 1.0, max_open=True),
+    help="Relative difference that counts as rounding.  [default: the digits of the files]",
+)
+@folder_option("output/diff/FIRST_SECOND")
+@verbose_option
+def diff_command(
+    first: str,
+    second: str,
+    set_first: tuple[str, ...],
+    set_second: tuple[str, ...],
+    names: Path | None,
+    tolerance: float | None,
+    output: Path | None,
+) -> int:
+    """Compare two model files of one robot: what differs, and does it matter.
+
+    FIRST and SECOND are MJCF or URDF files. Bodies and joints are paired by names and by structure. Each
+    difference has one row with both values and its effect on the motion. Differences within the digits of
+    the files are rounding.
+
+    The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
+    """
+    from crosscheck.diff.result import compare_files
+    from crosscheck.loading.robots import describe_model
+    from crosscheck.report.diff import report
+    from crosscheck.report.output import check_no_other_results, results_name
+    from crosscheck.support.files import check_no_source, check_writable, write_files
+
+    folder = output or Path("output/diff") / f"{results_name(first)}_{results_name(second)}"
+    path = folder / "diff.json"
+    check_no_source([path], [first, second])
+    if output is None:
+        check_no_other_results(folder, [first, second], "comparison of files")
+    check_writable(path)
+    with progress_shown() as progress:
+        progress("reading the files")
+        files = [
+            describe_model(source, scene_options(settings, given_as))
+            for source, settings, given_as in (
+                (first, set_first, "--set-first"),
+                (second, set_second, "--set-second"),
+            )
+        ]
+        comparison = compare_files(files[0], files[1], _pairs(names), tolerance, progress)
+    found = report(comparison)
+    write_files({path: as_json(comparison.summary(), found)})
+    show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")
+    return comparison.outcome.exit_status()
+
+
+def _pairs(path: Path | None) -> dict[str, str]:
+    """Read pairs of names from a YAML file; none without a file."""
+    from newton_euler.model.source_file import SourceError, read_text
+    from newton_euler.model.yaml_source import parse_yaml
+
+    if path is None:
+        return {}
+    source = str(path)
+    content = parse_yaml(source, read_text(source, limit="file_size", error=SourceError)) or {}
+    if not isinstance(content, dict) or not all(isinstance(name, str) for name in content.values()):
+        raise CrosscheckError(f"{source}: needed: a line 'name in FIRST: name in SECOND' for each pair")
+    return content

@@ -1,0 +1,90 @@
+"""Result of a comparison of two model files: what differs, and whether the robots move alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from crosscheck.compare.outcome import Outcome
+from crosscheck.diff.alignment import Alignment, align
+from crosscheck.diff.difference import Difference, Standing
+from crosscheck.diff.motion import Likeness, Motion, compare_motions
+from crosscheck.diff.rows import differences
+from newton_euler.reading.robot import RobotFile
+
+
+@dataclass(frozen=True, eq=False)
+class FileComparison:
+    """Comparison of two model files.
+
+    Attributes:
+        first, second: the files.
+        alignment: pairs of their bodies and joints.
+        rows: what differs: true differences, the largest effect on motion first, then rounding, then
+            conventions.
+        motion: whether the robots move alike.
+    """
+
+    first: RobotFile
+    second: RobotFile
+    alignment: Alignment
+    rows: tuple[Difference, ...]
+    motion: Motion
+
+    def of_standing(self, standing: Standing) -> tuple[Difference, ...]:
+        """Return the rows that are true differences, rounding, or conventions."""
+        return tuple(row for row in self.rows if row.standing is standing)
+
+    @property
+    def outcome(self) -> Outcome:
+        """`SAME`, `SAME_TO_ROUNDING` if only the digits of the files differ, or `DIFFERENT`."""
+        moves_differently = self.motion.likeness is Likeness.DIFFERENT
+        if moves_differently or self.of_standing(Standing.DIFFERENT):
+            return Outcome.DIFFERENT
+        is_rounded = self.motion.likeness is Likeness.ROUNDING or self.of_standing(Standing.ROUNDING)
+        return Outcome.SAME_TO_ROUNDING if is_rounded else Outcome.SAME
+
+    def summary(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        files = [
+            {"source": each.source, "format": each.format, "notes": list(each.notes)}
+            for each in (self.first, self.second)
+        ]
+        return {
+            "outcome": self.outcome.value,
+            "models": files,
+            "differences": [asdict(row) | {"standing": row.standing.value} for row in self.rows],
+            "motion": asdict(self.motion),
+            "renamed": [list(names) for names in self.alignment.renamed],
+        }
+
+
+def compare_files(
+    first: RobotFile,
+    second: RobotFile,
+    names: Mapping[str, str],
+    tolerance: float | None,
+    progress: Callable[[str], None],
+) -> FileComparison:
+    """Compare two model files.
+
+    Args:
+        first, second: the files.
+        names: names of bodies or joints of the first file, and of their partners in the second.
+        tolerance: relative difference that counts as rounding, instead of the digits of the files; None for
+            the digits.
+        progress: shows a message to the user.
+
+    Raises:
+        CrosscheckError: for a name that a file does not have.
+    """
+    progress("pairing bodies and joints")
+    alignment = align(first.robot, second.robot, names)
+    progress("comparing numbers")
+    rows = differences(first, second, alignment, tolerance)
+    progress("comparing motions")
+    motion = compare_motions(first, second, alignment)
+    rank = list(Standing)
+    rows.sort(key=lambda row: (rank.index(row.standing), -(row.effect or 0.0)))
+    return FileComparison(first, second, alignment, tuple(rows), motion)

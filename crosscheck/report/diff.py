@@ -1,0 +1,190 @@
+"""Report of `crosscheck diff`: what differs between two model files, and what it does to the motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from crosscheck.compare.outcome import Outcome, Verdict
+from crosscheck.diff.difference import Difference, Quantity, Standing, Value
+from crosscheck.diff.motion import Likeness
+from crosscheck.diff.result import FileComparison
+from crosscheck.own_run.allowed import length
+from crosscheck.report.own_run import percent
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
+from newton_euler.reading.robot import RobotFile
+
+MAX_LISTED = 30
+"""Largest number of rows of the short table of differences; all are in the long one."""
+
+MIN_EFFECT = 1e-6
+"""Relative change of accelerations below which a difference has no effect in words."""
+
+ABSOLUTE = {
+    Quantity.CENTER,
+    Quantity.INERTIA_AXES,
+    Quantity.FRAME,
+    Quantity.JOINT_ORIGIN,
+    Quantity.JOINT_AXIS,
+    Quantity.JOINT_ORIENTATION,
+    Quantity.ZERO,
+    Quantity.REST,
+    Quantity.LIMITS,
+    Quantity.LOOP_POINT,
+    Quantity.LOOP_AXIS,
+    Quantity.LOOP_LENGTH,
+}
+"""Quantities whose difference is a length or an angle; that of others is relative."""
+
+
+def report(comparison: FileComparison) -> Report:
+    """Make the report of a comparison of two model files."""
+    outcome = comparison.outcome
+    different = comparison.of_standing(Standing.DIFFERENT)
+    short: list[Part] = []
+    if different:
+        columns = [*number_columns("motion", "difference"), Column("what differs")]
+        short.append(Table("", columns, [_short_row(row) for row in different[:MAX_LISTED]]))
+    short.append(Lines("", list(_notes(comparison, len(different) - MAX_LISTED))))
+    parts: list[Part] = []
+    for standing, title in (
+        (Standing.DIFFERENT, "differences"),
+        (Standing.ROUNDING, "rounding: differences within the digits of the files"),
+        (Standing.CONVENTION, "conventions: the same robot in other terms"),
+    ):
+        if rows := comparison.of_standing(standing):
+            parts.append(_table(title, comparison, rows))
+    first, second = (_title(file) for file in (comparison.first, comparison.second))
+    judged = Cell(outcome.value, outcome.judged)
+    return Report(f"{first} and {second}", verdict(comparison), judged, parts, summary=short)
+
+
+def verdict(comparison: FileComparison) -> str:
+    """Format the result in one sentence."""
+    different, motion = comparison.of_standing(Standing.DIFFERENT), comparison.motion
+    rounded = comparison.of_standing(Standing.ROUNDING)
+    words = comparison.outcome.value
+    match comparison.outcome:
+        case Outcome.SAME:
+            return f"{words}: all numbers and motions are equal"
+        case Outcome.SAME_TO_ROUNDING:
+            count = sum(len(row.elements) for row in rounded)
+            effect = max((row.effect or 0.0 for row in rounded), default=motion.change)
+            numbers = f"{count} numbers differ" if count else "numbers differ"
+            return (
+                f"{words}: {numbers} within their digits; accelerations change by at most {percent(effect)}"
+            )
+        case _:
+            plural = "" if len(different) == 1 else "s"
+            return f"{words}: {len(different)} difference{plural}; {_motion_text(comparison)}"
+
+
+def _motion_text(comparison: FileComparison) -> str:
+    """Tell whether the robots move alike."""
+    motion = comparison.motion
+    match motion.likeness:
+        case Likeness.DIFFERENT:
+            if motion.gaps:
+                gap = motion.gaps[0]
+                size = length(gap.error) if gap.unit == "m" else f"{math.degrees(gap.error):.2g} deg"
+                return f"poses of the first do not fit the second: {gap.constraint!r} is off by {size}"
+            return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
+        case Likeness.EQUAL:
+            return "both move alike"
+        case Likeness.ROUNDING:
+            return "both move alike, within the digits of the files"
+        case Likeness.UNDECIDED:
+            return "motions were not compared"
+
+
+def _title(file: RobotFile) -> str:
+    """Name a file and its format."""
+    name = Path(file.source).name if file.source else file.robot.name
+    return f"{name} ({file.format})" if file.format else name
+
+
+def _table(title: str, comparison: FileComparison, rows: tuple[Difference, ...]) -> Table:
+    """Make a table of differences."""
+    files = comparison.first, comparison.second
+    # the shortest names that tell the files apart
+    names = ["first", "second"]
+    for candidates in ([file.format for file in files], [Path(file.source).stem for file in files]):
+        if all(candidates) and candidates[0] != candidates[1]:
+            names = candidates
+    columns = [Column("what differs"), *(Column(name) for name in names)]
+    columns += number_columns("difference", "motion")
+    found: Rows = [_row(row) for row in rows]
+    return Table(title, columns, found)
+
+
+def _short_row(row: Difference) -> list[str | Cell]:
+    """Make the cells of a difference for the terminal: effect, size, and a sentence."""
+    text = _what(row)
+    values = [value_text(value) for value in (row.first, row.second)]
+    if not isinstance(row.first, tuple) and not isinstance(row.second, tuple) and values[0] != values[1]:
+        text += f": {values[0]} against {values[1]}{f' {row.unit}' if row.unit else ''}"
+    if row.cause:
+        text += f"; {row.cause}"
+    return [effect_text(row), Cell(size_text(row), "fails"), Cell(text, about=row.element)]
+
+
+def _row(row: Difference) -> list[str | Cell]:
+    """Make the cells of a difference for a page: what, both values, size and effect."""
+    what = _what(row) + (f", {row.unit}" if row.unit else "") + (f"\n{row.cause}" if row.cause else "")
+    judged: Verdict = "fails" if row.standing is Standing.DIFFERENT else ""
+    values = [value_text(value) for value in (row.first, row.second)]
+    return [Cell(what, about=row.element), *values, Cell(size_text(row), judged), effect_text(row)]
+
+
+def _what(row: Difference) -> str:
+    """Name the quantity and the element of a difference, and the number of others with the same cause."""
+    others = len(row.elements) - 1
+    return f"{row.quantity.value} of {row.element}" + (f" and {others} more" if others > 0 else "")
+
+
+def effect_text(row: Difference) -> str:
+    """Format the change of accelerations; "none" below round-off, "" if it was not computed."""
+    if row.effect is None:
+        return ""
+    return "none" if row.effect < MIN_EFFECT else percent(row.effect)
+
+
+def value_text(value: Value) -> str:
+    """Format a value of a model file with six digits; "-" for none."""
+    if value is None:
+        return "-"
+    if isinstance(value, str):
+        return value
+    numbers = value if isinstance(value, tuple) else (value,)
+    return " ".join(f"{number:.6g}" for number in numbers)
+
+
+def size_text(row: Difference) -> str:
+    """Format the size of a difference: a length, an angle, or percent; "" if one file lacks the element."""
+    if row.quantity is Quantity.PRESENCE or (row.first is None) != (row.second is None):
+        return ""
+    if row.quantity not in ABSOLUTE:
+        return percent(row.size)
+    return length(row.size) if row.unit == "m" else f"{math.degrees(row.size):.2g} deg"
+
+
+def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
+    """Yield how bodies were paired, what was left out, and how many rows are not listed."""
+    if unlisted > 0:
+        yield f"{unlisted} more differences: --verbose lists all"
+    alignment = comparison.alignment
+    counts = [len(alignment.bodies), len(alignment.joints)]
+    yield f"paired: {counts[0]} bodies and {counts[1]} joints"
+    if alignment.renamed:
+        pairs = [f"{one} = {two}" for one, two in alignment.renamed[:3]]
+        more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""
+        yield f"paired by structure, as names differ: {', '.join(pairs)}{more}"
+    yield from comparison.motion.notes
+    rounded = comparison.of_standing(Standing.ROUNDING)
+    if rounded and comparison.outcome is Outcome.DIFFERENT:
+        count = sum(len(row.elements) for row in rounded)
+        yield f"{count} more numbers differ within the digits of the files"
+    for file in (comparison.first, comparison.second):
+        for note in file.notes:
+            yield f"note: {_title(file)}: {note}"

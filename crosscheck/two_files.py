@@ -1,0 +1,116 @@
+"""Python interface of `crosscheck diff`: `crosscheck.diff(first, second)` returns a `Diff`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from crosscheck.compare.outcome import Outcome
+from crosscheck.diff.difference import Difference, Standing
+from crosscheck.diff.motion import Motion
+from crosscheck.diff.result import FileComparison, compare_files
+from crosscheck.loading.robots import describe_model
+from crosscheck.report.diff import report
+from crosscheck.report.page import rendered
+from crosscheck.report.render import terminal, wrapped
+from crosscheck.report.table import Report
+from newton_euler.arguments import checked
+from newton_euler.errors import OptionError
+
+if TYPE_CHECKING:
+    from crosscheck.loading.load import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Diff:
+    """Comparison of two model files.
+
+    Attributes:
+        comparison: the complete result.
+
+    Examples:
+        >>> found: Diff = diff("mjcf/tracker.xml", "urdf/tracker.urdf", second_options={"loops": LOOPS})
+        >>> found.same
+        True
+    """
+
+    comparison: FileComparison
+
+    @property
+    def same(self) -> bool:
+        """True if no number differs by more than the digits of the files leave open."""
+        return self.comparison.outcome.passes()
+
+    @property
+    def outcome(self) -> Outcome:
+        """`SAME`, `SAME_TO_ROUNDING` or `DIFFERENT`."""
+        return self.comparison.outcome
+
+    @property
+    def differences(self) -> tuple[Difference, ...]:
+        """True differences, the largest effect on motion first; rounding is not among them."""
+        return self.comparison.of_standing(Standing.DIFFERENT)
+
+    @property
+    def motion(self) -> Motion:
+        """Whether the robots move alike, and the largest difference of their accelerations."""
+        return self.comparison.motion
+
+    @cached_property
+    def report(self) -> Report:
+        """Table of differences, and notes."""
+        return report(self.comparison)
+
+    def __repr__(self) -> str:
+        return f"<{self.report.verdict}>"
+
+    def __str__(self) -> str:
+        head = f"{wrapped(self.report.title)}\n{wrapped(self.report.verdict)}"
+        return f"{head}\n\n{terminal(self.report.summary)}"
+
+    def _repr_html_(self) -> str:
+        return rendered("summary.html", report=self.report)
+
+
+@checked
+def diff(
+    first: Model,
+    second: Model,
+    *,
+    names: Mapping[str, str] | None = None,
+    tolerance: float | None = None,
+    first_options: Mapping[str, str] | None = None,
+    second_options: Mapping[str, str] | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> Diff:
+    """Compare two model files of one robot: what differs, and does it change the motion.
+
+    A number is as exact as it is written: differences of half a unit of the last digit, at most of the sixth,
+    are rounding.
+
+    Args:
+        first, second: paths of MJCF or URDF files, an `MjSpec` or `MjModel` of MuJoCo, or a `Model` of
+            Pinocchio, alone or paired with its constraints.
+        names: names of bodies or joints of the first file, and of their partners in the second. Others are
+            found by names and structure.
+        tolerance: relative difference that counts as rounding, instead of the digits of the files.
+        first_options, second_options: options of each model: `loops`, the loop file of a URDF.
+        progress: function that is called with a message before each stage.
+
+    Raises:
+        CrosscheckError, NewtonEulerError: for a model, a name or an option that cannot be used.
+
+    Examples:
+        >>> found = diff("mjcf/tracker.xml", "mjcf/tracker.xml")
+        >>> found.same, len(found.differences)
+        (True, 0)
+    """
+    if tolerance is not None and not 0.0 <= tolerance < 1.0:
+        raise OptionError("tolerance", tolerance, "a number from 0 to below 1")
+    files = [
+        describe_model(model, options or {})
+        for model, options in ((first, first_options), (second, second_options))
+    ]
+    return Diff(compare_files(files[0], files[1], names or {}, tolerance, progress))
