@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.diff.alignment import Alignment, align
-from crosscheck.diff.difference import Difference, Standing
+from crosscheck.diff.difference import Difference, Quantity, Standing
 from crosscheck.diff.motion import Likeness, Motion, compare_motions
 from crosscheck.diff.rows import differences
 from newton_euler.reading.robot import RobotFile
@@ -85,6 +85,14 @@ def compare_files(
     rows = differences(first, second, alignment, tolerance)
     progress("comparing motions")
     motion = compare_motions(first, second, alignment)
+    if motion.likeness in (Likeness.EQUAL, Likeness.ROUNDING):
+        # a loop of one file and couplings of the other that allow the same motion
+        rows = [replace(row, convention=row.convention or _is_constraint(row)) for row in rows]
     rank = list(Standing)
     rows.sort(key=lambda row: (rank.index(row.standing), -(row.effect or 0.0)))
     return FileComparison(first, second, alignment, tuple(rows), motion)
+
+
+def _is_constraint(row: Difference) -> bool:
+    """Return whether a row is about a loop or a coupling that only one file has."""
+    return row.quantity is Quantity.PRESENCE and row.element_kind in ("loop", "coupling")

@@ -18,6 +18,9 @@ from newton_euler.reading.robot import RobotFile
 MAX_LISTED = 30
 """Largest number of rows of the short table of differences; all are in the long one."""
 
+MAX_CONVENTIONS = 3
+"""Largest number of conventions that the terminal names."""
+
 MIN_EFFECT = 1e-6
 """Relative change of accelerations below which a difference has no effect in words."""
 
@@ -67,7 +70,8 @@ def verdict(comparison: FileComparison) -> str:
     words = comparison.outcome.value
     match comparison.outcome:
         case Outcome.SAME:
-            return f"{words}: all numbers and motions are equal"
+            terms = ", in other terms" if comparison.of_standing(Standing.CONVENTION) else ""
+            return f"{words}: all numbers and motions are equal{terms}"
         case Outcome.SAME_TO_ROUNDING:
             count = sum(len(row.elements) for row in rounded)
             effect = max((row.effect or 0.0 for row in rounded), default=motion.change)
@@ -86,7 +90,7 @@ def _motion_text(comparison: FileComparison) -> str:
     match motion.likeness:
         case Likeness.DIFFERENT:
             if motion.gaps:
-                gap = motion.gaps[0]
+                gap = max(motion.gaps, key=lambda gap: gap.error)
                 size = length(gap.error) if gap.unit == "m" else f"{math.degrees(gap.error):.2g} deg"
                 return f"poses of the first do not fit the second: {gap.constraint!r} is off by {size}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
@@ -120,13 +124,20 @@ def _table(title: str, comparison: FileComparison, rows: tuple[Difference, ...])
 
 def _short_row(row: Difference) -> list[str | Cell]:
     """Make the cells of a difference for the terminal: effect, size, and a sentence."""
+    return [effect_text(row), Cell(size_text(row), "fails"), Cell(_sentence(row), about=row.element)]
+
+
+def _sentence(row: Difference) -> str:
+    """Tell a difference with its values and its cause; of several numbers, such as a position, no values."""
     text = _what(row)
     values = [value_text(value) for value in (row.first, row.second)]
-    if not isinstance(row.first, tuple) and not isinstance(row.second, tuple) and values[0] != values[1]:
+    if row.quantity is Quantity.PRESENCE:
+        text += f" only in the {'second' if row.first is None else 'first'} file"
+        if row.element_kind == "body":
+            text += f" ({values[row.first is None]} kg)"
+    elif not isinstance(row.first, tuple) and not isinstance(row.second, tuple) and values[0] != values[1]:
         text += f": {values[0]} against {values[1]}{f' {row.unit}' if row.unit else ''}"
-    if row.cause:
-        text += f"; {row.cause}"
-    return [effect_text(row), Cell(size_text(row), "fails"), Cell(text, about=row.element)]
+    return f"{text}; {row.cause}" if row.cause else text
 
 
 def _row(row: Difference) -> list[str | Cell]:
@@ -140,7 +151,8 @@ def _row(row: Difference) -> list[str | Cell]:
 def _what(row: Difference) -> str:
     """Name the quantity and the element of a difference, and the number of others with the same cause."""
     others = len(row.elements) - 1
-    return f"{row.quantity.value} of {row.element}" + (f" and {others} more" if others > 0 else "")
+    what = row.element_kind if row.quantity is Quantity.PRESENCE else f"{row.quantity.value} of"
+    return f"{what} {row.element}" + (f" and {others} more" if others > 0 else "")
 
 
 def effect_text(row: Difference) -> str:
@@ -181,6 +193,10 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
         more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""
         yield f"paired by structure, as names differ: {', '.join(pairs)}{more}"
     yield from comparison.motion.notes
+    if conventions := comparison.of_standing(Standing.CONVENTION):
+        texts = [_sentence(row) for row in conventions[:MAX_CONVENTIONS]]
+        more = len(conventions) - MAX_CONVENTIONS
+        yield f"in other terms: {'; '.join(texts)}{f' and {more} more' if more > 0 else ''}"
     rounded = comparison.of_standing(Standing.ROUNDING)
     if rounded and comparison.outcome is Outcome.DIFFERENT:
         count = sum(len(row.elements) for row in rounded)

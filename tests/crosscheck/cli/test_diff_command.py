@@ -1,0 +1,98 @@
+"""`crosscheck diff` and `crosscheck.diff`: exit status, JSON result and table of two model files."""
+
+from __future__ import annotations
+
+import json
+
+import mujoco
+import pytest
+from command_line import run
+
+import crosscheck
+from crosscheck.compare.outcome import Outcome
+from crosscheck.support.errors import CrosscheckError
+
+ARM = """<mujoco model="arm"><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.2"/>
+  <inertial pos="0.1 0 0" mass="{mass}" diaginertia="0.002 0.01 0.01"/>
+  <body name="lower" pos="0.3 0 0"><joint name="elbow" axis="0 1 0"/>
+    <inertial pos="0.1 0 0" mass="0.8" diaginertia="0.001 0.004 0.004"/></body></body></worldbody>
+  <actuator><motor name="drive" joint="elbow" gear="{gear}"/></actuator></mujoco>"""
+
+
+@pytest.fixture
+def arm(tmp_path):
+    def write(name, mass="1.5", gear="10"):
+        path = tmp_path / f"{name}.xml"
+        path.write_text(ARM.format(mass=mass, gear=gear))
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("values", "outcome", "status"),
+    [
+        ({}, "SAME", 0),
+        ({"mass": "1.50001"}, "SAME TO ROUNDING", 0),  # of 1.5, written with two digits
+        ({"mass": "1.52"}, "DIFFERENT", 1),
+        ({"gear": "-10"}, "DIFFERENT", 1),
+    ],
+)
+def test_exit_status_and_outcome(capsys, arm, tmp_path, values, outcome, status):
+    other = arm("other", **values)
+    status_found, _, _ = run(capsys, "diff", arm("first"), other, "--output", tmp_path / "out")
+    assert status_found == status
+    result = json.loads((tmp_path / "out" / "diff.json").read_text())
+    assert result["outcome"] == outcome
+    assert result["report"]["verdict"].startswith(f"{outcome}: ")
+
+
+def test_numbers_of_a_difference(arm):
+    found = crosscheck.diff(arm("first"), arm("other", mass="1.8"))
+    assert not found.same
+    assert found.outcome is Outcome.DIFFERENT
+    [row] = found.differences
+    assert (row.element, row.quantity, row.first, row.second) == ("upper", "mass", 1.5, 1.8)
+    assert row.size == pytest.approx(0.2)
+
+
+def test_models_in_memory(arm):
+    first = mujoco.MjModel.from_xml_path(arm("first"))
+    assert crosscheck.diff(first, mujoco.MjSpec.from_file(arm("second"))).same
+    assert [each.element for each in crosscheck.diff(first, arm("other", gear="12")).differences] == ["drive"]
+
+
+def test_tolerance_replaces_the_digits(arm):
+    assert not crosscheck.diff(arm("first"), arm("other", mass="1.52"), tolerance=0.01).same
+    assert crosscheck.diff(arm("first"), arm("other", mass="1.52"), tolerance=0.02).same
+
+
+def test_names_that_the_user_pairs(capsys, arm, tmp_path):
+    other = arm("other")
+    with open(other) as file:
+        renamed = file.read().replace("elbow", "q2").replace("shoulder", "q1")
+    (tmp_path / "other.xml").write_text(renamed)
+    pairs = tmp_path / "names.yaml"
+    pairs.write_text("elbow: q2\n")
+    status_found, _, _ = run(
+        capsys, "diff", arm("first"), other, "--names", pairs, "--output", tmp_path / "out"
+    )
+    assert status_found == 0
+    assert run(capsys, "diff", arm("first"), other, "--names", tmp_path / "none.yaml")[0] == 2
+    pairs.write_text("wrist: q2\n")
+    assert run(capsys, "diff", arm("first"), other, "--names", pairs)[0] == 2
+
+
+def test_scenes_are_refused(arm):
+    with pytest.raises(CrosscheckError):
+        crosscheck.diff("pendulum", arm("first"))
+
+
+def test_results_of_other_files_are_not_overwritten(capsys, arm, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first = arm("first")
+    assert run(capsys, "diff", first, first)[0] == 0
+    (tmp_path / "folder").mkdir()
+    other = tmp_path / "folder" / "first.xml"
+    other.write_text(ARM.format(mass="2", gear="1"))
+    assert run(capsys, "diff", str(other), first)[0] == 2
