@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from crosscheck.compare.outcome import Outcome
-from crosscheck.diff.difference import Difference, Standing
-from crosscheck.diff.motion import Motion
-from crosscheck.diff.result import FileComparison, compare_files
+from crosscheck.differences.difference import Difference, Standing
+from crosscheck.differences.motion import Motion
+from crosscheck.differences.result import FileComparison, compare_files
 from crosscheck.loading.robots import describe_model
 from crosscheck.report.diff import report
 from crosscheck.report.page import rendered
@@ -31,9 +31,9 @@ class Diff:
         comparison: the complete result.
 
     Examples:
-        >>> found: Diff = diff("mjcf/tracker.xml", "urdf/tracker.urdf", second_options={"loops": LOOPS})
-        >>> found.same
-        True
+        >>> found: Diff = diff("mjcf/tracker.xml", "mjcf/tracker.xml")
+        >>> found.same, found.motion.change
+        (True, 0.0)
     """
 
     comparison: FileComparison
@@ -55,7 +55,7 @@ class Diff:
 
     @property
     def motion(self) -> Motion:
-        """Whether the robots move alike, and the largest difference of their accelerations."""
+        """Comparison of the motions: the largest difference of accelerations, with body and uncertainty."""
         return self.comparison.motion
 
     @cached_property

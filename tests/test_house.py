@@ -44,9 +44,12 @@ CORE: dict[str, set[str]] = {
     "own_run": {"support", "engines"},
     "logs": {"support", "engines", "own_run"},
     "compare": {"support", "library", "loading", "engines", "own_run", "logs"},
-    "diff": {"support", "library", "loading", "engines", "compare"},
+    "differences": {"support", "library", "loading", "engines", "compare"},
     "recording": {"support", "own_run", "compare"},
-    "report": {"support", "library", "loading", "engines", "own_run", "logs", "compare", "diff", "recording"},
+    "report": {
+        *("support", "library", "loading", "engines", "own_run"),
+        *("logs", "compare", "differences", "recording"),
+    },
     "regress": {"support", "library", "loading", "engines", "own_run", "compare", "report", "recording"},
 }
 """Rooms of crosscheck that `crosscheck run` and `regress` need, and the rooms that each may import."""

@@ -55,7 +55,7 @@ def diff_command(
 
     The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
     """
-    from crosscheck.diff.result import compare_files
+    from crosscheck.differences.result import compare_files
     from crosscheck.loading.robots import describe_model
     from crosscheck.report.diff import report
     from crosscheck.report.output import check_no_other_results, results_name

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome, Verdict
-from crosscheck.diff.difference import Difference, Quantity, Standing, Value
-from crosscheck.diff.motion import Likeness
-from crosscheck.diff.result import FileComparison
+from crosscheck.differences.difference import Difference, Quantity, Standing, Value
+from crosscheck.differences.motion import Likeness
+from crosscheck.differences.result import FileComparison
 from crosscheck.own_run.allowed import length
 from crosscheck.report.own_run import percent
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
@@ -195,8 +195,8 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     yield from comparison.motion.notes
     if conventions := comparison.of_standing(Standing.CONVENTION):
         texts = [_sentence(row) for row in conventions[:MAX_CONVENTIONS]]
-        more = len(conventions) - MAX_CONVENTIONS
-        yield f"in other terms: {'; '.join(texts)}{f' and {more} more' if more > 0 else ''}"
+        others = len(conventions) - MAX_CONVENTIONS
+        yield f"in other terms: {'; '.join(texts)}{f' and {others} more' if others > 0 else ''}"
     rounded = comparison.of_standing(Standing.ROUNDING)
     if rounded and comparison.outcome is Outcome.DIFFERENT:
         count = sum(len(row.elements) for row in rounded)

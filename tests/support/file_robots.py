@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.diff.alignment import Alignment, BodyPair, JointPair
+from crosscheck.differences.alignment import Alignment, BodyPair, JointPair
 from newton_euler.reading.robot import (
     FileBody,
     FileCoupling,

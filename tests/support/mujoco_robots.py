@@ -108,7 +108,7 @@ def _connect(model: mujoco.MjModel, k: int) -> FileLoop:
 def to_mujoco(
     model: mujoco.MjModel, robot: Robot, coordinates: Array, velocities: Array
 ) -> tuple[Array, Array]:
-    """Return qpos and qvel of coordinates and velocities in the order of `crosscheck.diff.dynamics`."""
+    """Return qpos and qvel of coordinates and velocities in the order of `differences.dynamics`."""
     qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
     start, joint = 0, 0
     for body in robot.bodies:

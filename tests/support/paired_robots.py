@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from crosscheck.diff.alignment import Alignment, BodyPair, JointPair
-from crosscheck.diff.transfer import GROUND
+from crosscheck.differences.alignment import Alignment, BodyPair, JointPair
+from crosscheck.differences.transfer import GROUND
 from newton_euler.reading.robot import JointKind, Robot
 
 

@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 from mujoco_robots import robot_of, to_mujoco
 
-from crosscheck.diff.dynamics import Dynamics, size_of
-from crosscheck.diff.vectors import rotation_matrix, rotation_vector
+from crosscheck.differences.dynamics import Dynamics, size_of
+from crosscheck.differences.vectors import rotation_matrix, rotation_vector
 from newton_euler.reading.robot import (
     FileBody,
     FileCoupling,

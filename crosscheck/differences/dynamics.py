@@ -2,7 +2,7 @@
 
 In: descriptions of one structure, `newton_euler.reading.robot.Robot`, such as a robot and the same robot with
 other numbers, and states. Out: poses, constraint residuals and accelerations. Joint limits, dry friction and
-contacts do not act. `crosscheck.diff.motion` compares two robots by them; no engine takes part.
+contacts do not act. `crosscheck.differences.motion` compares two robots by them; no engine takes part.
 
 The equations are written in joint coordinates of the tree. Twists (angular velocity, velocity of the point
 that passes the origin of the world) and wrenches have components along the axes of the world; see
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.diff.vectors import (
+from crosscheck.differences.vectors import (
     Equations,
     apply,
     cross,

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from crosscheck.compare.outcome import Outcome
-from crosscheck.diff.alignment import Alignment, align
-from crosscheck.diff.difference import Difference, Quantity, Standing
-from crosscheck.diff.motion import Likeness, Motion, compare_motions
-from crosscheck.diff.rows import differences
+from crosscheck.differences.alignment import Alignment, align
+from crosscheck.differences.difference import Difference, Quantity, Standing
+from crosscheck.differences.motion import Likeness, Motion, compare_motions
+from crosscheck.differences.rows import differences
 from newton_euler.reading.robot import RobotFile
 
 
@@ -24,6 +24,7 @@ class FileComparison:
         rows: what differs: true differences, the largest effect on motion first, then rounding, then
             conventions.
         motion: whether the robots move alike.
+        tolerance: relative difference that counts as rounding; None for the digits of the files.
     """
 
     first: RobotFile
@@ -31,6 +32,7 @@ class FileComparison:
     alignment: Alignment
     rows: tuple[Difference, ...]
     motion: Motion
+    tolerance: float | None = None
 
     def of_standing(self, standing: Standing) -> tuple[Difference, ...]:
         """Return the rows that are true differences, rounding, or conventions."""
@@ -39,7 +41,9 @@ class FileComparison:
     @property
     def outcome(self) -> Outcome:
         """`SAME`, `SAME_TO_ROUNDING` if only the digits of the files differ, or `DIFFERENT`."""
-        moves_differently = self.motion.likeness is Likeness.DIFFERENT
+        # with a tolerance, other motion may be the effect of numbers that differ by less
+        is_allowed = self.tolerance is not None and self.of_standing(Standing.ROUNDING)
+        moves_differently = self.motion.likeness is Likeness.DIFFERENT and not is_allowed
         if moves_differently or self.of_standing(Standing.DIFFERENT):
             return Outcome.DIFFERENT
         is_rounded = self.motion.likeness is Likeness.ROUNDING or self.of_standing(Standing.ROUNDING)
@@ -90,7 +94,7 @@ def compare_files(
         rows = [replace(row, convention=row.convention or _is_constraint(row)) for row in rows]
     rank = list(Standing)
     rows.sort(key=lambda row: (rank.index(row.standing), -(row.effect or 0.0)))
-    return FileComparison(first, second, alignment, tuple(rows), motion)
+    return FileComparison(first, second, alignment, tuple(rows), motion, tolerance)
 
 
 def _is_constraint(row: Difference) -> bool:

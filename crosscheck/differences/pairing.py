@@ -15,8 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from crosscheck.diff.links import GROUND, Link, LinkTree, composite
-from crosscheck.diff.registration import (
+from crosscheck.differences.links import GROUND, Link, LinkTree, composite
+from crosscheck.differences.registration import (
     Further,
     Rigid,
     line_value,
@@ -24,7 +24,7 @@ from crosscheck.diff.registration import (
     register,
     rigid,
 )
-from crosscheck.diff.tree_match import FORCED, TreeMatch, assignment
+from crosscheck.differences.tree_match import FORCED, TreeMatch, assignment
 from newton_euler.reading.robot import JointKind, Placement
 from newton_euler.scalars import Array
 
@@ -67,7 +67,7 @@ class MatchedJoint:
 
     Attributes:
         first, second: indices of the links whose joints they are.
-        sense, offset: as in `crosscheck.diff.alignment.JointPair`.
+        sense, offset: as in `crosscheck.differences.alignment.JointPair`.
     """
 
     first: int

@@ -6,7 +6,7 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from crosscheck.diff.stack import Judge, MassProperties, about_other_point, absolute
+from crosscheck.differences.stack import Judge, MassProperties, about_other_point, absolute
 from newton_euler.scalars import Array
 
 CLEAR_GAP = 0.02

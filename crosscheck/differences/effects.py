@@ -2,7 +2,7 @@
 
 In: two robot files, their `Alignment`, and rows of differences. Out: for each row, the relative change of
 accelerations of the first robot if this row's numbers, and no others, are taken from the second file. The
-equations are evaluated again for each row, at the states in which `crosscheck.diff.motion` compares.
+equations are evaluated again for each row, at the states in which `crosscheck.differences.motion` compares.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from crosscheck.diff.alignment import Alignment
-from crosscheck.diff.causes import LENGTHS
-from crosscheck.diff.difference import Difference, Quantity, Standing
-from crosscheck.diff.motion import CommonStates, relative_changes
-from crosscheck.diff.transfer import Merged, merged
+from crosscheck.differences.alignment import Alignment
+from crosscheck.differences.causes import LENGTHS
+from crosscheck.differences.difference import Difference, Quantity, Standing
+from crosscheck.differences.motion import CommonStates, relative_changes
+from crosscheck.differences.transfer import Merged, merged
 from newton_euler.reading.robot import FileBody, Robot, RobotFile
 from newton_euler.scalars import Array
 

@@ -1,8 +1,8 @@
 """Pairs of bodies and joints of two robots that play the same role, and how their frames and zeros differ.
 
 In: two descriptions, `newton_euler.reading.robot.Robot`. Out: an `Alignment`, from which
-`crosscheck.diff.rows` compares numbers and `crosscheck.diff.motion` compares motions. The work is done in
-`crosscheck.diff.pairing`.
+`crosscheck.differences.rows` compares numbers and `crosscheck.differences.motion` compares motions. The work
+is done in `crosscheck.differences.pairing`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from crosscheck.diff.links import LinkTree
-from crosscheck.diff.pairing import Pairing, pair
+from crosscheck.differences.links import LinkTree
+from crosscheck.differences.pairing import Pairing, pair
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.robot import FileJoint, JointKind, Placement, Robot
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crosscheck.diff.alignment import Alignment, JointPair
-from crosscheck.diff.stack import (
+from crosscheck.differences.alignment import Alignment, JointPair
+from crosscheck.differences.stack import (
     GROUND,
     JointKey,
     Judge,

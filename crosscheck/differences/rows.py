@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from crosscheck.diff.alignment import Alignment
-from crosscheck.diff.bodies import body_rows
-from crosscheck.diff.causes import with_causes
-from crosscheck.diff.connections import connection_rows
-from crosscheck.diff.difference import Difference, Quantity, Standing, Value, difference, numbers
-from crosscheck.diff.frames import IN_WORLD, CommonFrames, common_frames, joint_name
-from crosscheck.diff.joints import joint_rows, moved_joint_row, regrouped_rows
-from crosscheck.diff.short_angles import is_turn_by_short_pi
-from crosscheck.diff.stack import angle, distance
+from crosscheck.differences.alignment import Alignment
+from crosscheck.differences.bodies import body_rows
+from crosscheck.differences.causes import with_causes
+from crosscheck.differences.connections import connection_rows
+from crosscheck.differences.difference import Difference, Quantity, Standing, Value, difference, numbers
+from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, joint_name
+from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
+from crosscheck.differences.short_angles import is_turn_by_short_pi
+from crosscheck.differences.stack import angle, distance
 from newton_euler.reading.robot import JointKind, RobotFile
 from newton_euler.scalars import Array
 

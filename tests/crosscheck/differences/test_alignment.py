@@ -18,7 +18,7 @@ from disguised_robots import (
     turned,
 )
 
-from crosscheck.diff.alignment import Alignment, align
+from crosscheck.differences.alignment import Alignment, align
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.robot import FileBody, FileJoint, FileLoop, JointKind, LoopKind, Placement, Robot
 

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.diff.alignment import Alignment, JointKey
-from crosscheck.diff.connections import loop_name
-from crosscheck.diff.dynamics import Dynamics
-from crosscheck.diff.vectors import Equations, apply, cross, rotation_vector
+from crosscheck.differences.alignment import Alignment, JointKey
+from crosscheck.differences.connections import loop_name
+from crosscheck.differences.dynamics import Dynamics
+from crosscheck.differences.vectors import Equations, apply, cross, rotation_vector
 from newton_euler.reading.robot import (
     FileBody,
     FileCoupling,

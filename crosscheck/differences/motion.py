@@ -14,10 +14,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from crosscheck.diff.alignment import Alignment
-from crosscheck.diff.dynamics import Accelerations, Dynamics, size_of
-from crosscheck.diff.frames import common_frames
-from crosscheck.diff.transfer import (
+from crosscheck.differences.alignment import Alignment
+from crosscheck.differences.dynamics import Accelerations, Dynamics, size_of
+from crosscheck.differences.frames import common_frames
+from crosscheck.differences.transfer import (
     SCALAR,
     Cut,
     carry_over,

@@ -1,8 +1,8 @@
 """Rows that have one cause become one row: what remains is what the owner of a file has to look at.
 
-In: rows of single elements, as `crosscheck.diff.rows` finds them. Out: fewer rows. Each hypothesis, such as
-"all masses times 1000" or "two elements exchanged", says which rows it explains. The hypothesis that leaves
-the fewest rows is taken, again and again, until none explains more than one row.
+In: rows of single elements, as `crosscheck.differences.rows` finds them. Out: fewer rows. Each hypothesis,
+such as "all masses times 1000" or "two elements exchanged", says which rows it explains. The hypothesis that
+leaves the fewest rows is taken, again and again, until none explains more than one row.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from crosscheck.diff.difference import Difference, Quantity, Standing, Value
+from crosscheck.differences.difference import Difference, Quantity, Standing, Value
 from newton_euler.reading.robot import RobotFile
 from newton_euler.scalars import Array
 

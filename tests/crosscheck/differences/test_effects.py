@@ -10,11 +10,11 @@ from paired_robots import pairs_by_name
 from test_dynamics import TREE, two_chains
 from test_motion import ARM, COUPLINGS, LOOP, PARALLELOGRAM, compared, in_other_frames, of_text, pendulum
 
-from crosscheck.diff.difference import Difference, Quantity
-from crosscheck.diff.effects import effects
-from crosscheck.diff.motion import CommonStates, relative_changes
-from crosscheck.diff.rows import differences
-from crosscheck.diff.transfer import merged
+from crosscheck.differences.difference import Difference, Quantity
+from crosscheck.differences.effects import effects
+from crosscheck.differences.motion import CommonStates, relative_changes
+from crosscheck.differences.rows import differences
+from crosscheck.differences.transfer import merged
 from newton_euler.reading.robot import FileCoupling, LoopKind, RobotFile
 
 

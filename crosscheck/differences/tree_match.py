@@ -1,7 +1,7 @@
 """Matching of the links of two robots by names, masses, kinds of joints and the structure of the trees.
 
 In: two `LinkTree`. Out: for each pair of nodes, the value of a match of all that hangs on them. All measures
-are independent of frames, zeros and poses; `crosscheck.diff.pairing` adds geometry where frames are known.
+are independent of frames, zeros and poses; `pairing.py` adds geometry where frames are known.
 
 The method is dynamic programming from the leaves to the root, as for the constrained edit distance of
 unordered trees (K. Zhang, Algorithmica 15, 1996): the children of two matched nodes are assigned to each
@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.diff.element_names import Names
-from crosscheck.diff.links import Link, LinkTree
+from crosscheck.differences.element_names import Names
+from crosscheck.differences.links import Link, LinkTree
 from newton_euler.reading.robot import JointKind
 
 NAME_WEIGHT = 1.0

@@ -9,11 +9,11 @@ from typing import assert_never
 
 import numpy as np
 
-from crosscheck.diff.alignment import JointPair
-from crosscheck.diff.difference import Difference, Quantity, Value, difference, numbers
-from crosscheck.diff.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
-from crosscheck.diff.short_angles import is_short_pi, is_turn_by_short_pi
-from crosscheck.diff.stack import JointKey, Metric, absolute, angle, distance, dot, relative, twist
+from crosscheck.differences.alignment import JointPair
+from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
+from crosscheck.differences.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
+from crosscheck.differences.short_angles import is_short_pi, is_turn_by_short_pi
+from crosscheck.differences.stack import JointKey, Metric, absolute, angle, distance, dot, relative, twist
 from newton_euler.reading.robot import JointKind
 from newton_euler.scalars import Array
 

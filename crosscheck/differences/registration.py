@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.diff.links import Link, composite
-from crosscheck.diff.tree_match import LOCATED, agreement, assignment
+from crosscheck.differences.links import Link, composite
+from crosscheck.differences.tree_match import LOCATED, agreement, assignment
 from newton_euler.reading.robot import JointKind, Placement
 from newton_euler.scalars import Array
 

@@ -11,9 +11,17 @@ from mujoco_robots import robot_of, to_mujoco
 from paired_robots import pairs_by_name
 from test_dynamics import TREE
 
-from crosscheck.diff.alignment import align
-from crosscheck.diff.motion import PHASES, STATES, CommonStates, Likeness, Motion, Phase, compare_motions
-from crosscheck.diff.vectors import rotation_matrix
+from crosscheck.differences.alignment import align
+from crosscheck.differences.motion import (
+    PHASES,
+    STATES,
+    CommonStates,
+    Likeness,
+    Motion,
+    Phase,
+    compare_motions,
+)
+from crosscheck.differences.vectors import rotation_matrix
 from newton_euler.reading.robot import FileBody, FileJoint, JointKind, Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 

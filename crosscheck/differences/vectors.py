@@ -1,7 +1,6 @@
 """Vectors, rotations and linear equations of many states at once.
 
-Arrays have the components on their last axes; all axes before are states. `crosscheck.diff.dynamics` uses
-the functions.
+Arrays have the components on their last axes; all axes before are states. `dynamics.py` uses the functions.
 """
 
 from __future__ import annotations

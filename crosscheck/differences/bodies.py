@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
-from crosscheck.diff.difference import Difference, Quantity, difference, numbers
-from crosscheck.diff.frames import CommonFrames
-from crosscheck.diff.inertias import axes_angle, inertia_cause, moments
-from crosscheck.diff.short_angles import is_turn_by_short_pi
-from crosscheck.diff.stack import MassProperties, Side, distance, matrix_distance, relative
+from crosscheck.differences.difference import Difference, Quantity, difference, numbers
+from crosscheck.differences.frames import CommonFrames
+from crosscheck.differences.inertias import axes_angle, inertia_cause, moments
+from crosscheck.differences.short_angles import is_turn_by_short_pi
+from crosscheck.differences.stack import MassProperties, Side, distance, matrix_distance, relative
 
 CLEAR_TURN = 0.01
 """rad, turn of the axes of an inertia that is told beside other moments."""

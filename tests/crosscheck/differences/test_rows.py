@@ -10,9 +10,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from crosscheck.diff.alignment import Alignment
-from crosscheck.diff.difference import Difference, Quantity, Standing, unit
-from crosscheck.diff.rows import differences
+from crosscheck.differences.alignment import Alignment
+from crosscheck.differences.difference import Difference, Quantity, Standing, unit
+from crosscheck.differences.rows import differences
 from newton_euler.reading.robot import (
     FileCoupling,
     FileDrive,

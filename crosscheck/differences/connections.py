@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from crosscheck.diff.alignment import JointPair
-from crosscheck.diff.difference import Difference, Quantity, Value, difference, numbers
-from crosscheck.diff.frames import IN_WORLD, CommonFrames
-from crosscheck.diff.short_angles import is_turn_by_short_pi
-from crosscheck.diff.stack import Poses, absolute, angle, distance, relative
+from crosscheck.differences.alignment import JointPair
+from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
+from crosscheck.differences.frames import IN_WORLD, CommonFrames
+from crosscheck.differences.short_angles import is_turn_by_short_pi
+from crosscheck.differences.stack import Poses, absolute, angle, distance, relative
 from newton_euler.reading.robot import (
     FileDrive,
     FileJoint,
