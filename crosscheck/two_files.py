@@ -31,7 +31,7 @@ class Diff:
         comparison: the complete result.
 
     Examples:
-        >>> found: Diff = diff("mjcf/tracker.xml", "mjcf/tracker.xml")
+        >>> found: Diff = diff("examples/linkage.xml", "examples/linkage.xml")
         >>> found.same, found.motion.change
         (True, 0.0)
     """
@@ -103,7 +103,7 @@ def diff(
         CrosscheckError, NewtonEulerError: for a model, a name or an option that cannot be used.
 
     Examples:
-        >>> found = diff("mjcf/tracker.xml", "mjcf/tracker.xml")
+        >>> found = diff("examples/linkage.xml", "examples/linkage.xml")
         >>> found.same, len(found.differences)
         (True, 0)
     """
