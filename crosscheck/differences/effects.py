@@ -98,14 +98,15 @@ def effects(
     terms = merged(states.one.robot, states.two.robot, states.alignment)
     before = states.of_first([terms.first])
     # the mass of a base that is held to compare has an effect that is not computed
+    is_held = any(cut.base >= 0 for cut in states.cuts)
     moving = {pair.first for pair in states.pairs}
     held = {first.robot.bodies[pair.first[0]].name for pair in alignment.bodies if pair.first not in moving}
     # robots of one structure are evaluated at once
     groups: dict[tuple[object, ...], list[tuple[int, Robot]]] = defaultdict(list)
     for index, row in enumerate(rows):
-        if row.standing is Standing.CONVENTION or (alignment.base and {*row.elements} <= held):
+        if row.standing is Standing.CONVENTION or (is_held and {*row.elements} <= held):
             continue
-        changed = _changed(terms, row)
+        changed = _changed(terms, row, rows)
         if changed is not None:
             groups[_structure(changed)].append((index, changed))
         elif row.element_kind == "body" and row.quantity is Quantity.PRESENCE:
@@ -154,8 +155,14 @@ def _effect_of_branches(
     return None
 
 
-def _changed(terms: Merged, row: Difference) -> Robot | None:
-    """Return the first robot with a row's numbers of the second; None if the row plays no part in motions."""
+def _changed(terms: Merged, row: Difference, rows: Sequence[Difference]) -> Robot | None:
+    """Return the first robot with a row's numbers of the second; None if the row plays no part in motions.
+
+    Args:
+        terms: both robots.
+        row: the row.
+        rows: all rows.
+    """
     names = {*row.elements, row.element}
     robot = terms.first
     if row.quantity is Quantity.GRAVITY:
@@ -174,47 +181,75 @@ def _changed(terms: Merged, row: Difference) -> Robot | None:
         ]
         has_part = bool(fields) and any(own.name in names for own in robot.drives)
         return replace(robot, drives=tuple(drives)) if has_part else None
-    return _with_bodies(terms, _quantities(row), names)
+    if row.quantity in LENGTHS and not names <= _names_of(robot, row.element_kind):
+        return _with_bodies(terms, {*LENGTHS, *MASS_FIELDS}, names, names)
+    quantities = _quantities(row, rows)
+    if row.element_kind == "body":
+        return _with_bodies(terms, quantities, names, set())
+    return _with_bodies(terms, quantities, set(), names)
 
 
-def _quantities(row: Difference) -> set[Quantity]:
-    """Return the quantities of bodies and joints that a row stands for; one cause may change several."""
-    has_cause = bool(row.cause) and row.standing is Standing.DIFFERENT
-    if has_cause and row.quantity in LENGTHS:
-        return {*LENGTHS, *MASS_FIELDS}
-    if has_cause and row.quantity in MASS_FIELDS:
-        return {*MASS_FIELDS}
-    return {row.quantity}
+def _names_of(robot: Robot, kind: str) -> set[str]:
+    """Return the names of all bodies, or of all joints, of a robot."""
+    if kind == "body":
+        return {body.name for body in robot.bodies}
+    return {joint.name or body.name for body in robot.bodies for joint in body.joints}
 
 
-def _with_bodies(terms: Merged, quantities: set[Quantity], names: set[str]) -> Robot | None:
-    """Return the first robot with quantities of bodies and joints of given names from the second."""
+def _quantities(row: Difference, rows: Sequence[Difference]) -> set[Quantity]:
+    """Return the quantities of a body that a row stands for: its own, and those that no other row is about.
+
+    One row may stand for several, such as that of a part that only one file has.
+    """
+    if row.standing is not Standing.DIFFERENT or row.quantity not in MASS_FIELDS:
+        return {row.quantity}
+    others = {
+        other.quantity
+        for other in rows
+        if other is not row
+        and other.standing is Standing.DIFFERENT
+        and other.element_kind == "body"
+        and {*other.elements} & {*row.elements}
+    }
+    return {row.quantity, *(quantity for quantity in MASS_FIELDS if quantity not in others)}
+
+
+def _with_bodies(
+    terms: Merged, quantities: set[Quantity], bodies: set[str], joints: set[str]
+) -> Robot | None:
+    """Return the first robot with quantities of some bodies and joints from the second.
+
+    Args:
+        terms: both robots.
+        quantities: the quantities.
+        bodies, joints: names; a joint without name has that of its body.
+    """
     known = {*MASS_FIELDS, *JOINT_FIELDS, *PLACEMENT_FIELDS, *DRIVE_FIELDS_OF_JOINT}
     if not quantities & known:
         return None
-    bodies: list[FileBody] = []
+    found: list[FileBody] = []
     of_joints: set[str] = set()
     for own, other in zip(terms.first.bodies, terms.second.bodies, strict=True):
-        joints = list(own.joints)
-        place = own.name in names and Quantity.BASE in quantities
-        for k, joint in enumerate(joints):
-            if (joint.name or own.name) in names:
-                place = True
+        own_joints = list(own.joints)
+        is_placed = own.name in bodies and Quantity.BASE in quantities
+        for k, joint in enumerate(own_joints):
+            if (joint.name or own.name) in joints:
+                is_placed = True
                 of_joints.add(joint.name)
-                joints[k] = _exchanged(joint, other.joints[k], _fields(JOINT_FIELDS, quantities))
+                own_joints[k] = _exchanged(joint, other.joints[k], _fields(JOINT_FIELDS, quantities))
         placement = own.placement
-        if place:
+        if is_placed:
             fields = _fields(PLACEMENT_FIELDS, quantities)
             placement = placement._replace(**{field: getattr(other.placement, field) for field in fields})
-        changed = replace(own, joints=tuple(joints), placement=placement)
-        bodies.append(
-            _exchanged(changed, other, _fields(MASS_FIELDS, quantities) if own.name in names else ())
+        changed = replace(own, joints=tuple(own_joints), placement=placement)
+        found.append(
+            _exchanged(changed, other, _fields(MASS_FIELDS, quantities) if own.name in bodies else ())
         )
     drives = [
         _exchanged(own, other, _fields(DRIVE_FIELDS_OF_JOINT, quantities) if {*own.gears} & of_joints else ())
         for own, other in zip(terms.first.drives, terms.second.drives, strict=True)
     ]
-    return replace(terms.first, bodies=tuple(bodies), drives=tuple(drives))
+    return replace(terms.first, bodies=tuple(found), drives=tuple(drives))
 
 
 def _fields(table: Fields, quantities: set[Quantity]) -> tuple[str, ...]:

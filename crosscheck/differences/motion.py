@@ -474,8 +474,8 @@ def _within_limits(robot: Dynamics, random: np.random.Generator) -> Array:
 
 def _notes(first: Robot, second: Robot, alignment: Alignment, taken: Sequence[Cut]) -> Iterator[str]:
     """Yield what both robots lose, one sentence each."""
-    if alignment.base:
-        yield f"Both bases are held to compare: {alignment.base}."
+    if any(cut.base >= 0 for cut in taken):
+        yield f"Both bases are held to compare: {alignment.base or 'only one file has a free base'}."
     for robot, cut, file in zip((first, second), taken, ("first", "second"), strict=True):
         names = [robot.bodies[index].name for index in cut.bodies if robot.bodies[index].mass > 0]
         if names:

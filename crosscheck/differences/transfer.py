@@ -101,17 +101,19 @@ def cuts(first: Robot, second: Robot, alignment: Alignment, without_drives: bool
         alignment: their pairs of bodies and joints.
         without_drives: whether to take the drives away from both.
     """
-    bases, placements = [-1, -1], [GROUND, GROUND]
-    for pair in alignment.bodies if alignment.base else ():
-        for side, (robot, body) in enumerate(((first, pair.first[0]), (second, pair.second[0]))):
-            if any(joint.kind is JointKind.FREE for joint in robot.bodies[body].joints):
-                bases[side] = body
-                placements[side] = (
-                    second.placements()[pair.second[0]] @ pair.placement.inverse()
-                    if side == 0
-                    else first.placements()[pair.first[0]] @ pair.placement
-                )
     branches = _branches(first, alignment.first_bodies), _branches(second, alignment.second_bodies)
+    joints = paired_joints(alignment)
+    bases, placements = [-1, -1], [GROUND, GROUND]
+    for side, robot in enumerate((first, second)):
+        for index, body in enumerate(robot.bodies):
+            is_free = any(joint.kind is JointKind.FREE for joint in body.joints)
+            if is_free and (index, 0) not in joints[side] and index not in branches[side]:
+                bases[side], placements[side] = index, body.placement
+    for pair in alignment.bodies:
+        if pair.first[0] == bases[0]:
+            placements[0] = second.placements()[pair.second[0]] @ pair.placement.inverse()
+        if pair.second[0] == bases[1]:
+            placements[1] = first.placements()[pair.first[0]] @ pair.placement
     held = (
         _held(first, [pair.first for pair in alignment.bodies]),
         _held(second, [pair.second for pair in alignment.bodies]),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -21,6 +24,7 @@ from newton_euler.reading.robot import (
     Robot,
 )
 from newton_euler.scalars import Array
+from urdf.robot import describe
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
@@ -251,6 +255,29 @@ def test_loops_move_as_in_pinocchio(kind: LoopKind, contact: pin.ContactType) ->
         )
         # Pinocchio's proximal iterations end at 1e-10
         assert found.coordinates[0, k] == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+def test_urdf_moves_as_in_pinocchio() -> None:
+    """The tree of a URDF with fixed links, without its loops."""
+    path = Path(__file__).parents[3] / "urdf/tracker.urdf"
+    robot = replace(describe(path).robot, loops=(), couplings=(), gravity=GRAVITY)
+    dynamics = Dynamics([robot], size_of(robot))
+    coordinates, velocities = random_states(dynamics, 3, 6)
+    points = np.zeros((1, len(robot.bodies), 3))
+    found = dynamics.accelerations(coordinates, velocities, np.zeros((1, 3, 0)), np.ones(3), points)
+    model = pin.buildModelFromUrdf(str(path))
+    data = model.createData()
+    joints = [joint for body in robot.bodies for joint in body.joints]
+    order = [model.joints[model.getJointId(joint.name)].idx_v for joint in joints]
+    assert len(order) == model.nv == model.nq == dynamics.size
+    damping = np.array([joint.damping for joint in joints])
+    for k in range(3):
+        q, v, force = np.zeros(model.nv), np.zeros(model.nv), np.zeros(model.nv)
+        q[order], v[order] = coordinates[0, k], velocities[0, k]
+        force[order] = -damping * velocities[0, k]
+        expected = pin.aba(model, data, q, v, force)[order]
+        # round-off times the condition of the mass matrix, 1e4
+        assert found.coordinates[0, k] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 def test_rotation_vectors() -> None:

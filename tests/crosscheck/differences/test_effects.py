@@ -118,6 +118,22 @@ def test_axis_reversed_by_mistake() -> None:
     assert found["shoulder", Quantity.SIGN] == pytest.approx(compared(first, second, ("shoulder",)).change)
 
 
+def test_part_in_one_file_changes_all_mass_numbers() -> None:
+    """One row about the mass stands for the center and the inertia too; with a row each, it does not."""
+    part = """<body name="part" pos=".1 0 .1">
+      <inertial pos="0 0 0" mass=".2" diaginertia=".001 .001 .001"/></body>"""
+    text = TREE.replace('<body name="leg"', f'{part}<body name="leg"')
+    first, second = of_text(TREE), of_text(text)
+    found = effect_of(first, second)
+    rows = [key for key in found if key[0] == "trunk"]
+    assert rows == [("trunk", Quantity.MASS)]
+    assert found[rows[0]] == pytest.approx(compared(first, second).change, rel=1e-8)
+    heavier = of_text(TREE.replace('pos=".1 .02 0" mass="2"', 'pos=".12 .02 0" mass="2.1"'))
+    found = effect_of(first, heavier)
+    mass_alone = compared(first, of_text(TREE.replace('mass="2"', 'mass="2.1"'))).change
+    assert found["trunk", Quantity.MASS] == pytest.approx(mass_alone, rel=1e-8)
+
+
 def test_presence() -> None:
     """A drive, a loop, couplings and a branch that only one file has."""
     motor = '<motor name="m" joint="shoulder" gear="50"/>'
