@@ -53,6 +53,7 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "bench": (("scene.json",), REFUSED_LATER),
     "controllers": (("scene.json",), ("--engines", "newton_euler")),
     "convert": (("scene.json", "out.yaml"), ()),
+    "diff": (("model.xml", "model.xml"), REFUSED_LATER),
     "faults": (("scene.json",), REFUSED_LATER),
     "figures": ((), REFUSED_LATER),
     "identify": (("scene.json", "motion.csv"), ("--fit", "crank.mass", "--output", "new")),
