@@ -181,7 +181,11 @@ def carry_over(
     for pair in alignment.joints:
         if pair.first not in first.at or pair.second not in second.at:
             continue
-        if first.robot.bodies[pair.first[0]].joints[pair.first[1]].kind in SCALAR:
+        kinds = (
+            first.robot.bodies[pair.first[0]].joints[pair.first[1]].kind,
+            second.robot.bodies[pair.second[0]].joints[pair.second[1]].kind,
+        )
+        if kinds[0] in SCALAR and kinds[1] in SCALAR:
             at, to = first.at[pair.first], second.at[pair.second]
             found[..., to] = pair.sense * coordinates[..., at] + pair.offset
             rates[..., to] = pair.sense * velocities[..., at]
@@ -465,6 +469,8 @@ class _Terms:
         if pair is None or pair.second[0] not in self.of_second:
             return joint
         partner = self.two.bodies[pair.second[0]].joints[pair.second[1]]
+        if partner.kind is not joint.kind:
+            return joint
         placement = self.of_second[pair.second[0]].placement
         return replace(
             joint,

@@ -11,8 +11,11 @@ import pinocchio as pin
 import pytest
 from mujoco_robots import robot_of, to_mujoco
 
+import mjcf
 from crosscheck.differences.dynamics import Dynamics, size_of
 from crosscheck.differences.vectors import rotation_matrix, rotation_vector
+from newton_euler import initial_state
+from newton_euler.equations.relative import Relative
 from newton_euler.reading.robot import (
     FileBody,
     FileCoupling,
@@ -127,6 +130,28 @@ def test_constrained_robot_moves_as_mujoco_with_rigid_constraints() -> None:
         expected = np.linalg.lstsq(system, right, rcond=1e-12)[0][: model.nv]
         # central differences of the Jacobian are exact to about 1e-10 of its rate
         assert found.coordinates[0, k] == pytest.approx(expected, rel=1e-7, abs=1e-7)
+
+
+def test_loop_and_coupling_move_as_in_newton_euler() -> None:
+    """The imported scene has other frames, coordinates and equations, and starts at the same state."""
+    robot = robot_of(mujoco.MjModel.from_xml_string(GRIPPER))
+    dynamics = Dynamics([robot], size_of(robot))
+    coordinates, velocities = random_states(dynamics, 1, 2)
+    qpos, qvel = (" ".join(map(repr, each[0, 0].tolist())) for each in (coordinates, velocities))
+    start = f'<keyframe><key qpos="{qpos}" qvel="{qvel}"/></keyframe></mujoco>'
+    scene = mjcf.read(mujoco.MjModel.from_xml_string(GRIPPER.replace("</mujoco>", start))).scene
+    system = Relative(scene)
+    expected = system.evaluate(*system.coordinates(initial_state(scene)))
+    names = [body.name for body in scene.mechanism.bodies]
+    centers = np.array([[body.center for body in robot.bodies]])
+    found = dynamics.accelerations(coordinates, velocities, np.zeros((1, 1, 0)), np.ones(1), centers)
+    turns = dynamics.kinematics(coordinates, velocities).rotation[0, 0]
+    for k, body in enumerate(robot.bodies):
+        number = names.index(body.name)
+        # round-off at 20 m/s^2 and 1e3 rad/s^2
+        linear, angular = turns[k] @ found.linear[0, 0, k], turns[k] @ found.angular[0, 0, k]
+        assert linear == pytest.approx(expected.linear_acceleration[number], abs=1e-11)
+        assert angular == pytest.approx(expected.angular_acceleration[number], abs=1e-9)
 
 
 def two_chains(kind: LoopKind, length: float = 0.0, couplings: tuple[FileCoupling, ...] = ()) -> Robot:
