@@ -29,7 +29,7 @@ from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
 from crosscheck.logs.judge import LogJudgement
-from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind
+from crosscheck.own_run.allowed import OWN_RUN, AllowedError
 from crosscheck.own_run.judge import Judgement
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import Scene
@@ -115,8 +115,8 @@ class EngineComparison(ComparisonResult):
             return self.allowed_errors
         if name not in self.logs:
             return ()
-        without = set() if self.logs[name].has_energy else {ErrorKind.ENERGY}
-        return [each for each in self.allowed_errors if each.kind not in without]
+        undetermined = self.logs[name].undetermined
+        return [each for each in self.allowed_errors if each.kind not in undetermined]
 
     @property
     def exceeded(self) -> dict[str, list[AllowedError]]:
@@ -135,12 +135,9 @@ class EngineComparison(ComparisonResult):
         """
         stops = self.unfinished
         if self.logs:
-            if any(each.kind is ErrorKind.ENERGY for each in allowed):
-                reason = "its columns do not determine the energy; needed: velocities of all joints or bodies"
-                stops = (
-                    *stops,
-                    *(Stop(name, reason) for name, log in self.logs.items() if not log.has_energy),
-                )
+            for name, log in self.logs.items():
+                reasons = [log.undetermined[each.kind] for each in allowed if each.kind in log.undetermined]
+                stops = (*stops, *(Stop(name, reason) for reason in dict.fromkeys(reasons)))
             return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
         if allowed and self.own_run is None and not self.differs:
             needed = "not judged, as the scene has no run of its own; needed: an MJCF or URDF model"

@@ -23,6 +23,7 @@ from crosscheck.logs.poses import loop_errors
 from crosscheck.logs.reading import LogReading, OtherInputs
 from crosscheck.logs.start import LogStart
 from crosscheck.logs.table import read_table
+from crosscheck.own_run.allowed import ErrorKind
 from crosscheck.own_run.errors import Band, LoopError, MotionScale, RunError, run_error
 from crosscheck.own_run.horizon import comparable_until
 from crosscheck.own_run.judge import Judgement
@@ -103,6 +104,7 @@ class LogJudgement(Judgement):
         rows: number of compared rows.
         points: point of the bodies that positions are of, "center" or "frame"; "" without positions.
         has_energy: True if the log determines the energy.
+        has_loops: True if the log determines the poses of all bodies of loops, or if there are no loops.
         has_inputs: True if the reference has inputs of the log.
         held_inputs: actuators whose controls the reference holds at their start, see
             `crosscheck.logs.inputs.held_inputs`.
@@ -124,6 +126,7 @@ class LogJudgement(Judgement):
     rows: int = 0
     points: Origin = ""
     has_energy: bool = False
+    has_loops: bool = False
     has_inputs: bool = False
     held_inputs: tuple[str, ...] = ()
     other_inputs: OtherInputs | None = None
@@ -132,12 +135,27 @@ class LogJudgement(Judgement):
     dropped: int = 0
     mistakes: tuple[Mistake, ...] = ()
 
+    @property
+    def undetermined(self) -> dict[ErrorKind, str]:
+        """Errors that the columns of the log do not determine, with the reason and what is needed."""
+        found = {}
+        if not self.has_energy:
+            needed = "needed: velocities of all joints or bodies"
+            found[ErrorKind.ENERGY] = f"its columns do not determine the energy; {needed}"
+        if not self.has_loops:
+            needed = "needed: coordinates of all joints, or poses of all bodies, of loops"
+            reason = f"its columns do not determine the violation of loops; {needed}"
+            found |= dict.fromkeys((ErrorKind.OPENING, ErrorKind.LOOP_ANGLE), reason)
+        return found
+
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
         own: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(Judgement)}
         result = Judgement(**own).summary()
         if not self.has_energy:
             result["error"]["energy"] = None
+        if not self.has_loops:
+            result["loop_error"] = None
         if (start := self.start) is not None:
             result["start"] = {
                 "moved": start.moved,
@@ -226,11 +244,12 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
     other_inputs = None
     if error.band is not Band.ACCURATE and not mistakes:
         other_inputs = reading.other_inputs(options, compared)
+    loops = loop_errors(reading.scene.mechanism, compared.poses)
     return LogJudgement(
         engine=reading.table.where,
         settings="",
         error=error,
-        loop_error=LoopError.of(loop_errors(reading.scene.mechanism, compared.poses), run.time),
+        loop_error=LoopError() if loops is None else LoopError.of(loops, run.time),
         stopped="",
         events=events,
         until=until,
@@ -249,6 +268,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         rows=rows,
         points=compared.points,
         has_energy=compared.has_energy,
+        has_loops=loops is not None,
         has_inputs=bool(data.inputs or data.forces),
         held_inputs=held_inputs(data, reading.names),
         other_inputs=other_inputs,

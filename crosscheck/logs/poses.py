@@ -21,6 +21,9 @@ from newton_euler.model.state import stacked_frames
 from newton_euler.reading.file_run import LoopErrors
 from newton_euler.scalars import Array, unstacked
 
+MAX_CENTER_OFFSET = 1e-12
+"""Largest distance between a point and the center of mass, in sizes of the mechanism, that is round-off."""
+
 
 class BodyPose(NamedTuple):
     """Poses of a body, or of a logged frame on a body, at n times; None if unknown.
@@ -43,9 +46,6 @@ class BodyPose(NamedTuple):
         """True if position or orientation is known."""
         return self.position is not None or self.quaternion is not None
 
-
-ROUND_OFF = 1e-12
-"""Largest distance of a point from the center of mass, sizes of the mechanism, that counts as none."""
 
 Poses = dict[int, BodyPose]
 """Known poses by the index of the body; the ground is always known."""
@@ -107,7 +107,7 @@ def body_poses(elements: Elements, quantities: LoggedQuantities, default: Origin
             quaternion = quaternion_products(logged.quaternion, conjugate(frame.quaternion))
         points = {"frame": frame.point, "center": frame.center, "scene": np.zeros(3)}
         point = points[quantities.points[name] or default]
-        if logged.position is not None and np.max(np.abs(point)) <= ROUND_OFF * mechanism.size:
+        if logged.position is not None and np.max(np.abs(point)) <= MAX_CENTER_OFFSET * mechanism.size:
             position = logged.position
         elif logged.position is not None and quaternion is not None:
             position = logged.position - _rotated(quaternion, point)
@@ -197,7 +197,37 @@ def _relative_pose(
     return way + _rotated(turn, centers[1] - here), turn
 
 
-def loop_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors:
+def loop_joints(mechanism: Mechanism) -> tuple[str, ...]:
+    """Name the joints of loops: without such a joint, other joints still connect its two bodies."""
+    ends = [(equations.first, equations.second) for equations in mechanism.equations]
+    found = []
+    for k, (first, second) in enumerate(ends):
+        reached, to_visit = {first}, [first]
+        while to_visit:
+            body = to_visit.pop()
+            for other in set(mechanism.joints_at[body]) - {k}:
+                (neighbor,) = {*ends[other]} - {body}
+                if neighbor not in reached:
+                    reached.add(neighbor)
+                    to_visit.append(neighbor)
+        if second in reached:
+            found.append(mechanism.joint_names[k])
+    return tuple(found)
+
+
+def loop_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors | None:
+    """Return the violations of all joints of loops; None if a body of a loop has no known pose.
+
+    Poses that follow along joints do not violate these joints, so that some joints of a loop show nothing.
+    """
+    found, needed = joint_errors(mechanism, poses), loop_joints(mechanism)
+    if not set(needed) <= set(found.names):
+        return None
+    columns = [found.names.index(name) for name in needed]
+    return LoopErrors(needed, found.openings[:, columns], found.angles[:, columns])
+
+
+def joint_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors:
     """Return the violations of all joints between bodies with known poses."""
     complete = {body: pose for body, pose in poses.items() if pose.is_complete}
     places = list(complete)

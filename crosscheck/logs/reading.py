@@ -17,7 +17,7 @@ from crosscheck.logs.columns import LogData, read_columns
 from crosscheck.logs.inputs import started_at, with_inputs
 from crosscheck.logs.names import Elements, Origin
 from crosscheck.logs.options import LogOptions
-from crosscheck.logs.poses import Poses, body_poses, logged_quantities, loop_errors
+from crosscheck.logs.poses import Poses, body_poses, joint_errors, logged_quantities
 from crosscheck.logs.rates import RATE_ROWS, energy, logged_rates, velocities
 from crosscheck.logs.start import LogStart, log_start, with_own_velocities
 from crosscheck.logs.table import MIN_ROWS, LogTable
@@ -197,7 +197,7 @@ class LogReading:
         points: tuple[Origin, ...] = ("frame", "center")
         for point in points:
             poses = body_poses(self.elements, first_row, point)
-            errors = loop_errors(self.scene.mechanism, poses)
+            errors = joint_errors(self.scene.mechanism, poses)
             # largest violation, m or rad
             gaps[point] = max(float(np.max(each, initial=0.0)) for each in (errors.openings, errors.angles))
         return "center" if gaps["center"] < 0.5 * gaps["frame"] else "frame"

@@ -115,7 +115,11 @@ def junit(result: ComparisonResult, whole: Report, name: str, allow_reduced: boo
     if isinstance(result, EngineComparison):
         runs: dict[str, Judgement | None] = {OWN_RUN: result.own_run, **result.logs}
         for run, judgement in runs.items():
-            rows += [run, *own_run_cases(judgement, result.limits_of(run))]
+            limits = result.limits_of(run)
+            # limits of errors that the columns of a log do not determine
+            unjudged = [each for each in result.allowed_errors if run in result.logs and each not in limits]
+            cases = own_run_cases(judgement, limits) if limits or not unjudged else []
+            rows += [run, *cases, *own_run_cases(None, unjudged)]
     parts = [Table("verdict", text_columns("", ""), rows), *whole.parts]
     named = [replace(part, title=f"{name}: {part.title}") for part in parts]
     return render.junit(replace(whole, parts=named))

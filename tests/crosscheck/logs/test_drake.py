@@ -18,6 +18,7 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -32,6 +33,8 @@ from crosscheck.logs.names import Elements, identified
 from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind
 from crosscheck.own_run.errors import Band
 from crosscheck.report.log import log_lines
+from crosscheck.report.own_run import error_texts
+from crosscheck.report.run import junit, report
 from newton_euler import simulate
 from newton_euler.model.source_file import SourceError
 
@@ -90,6 +93,34 @@ def test_the_error_of_a_log_of_drake_is_that_beside_plain_mujoco(log, motions):
     assert found.compared == BODIES
     assert (found.unused, found.mistakes, found.start.differences) == ((), (), ())
     assert found.has_energy
+
+
+def test_the_loop_opening_of_a_log_is_the_distance_of_the_ends_of_the_loop(log):
+    model = mujoco.MjModel.from_xml_path(MODEL)
+    data = mujoco.MjData(model)
+    gaps = []
+    for row in zip(*(log[f"linkage_{joint}_q"] for joint in JOINTS), strict=True):
+        data.qpos[:] = row
+        mujoco.mj_forward(model, data)
+        ends = [  # the points of the ball constraint in Drake
+            data.body(body).xpos + data.body(body).xmat.reshape(3, 3) @ point
+            for body, point in (("coupler", [0.3, 0.0, 0.15]), ("rocker", [0.0, 0.0, 0.25]))
+        ]
+        gaps.append(np.linalg.norm(ends[1] - ends[0]))
+    found = judged(log)
+    assert found.loop_error.opening_at == ("loop", log["time"][int(np.argmax(gaps))])
+    # rounding of positions of 0.3 m
+    assert found.loop_error.opening == pytest.approx(max(gaps), abs=1e-15)
+
+
+@pytest.mark.parametrize("joints", [("motor",), ("motor", "elbow"), ("motor", "pivot")])
+def test_a_log_without_a_body_of_a_loop_has_no_loop_opening(log, joints):
+    # the loop has the crank, the coupler and the rocker: each selection of joints lacks one or two of them
+    columns = {f"linkage_{joint}_q" for joint in joints}
+    found = judged({name: x for name, x in log.items() if name == "time" or name in columns})
+    assert set(found.undetermined) == {ErrorKind.OPENING, ErrorKind.LOOP_ANGLE, ErrorKind.ENERGY}
+    assert found.summary()["loop_error"] is None
+    assert not any("loop" in text for text in error_texts(found, found.has_energy))
 
 
 def poses_of(log, motions):
@@ -211,8 +242,9 @@ def test_names_of_states_of_drake(name, kind, element):
 
 @pytest.fixture(scope="module")
 def verdict(log, motions):
-    """The verdict on the model with both logs: that of states, and that of poses, which have no energy."""
-    runs = {"states": str(PATH), "poses": poses_of(log, motions)}
+    """The verdict on the model with logs of states, of poses, which have no energy, and of one joint."""
+    crank = {"time": log["time"], "motor": log["linkage_motor_q"]}
+    runs = {"states": str(PATH), "poses": poses_of(log, motions), "crank": crank}
     return check(MODEL, ["newton_euler", "mujoco"], runs=runs)
 
 
@@ -226,11 +258,34 @@ def test_allowed_errors_are_those_of_logs(verdict):
         verdict.assert_accurate(None, position=5e-4)
     result = verdict.crosscheck.with_allowed_errors([AllowedError(ErrorKind.POSITION, 5e-4)])
     assert result.outcome.exit_status() == 5
-    assert set(result.exceeded) == {"states", "poses"}
+    assert set(result.exceeded) == {"states", "poses", "crank"}
     assert [each["exceeded"] for each in result.summary()["allowed_errors"]] == [True]
 
 
 def test_the_energy_of_a_log_without_velocities_cannot_be_limited(verdict):
     result = verdict.crosscheck.with_allowed_errors([AllowedError(ErrorKind.ENERGY, 0.1)])
-    assert [(stop.what, "velocities" in stop.reason) for stop in result.unfinished] == [("poses", True)]
+    assert [(stop.what, "velocities" in stop.reason) for stop in result.unfinished] == [
+        ("poses", True),
+        ("crank", True),
+    ]
     assert (result.exceeded, result.limits_of("poses"), result.limits_of(OWN_RUN)) == ({}, [], ())
+
+
+@pytest.mark.parametrize("kind", [ErrorKind.OPENING, ErrorKind.LOOP_ANGLE])
+def test_the_loop_error_of_a_log_without_all_bodies_of_the_loop_cannot_be_limited(verdict, kind):
+    limit = AllowedError(kind, 1.0)
+    result = verdict.crosscheck.with_allowed_errors([limit])
+    assert [(stop.what, "violation of loops" in stop.reason) for stop in result.unfinished] == [
+        ("crank", True)
+    ]
+    assert result.outcome.exit_status() == 3
+    assert [list(result.limits_of(name)) for name in ("states", "poses", "crank")] == [[limit], [limit], []]
+    # the limit is a skipped test case of the log, and a passed one of the others
+    page = ElementTree.fromstring(junit(result, report(result), "linkage", allow_reduced=False))
+    cases = {
+        case.get("classname"): case.find("skipped")
+        for case in page.iter("testcase")
+        if case.get("name", "").startswith(f"{kind} error at most")
+    }
+    assert len(cases) == 3
+    assert sum(skipped is not None for skipped in cases.values()) == 1

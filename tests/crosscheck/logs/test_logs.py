@@ -17,8 +17,9 @@ from crosscheck.logs.inputs import with_logged_forces
 from crosscheck.logs.judge import Log, judge_log
 from crosscheck.logs.mistakes import _delay, mistake_line
 from crosscheck.logs.options import LogOptions
+from crosscheck.logs.poses import loop_joints
 from crosscheck.logs.table import read_table
-from crosscheck.own_run.errors import Band
+from crosscheck.own_run.errors import Band, LoopError
 from crosscheck.report.log import log_lines
 from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
 from newton_euler.errors import NewtonEulerError
@@ -43,6 +44,13 @@ OSCILLATOR = """<mujoco><option timestep="{step}" gravity="0 0 0"/><worldbody>
 CLAMPED = """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body name="rod" pos="0 0 1">
   <joint name="h" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".02" contype="0"/></body>
   </worldbody><actuator><motor name="u" joint="h" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+FLOATING = """<mujoco><worldbody><body name="rod" pos="0 0 1"><joint name="hinge" axis="0 1 0"/>
+  <geom type="capsule" fromto="0 0 0 .5 0 0" size=".02" contype="0"/>
+  <body name="tip_body" pos=".2 0 .1"><joint name="tip" axis="0 1 0"/>
+    <geom size=".01" contype="0"/></body></body>
+  <body name="buoy" pos=".5 0 1"><freejoint name="float"/><geom size=".1" contype="0"/></body></worldbody>
+  <equality><connect name="tie" body1="rod" body2="buoy" anchor=".5 0 0"/></equality></mujoco>"""
 
 FALLING = """<mujoco><option timestep="0.001" integrator="RK4" gravity="0 0 {gravity}"/><worldbody>
   <geom type="plane" size="1 1 .1"/><body name="ball" pos="0 0 .15">
@@ -124,6 +132,17 @@ def test_the_error_of_an_oscillator_is_the_known_one(tmp_path):
     assert found.error.energy == pytest.approx(
         np.max(np.abs(energy - energy[0])) / (2.0 * speed**2), rel=0.01
     )
+    # a mechanism without loops
+    assert (found.loop_error, found.undetermined) == (LoopError(), {})
+
+
+def test_a_floating_body_that_a_constraint_ties_is_in_a_loop(tmp_path):
+    path = tmp_path / "floating.xml"
+    path.write_text(FLOATING)
+    mechanism = load_scene(str(path), {"excitation": "off"}, verified=False)[0].mechanism
+    # ground, rod, buoy and back; the tip on the rod is in no loop
+    assert mechanism.joint_names == ("hinge", "tip", "float", "tie")
+    assert loop_joints(mechanism) == ("hinge", "float", "tie")
 
 
 def renamed(table, new):
