@@ -128,13 +128,17 @@ def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
     replaced: dict[int, Difference | None] = {}
     for found in of_joint.values():
         sign, zero = found.get(Quantity.SIGN), found.get(Quantity.ZERO)
-        limits, axis = found.get(Quantity.LIMITS), found.get(Quantity.JOINT_AXIS)
-        if limits is None or not _are_as_written(limits, sign, zero):
+        axis = found.get(Quantity.JOINT_AXIS)
+        dependent = [found[quantity] for quantity in (Quantity.LIMITS, Quantity.REST) if quantity in found]
+        unchanged = [row for row in dependent if _is_as_written(row, sign, zero)]
+        if not unchanged:
             continue
-        replaced[id(limits)] = None
+        replaced.update((id(row), None) for row in unchanged)
+        what = " and ".join(row.quantity for row in unchanged)
         if sign is not None:
-            words = f"{sign.cause}, limits are not mirrored"
-            replaced[id(sign)] = replace(sign, size=limits.size, cause=words, effect=None, convention=False)
+            size = max(row.size for row in unchanged)
+            words = f"{sign.cause}, {what} not mirrored"
+            replaced[id(sign)] = replace(sign, size=size, cause=words, effect=None, convention=False)
         if zero is not None and axis is not None and axis.cause:
             # A turn about any direction is a turn of the axis and a turn about the axis
             turn = 2.0 * math.acos(math.cos(0.5 * axis.size) * math.cos(0.5 * zero.size))
@@ -142,20 +146,20 @@ def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
             replaced[id(axis)] = replace(axis, size=turn, cause=words)
             replaced[id(zero)] = None
         elif zero is not None:
-            words = "the joint counts from another zero, the limits are not moved"
+            words = f"{zero.cause}, {what} not moved"
             replaced[id(zero)] = replace(zero, cause=words, effect=None, convention=False)
     kept = (replaced.get(id(row), row) for row in rows)
     return [row for row in kept if row is not None]
 
 
-def _are_as_written(limits: Difference, sign: Difference | None, zero: Difference | None) -> bool:
-    """Return whether the second file has the limits of the first one, in spite of another sign or zero."""
-    if not (isinstance(limits.first, tuple) and isinstance(limits.second, tuple)) or not (sign or zero):
+def _is_as_written(row: Difference, sign: Difference | None, zero: Difference | None) -> bool:
+    """Return whether limits or rest are equal in both files, in spite of another sign or zero."""
+    if row.first is None or row.second is None or not (sign or zero):
         return False
     sense = -1 if sign else 1
     offset = zero.second if zero and isinstance(zero.second, float) else 0.0
-    as_written = (sense * np.array(limits.second) + offset)[::sense]
-    return bool(np.allclose(as_written, limits.first, rtol=1e-5, atol=1e-6 + limits.uncertainty))
+    as_written = (sense * np.atleast_1d(row.second) + offset)[::sense]
+    return bool(np.allclose(as_written, np.atleast_1d(row.first), rtol=1e-5, atol=1e-6 + row.uncertainty))
 
 
 # Hypotheses

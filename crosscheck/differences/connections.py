@@ -204,7 +204,8 @@ def _coupling_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[
     free = list(range(len(second.robot.couplings)))
     alone = []
     for index, coupling in enumerate(first.robot.couplings):
-        ends = other_name.get(coupling.follower), other_name.get(coupling.leader, "")
+        # Joints that a reduced robot does not have keep their names
+        ends = [other_name.get(name, name) for name in (coupling.follower, coupling.leader)]
         match = [
             other
             for other in free
@@ -215,7 +216,7 @@ def _coupling_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[
             continue
         free.remove(match[0])
         backwards = second.robot.couplings[match[0]].follower != ends[0]
-        follower, leader = by_first[coupling.follower], by_first.get(coupling.leader)
+        follower, leader = by_first.get(coupling.follower), by_first.get(coupling.leader)
         own = np.array([_padded(robot.couplings[index].powers) for robot in (first.robot, *first.variants)])
         other = np.array(
             [
@@ -247,13 +248,13 @@ def _padded(powers: tuple[float, ...]) -> list[float]:
 
 
 def _in_first(
-    powers: tuple[float, ...], follower: PairedJoint, leader: PairedJoint | None, backwards: bool
+    powers: tuple[float, ...], follower: PairedJoint | None, leader: PairedJoint | None, backwards: bool
 ) -> tuple[float, ...]:
     """Return the powers of a coupling of the second robot in the zeros and signs of the first robot.
 
     Args:
         powers: of the coupling in the second file, from its zeros.
-        follower, leader: joints of the coupling in the first file.
+        follower, leader: joints of the coupling in the first file; None without joint.
         backwards: whether the second file has the two joints exchanged; only a line can be turned around.
     """
     if backwards:
@@ -266,9 +267,10 @@ def _in_first(
         # Leader's coordinate from its zero in the second file, by that from its zero in the first file
         shift = leader.sense * leader.first.zero + leader.offset - leader.second.zero
         follows = follows(Polynomial([shift, leader.sense]))
-    coordinate = follower.second.zero + follows - follower.offset
-    found = follower.sense * coordinate - follower.first.zero
-    coefficients = np.asarray(found.coef, dtype=float)
+    if follower is not None:
+        coordinate = follower.second.zero + follows - follower.offset
+        follows = follower.sense * coordinate - follower.first.zero
+    coefficients = np.asarray(follows.coef, dtype=float)
     return numbers(np.where(np.abs(coefficients) > 1e-15, coefficients, 0.0))
 
 

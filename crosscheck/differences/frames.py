@@ -246,18 +246,18 @@ class CommonFrames:
         for place in self.joints:
             if number in (place.parent, place.child):
                 yield from self._joint_sizes(place, number)
-            if number == place.child and place.alone and place.kind == JointKind.HINGE:
-                yield self._zero_size(place)
+            if number == place.child and place.alone and place.kind in (JointKind.HINGE, JointKind.SLIDE):
+                yield self._turn_size(place)
 
-    def _zero_size(self, place: JointPlace) -> tuple[float, float]:
-        """Return the distance of the zeros of a hinge, rad, and its uncertainty."""
+    def _turn_size(self, place: JointPlace) -> tuple[float, float]:
+        """Return the angle, rad, between zeros of a hinge, or of a slide about its axis; its uncertainty."""
         parent, child = self.frames.get(place.parent, self.frames[IN_WORLD]), self.frames[place.child]
         inside = parent.first.inverse() @ child.first, parent.second.inverse() @ child.second
         axis = self.lines(place.pair, place.child)[0].axis[0]
         turns = [twist(inside[0].rotation[0], each.rotation, axis) for each in inside]
-        zeros = turns[0], turns[1] - place.pair.sense * place.pair.offset
+        offset = place.pair.offset if place.kind == JointKind.HINGE else 0.0
         slack = 2.0 * (parent.slack_angle + child.slack_angle) + MIN_OFFSET
-        return self.judge.compare(zeros[0], zeros[1], absolute, slack)
+        return self.judge.compare(turns[0], turns[1] - place.pair.sense * offset, absolute, slack)
 
     def _joint_sizes(self, place: JointPlace, number: int) -> Iterator[tuple[float, float]]:
         """Yield size and uncertainty of the differences of a joint's axis in a pair's common frame."""

@@ -14,7 +14,7 @@ from crosscheck.differences.difference import Difference, Quantity, Value, diffe
 from crosscheck.differences.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
 from crosscheck.differences.short_angles import is_short_pi, is_turn_by_short_pi
 from crosscheck.differences.stack import JointKey, Metric, absolute, angle, distance, dot, relative, twist
-from newton_euler.reading.robot import JointKind
+from newton_euler.reading.robot import FileDrive, JointKind
 from newton_euler.scalars import Array
 
 JOINT_NUMBERS: dict[Quantity, str] = {
@@ -52,6 +52,8 @@ def joint_rows(common: CommonFrames, place: JointPlace, zeros: dict[JointKey, fl
             assert_never(place.kind)
     for quantity, field in JOINT_NUMBERS.items():
         first, second = common.numbers(pair, field)
+        if quantity == Quantity.EFFORT:
+            first, second = _effort(common, pair, first, second)
         sizes = common.judge.compare(first, second, relative)
         if sizes[0]:
             values = _finite(first[0]), _finite(second[0])
@@ -95,6 +97,35 @@ def moved_joint_row(common: CommonFrames, pair: JointPair) -> Difference:
     if kinds[0] != kinds[1]:
         return difference(name, "joint", Quantity.KIND, (kinds[0], kinds[1]), (1.0, 0.0))
     return difference(name, "joint", Quantity.PARENT, (parents[0], parents[1]), (1.0, 0.0))
+
+
+def _effort(common: CommonFrames, pair: JointPair, first: Array, second: Array) -> tuple[Array, Array]:
+    """Return the efforts (V,) of a joint in both files; if one file has no drives, those of the drives count.
+
+    Args:
+        common: both robots.
+        pair: the joints.
+        first, second: efforts (V,) of the joints themselves.
+    """
+    robots = common.first.file.robot, common.second.file.robot
+    if bool(robots[0].drives) == bool(robots[1].drives):
+        return first, second
+    efforts = []
+    for robot, (body, number), effort in zip(robots, (pair.first, pair.second), (first, second), strict=True):
+        name = robot.bodies[body].joints[number].name
+        limits = [
+            _largest_force(drive) * abs(drive.gears[name]) for drive in robot.drives if name in drive.gears
+        ]
+        efforts.append(np.minimum(effort, sum(limits) if limits else math.inf))
+    return efforts[0], efforts[1]
+
+
+def _largest_force(drive: FileDrive) -> float:
+    """Return the largest force of a drive, N or N m."""
+    forces = [max(map(abs, drive.force_limits))]
+    if not drive.stiffness and not drive.damping:
+        forces.append(abs(drive.gain) * max(map(abs, drive.control_limits)))
+    return min(forces)
 
 
 class _AxisJoint:

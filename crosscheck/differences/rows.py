@@ -107,7 +107,10 @@ def _model_rows(common: CommonFrames) -> Iterator[Difference]:
         values = [None if each is None else numbers(each) for each in given]
         yield difference(name, "model", Quantity.GRAVITY, (values[0], values[1]), sizes)
     if common.alignment.base:
-        yield difference(name, "model", Quantity.BASE, (None, None), (1.0, 0.0), common.alignment.base)
+        # "floating in the first, fixed in the second"
+        held, _, other = common.alignment.base.partition(" in the first, ")
+        values_of_base = held, other.removesuffix(" in the second")
+        yield difference(name, "model", Quantity.BASE, values_of_base, (1.0, 0.0), common.alignment.base)
     yield from _world_row(common, gravities[0])
     yield from _frame_row(common)
 

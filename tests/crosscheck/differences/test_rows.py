@@ -114,7 +114,7 @@ def without_rotation(inertia: np.ndarray) -> np.ndarray:
 
 
 def reversed_axis(robot: Robot, name: str) -> Robot:
-    """Return a robot in which a joint's axis is reversed and its limits are not mirrored."""
+    """Return a robot in which a joint's axis is reversed and its limits not mirrored."""
     return with_joint(robot, name, axis=-joint_of(robot, name).axis)
 
 
@@ -189,6 +189,11 @@ PLANTS: dict[str, Plant] = {
         lambda r: with_joint(r, "left_knee", point=np.array([0.003, 0, 0])),
         (Row("left_knee", Q.JOINT_ORIGIN, 0.003),),
     ),
+    "link turned, limits and rest not moved": Plant(
+        "linkage",
+        lambda r: moved(r, "rocker", rotation=turn("y", 0.1)),
+        (Row("pivot", Q.ZERO, 0.1, "the joint counts from another zero, rest not moved"),),
+    ),
     "center of the ball": Plant(
         "linkage",
         lambda r: with_joint(r, "swing", point=np.array([0, 0, 0.11])),
@@ -208,7 +213,7 @@ PLANTS: dict[str, Plant] = {
     "link turned about its axis": Plant(
         "arm",
         lambda r: moved(r, "wrist", rotation=turn("y", 0.05)),
-        (Row("bend", Q.ZERO, 0.05, "limits are not moved"),),
+        (Row("bend", Q.ZERO, 0.05, "limits not moved"),),
     ),
     "link turned about a skew direction": Plant(
         "arm",
@@ -614,7 +619,7 @@ def test_a_reversed_axis_whose_limits_are_not_mirrored_is_one_difference():
     second = reversed_axis(first, "yaw")
     (row,) = rows_of(first, second, aligned(first, second, senses={"yaw": -1}))
     assert (row.element, row.quantity) == ("yaw", Quantity.SIGN)
-    words = "the joint counts the other way, its drive pushes the other way, limits are not mirrored"
+    words = "the joint counts the other way, its drive pushes the other way, limits not mirrored"
     assert row.cause == words
     # Limits -1 to 2 rad become -2 to 1 rad
     assert row.size == pytest.approx(1.0)
@@ -649,7 +654,7 @@ def test_a_moved_zero_without_moved_limits_is_one_difference():
     second = with_joint(first, "bend", zero=0.5)
     (row,) = rows_of(first, second, aligned(first, second, offsets={"bend": 0.5}))
     assert (row.element, row.quantity, row.second) == ("bend", Quantity.ZERO, 0.5)
-    assert row.cause == "the joint counts from another zero, the limits are not moved"
+    assert row.cause == "the joint counts from another zero, limits not moved"
 
 
 def test_values_are_in_the_frame_zero_and_sign_of_the_first_file():
@@ -694,6 +699,16 @@ def test_a_floating_base_that_the_other_file_fixes_is_one_row():
     assert row.cause == "floating in the first, fixed in the second"
 
 
+def test_a_file_without_drives_has_the_efforts_of_the_drives_of_the_other_file():
+    first = with_every_joint(walker(), effort=np.inf)
+    second = replace(walker(), drives=())
+    (row,) = rows_of(first, second)
+    assert (row.element_kind, row.quantity, len(row.elements)) == ("drive", Quantity.PRESENCE, 6)
+    weaker = with_drive(first, "left_knee_motor", control_limits=(-35, 35))
+    _, row = sorted(rows_of(weaker, second), key=lambda row: row.element_kind)
+    assert (row.element, row.quantity, row.first, row.second) == ("left_knee", Quantity.EFFORT, 35.0, 50.0)
+
+
 def test_a_joint_with_another_parent_is_one_row():
     first = walker()
     shin = body_of(first, "left_shin")
@@ -703,6 +718,15 @@ def test_a_joint_with_another_parent_is_one_row():
     (row,) = rows_of(first, second)
     assert (row.element, row.quantity) == ("left_knee", Quantity.PARENT)
     assert (row.first, row.second) == ("left_thigh", "trunk")
+
+
+def test_couplings_of_joints_that_a_reduced_robot_lacks_are_compared_by_their_names():
+    coupling = FileCoupling("mimic", "gone", "lost", (0.0, 2.0))
+    first = replace(arm(), couplings=(coupling,))
+    assert not rows_of(first, first)
+    (row,) = rows_of(first, replace(first, couplings=(replace(coupling, powers=(0.0, 2.5)),)))
+    assert (row.element, row.quantity, row.size) == ("mimic", Quantity.COUPLING, 0.5)
+    assert (row.first, row.second) == ((0.0, 2.0), (0.0, 2.5))
 
 
 def test_every_quantity_has_a_unit():
