@@ -71,7 +71,8 @@ class Names:
     """Names of the elements of one kind in two files, by which elements are compared.
 
     Attributes:
-        words: words of each name that distinguish it from the other names of its file, for each file.
+        words: words of each name that distinguish it from the other names of its file, for each file, and
+            their weight.
     """
 
     def __init__(self, first: Iterable[str], second: Iterable[str]) -> None:
@@ -82,13 +83,14 @@ class Names:
         """Return how like two names are: 1 for equal ones, 0 without a common word or for opposite sides."""
         if first == second:
             return 1.0 if first else 0.0
-        one, two = self.words[0].get(first, frozenset()), self.words[1].get(second, frozenset())
-        if not one or not two:
+        (one, weight), (two, other_weight) = self.words[0][first], self.words[1][second]
+        common = one & two
+        if not common:
             return 0.0
-        if any(one & pair and two & pair and one & pair != two & pair for pair in OPPOSITES):
-            return 0.0
-        common = _weight(one & two)
-        return 0.95 * 2.0 * common / (_weight(one) + _weight(two))
+        for pair in OPPOSITES if one & SIDES != two & SIDES else ():
+            if one & pair and two & pair and one & pair != two & pair:
+                return 0.0
+        return 0.95 * 2.0 * _weight(common) / (weight + other_weight)
 
     def best(self, first: Iterable[str], second: Iterable[str]) -> float:
         """Return the largest likeness of a name of the first file to one of the second."""
@@ -96,13 +98,13 @@ class Names:
         return max((self.likeness(one, two) for one in first for two in others), default=0.0)
 
 
-def _distinctive(names: set[str]) -> dict[str, frozenset[str]]:
-    """Return the words of each name without those that most names of the file have."""
+def _distinctive(names: set[str]) -> dict[str, tuple[frozenset[str], float]]:
+    """Return the words of each name without those that most names of the file have, and their weight."""
     words = {name: words_of(name) for name in names}
     counts = Counter(word for found in words.values() for word in found)
     few = max(3.0, COMMON_FRACTION * len(names))
     common = {word for word, count in counts.items() if count > few}
-    return {name: found - common for name, found in words.items()}
+    return {name: (found - common, _weight(found - common)) for name, found in words.items()}
 
 
 def _weight(words: Iterable[str]) -> float:

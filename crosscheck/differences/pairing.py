@@ -7,14 +7,12 @@ link coincides with its partner, and there the axes and points of joints tell eq
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 
-import numpy as np
-
+from crosscheck.differences.joint_matches import MatchedJoint, joints_in_order, matched_joint
 from crosscheck.differences.links import GROUND, Link, LinkTree, composite
 from crosscheck.differences.registration import (
     Further,
@@ -27,9 +25,6 @@ from crosscheck.differences.registration import (
 from crosscheck.differences.tree_match import FORCED, TreeMatch, assignment
 from newton_euler.reading.robot import JointKind, Placement
 from newton_euler.scalars import Array
-
-ROUND_OFF = 1e-12
-"""Offset of a coordinate, rad or m, that rotation matrices cannot tell from zero."""
 
 MIN_MOVED_VALUE = 0.4
 """Smallest value of a pair of links that hang on other parents; a half of that of an equal name and joint."""
@@ -59,21 +54,6 @@ class LinkPair:
     heads: tuple[Link, Link] | None = None
     motion: Placement = GROUND
     same_pose: bool = True
-
-
-@dataclass(frozen=True)
-class MatchedJoint:
-    """Two joints that play the same role.
-
-    Attributes:
-        first, second: indices of the links whose joints they are.
-        sense, offset: as in `crosscheck.differences.alignment.JointPair`.
-    """
-
-    first: int
-    second: int
-    sense: int
-    offset: float
 
 
 @dataclass
@@ -127,7 +107,11 @@ class _Pairer:
         self._grow(*self._root())
         while (moved := self._moved()) is not None:
             self._grow(*moved)
-        self.pairing.joints = [_matched_joint(links) for links in self.pairing.links if links.heads]
+        for links in self.pairing.links:
+            if links.heads:
+                above = links.above.motion if links.above else links.motion
+                own = above if links.same_pose else links.motion
+                self.pairing.joints.append(matched_joint(*links.heads, above, own))
 
     def swapped(self) -> dict[int, int]:
         """Return partners by name of links that follow each other the other way round in the second robot."""
@@ -337,7 +321,9 @@ class _Pairer:
             end, other_end: the nodes below, which become partners.
         """
         paths = self.first.path(end, a), self.second.path(other_end, b)
-        joints = self._joints_of_paths(paths, self._of_first[a].motion)
+        joints = joints_in_order(
+            *paths, partial(self._joint_value, self._of_first[a].motion), keep_all=not self._forced_joints
+        )
         starts = [(-1, -1), *joints, (len(paths[0]), len(paths[1]))]
         current = self._of_first[a]
         for (i, k), (next_i, next_k) in pairwise(starts):
@@ -379,30 +365,7 @@ class _Pairer:
         a, b = max(values, key=lambda key: values[key])
         return self.first.links[a], self.second.links[b]
 
-    def _joints_of_paths(
-        self, paths: tuple[Sequence[Link], Sequence[Link]], motion: Placement
-    ) -> list[tuple[int, int]]:
-        """Pair joints of two paths in order, by kinds, names and places; return positions in the paths."""
-        kinds = [k.kind for k in paths[0]], [k.kind for k in paths[1]]
-        if kinds[0] == kinds[1] and not self._forced_joints:
-            return [(k, k) for k in range(len(kinds[0]))]
-        # longest common subsequence, with the value of each pair instead of 1
-        best: dict[tuple[int, int], tuple[float, list[tuple[int, int]]]] = {}
-        rows, columns = len(paths[0]), len(paths[1])
-        for i in range(rows, -1, -1):
-            for k in range(columns, -1, -1):
-                options = [(0.0, list[tuple[int, int]]())]
-                if i < rows:
-                    options.append(best[i + 1, k])
-                if k < columns:
-                    options.append(best[i, k + 1])
-                if i < rows and k < columns:
-                    value = self._joint_value(paths[0][i], paths[1][k], motion)
-                    options.append((value + best[i + 1, k + 1][0], [(i, k), *best[i + 1, k + 1][1]]))
-                best[i, k] = max(options, key=lambda option: option[0])
-        return best[0, 0][1]
-
-    def _joint_value(self, one: Link, two: Link, motion: Placement) -> float:
+    def _joint_value(self, motion: Placement, one: Link, two: Link) -> float:
         """Return the value of a pair of joints; not positive if they cannot be partners."""
         demanded = self._forced_joints.get(one.index)
         contradicts = two.index in self._forced_joints.values() if demanded is None else demanded != two.index
@@ -452,39 +415,6 @@ class _Pairer:
                     if end == link.index and parent is not None and of_own.get(far) is parent:
                         return True
         return False
-
-
-def _matched_joint(links: LinkPair) -> MatchedJoint:
-    """Return the joints that hold two paired links, with sense and offset of their coordinates."""
-    assert links.heads is not None
-    one, two = links.heads
-    assert one.joint is not None
-    assert two.joint is not None
-    above = links.above.motion if links.above else links.motion
-    own = above if links.same_pose else links.motion
-    both = (own.rotation + above.rotation) @ two.axis
-    sense = -1 if float(one.axis @ both) < -1e-6 else 1  # below: perpendicular to the digits of files
-    moved = own @ above.inverse()
-    shift = 0.0
-    if one.kind is JointKind.HINGE:
-        shift = angle_about(one.axis, moved.rotation)
-    elif one.kind is JointKind.SLIDE:
-        spot = above.position + above.rotation @ two.point
-        shift = float(one.axis @ (moved.position + moved.rotation @ spot - spot))
-    offset = two.joint.zero - sense * one.joint.zero + sense * shift
-    return MatchedJoint(one.index, two.index, sense, offset if abs(offset) > ROUND_OFF else 0.0)
-
-
-def angle_about(axis: Array, rotation: Array) -> float:
-    """Return the angle, rad, of the rotation about a unit vector (3,) that is nearest to a matrix (3, 3)."""
-    x, y, z = axis
-    sine = (
-        x * (rotation[2, 1] - rotation[1, 2])
-        + y * (rotation[0, 2] - rotation[2, 0])
-        + z * (rotation[1, 0] - rotation[0, 1])
-    )
-    cosine = float(np.trace(rotation)) - float(axis @ rotation @ axis)
-    return math.atan2(float(sine), cosine)
 
 
 def _whole(links: Sequence[Link]) -> tuple[float, Array, Array]:

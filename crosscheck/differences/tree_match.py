@@ -87,7 +87,7 @@ class _Facts(NamedTuple):
 
     kinds: tuple[JointKind, ...]
     mass: float
-    moments: np.ndarray
+    moments: tuple[float, ...]
     lengths: tuple[float, ...]
     twist: float
     links: int
@@ -204,7 +204,8 @@ class TreeMatch:
         if one.mass > 0 and two.mass > 0:
             value += MASS_WEIGHT * agreement(abs(math.log(one.mass / two.mass)))
             largest = max(one.moments[2], two.moments[2]) or 1.0
-            value += INERTIA_WEIGHT * agreement(float(abs(one.moments - two.moments).max()) / largest)
+            apart = max(abs(x - y) for x, y in zip(one.moments, two.moments, strict=True))
+            value += INERTIA_WEIGHT * agreement(apart / largest)
         elif one.mass == two.mass:
             value += MASS_WEIGHT + INERTIA_WEIGHT
         size = max(self.first.size, self.second.size)
@@ -294,7 +295,7 @@ def _facts(tree: LinkTree) -> dict[int, _Facts]:
         found[node] = _Facts(
             kinds=tuple(part.joint.kind for part in path if part.joint),
             mass=link.mass,
-            moments=np.linalg.eigvalsh(link.inertia),
+            moments=tuple(np.linalg.eigvalsh(link.inertia).tolist()),
             lengths=(to_center, to_previous),
             twist=twist,
             links=sum(1 + found[child].links for child in tree.branches[node]),
