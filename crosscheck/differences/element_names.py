@@ -49,12 +49,13 @@ OPPOSITES = ({"left", "right"}, {"front", "hind"}, {"upper", "lower"})
 """Words of which names of one element cannot have different ones."""
 
 SIDE_WEIGHT = 2.0
-"""Weight of words of `OPPOSITES`, beside 1 for others."""
+"""Weight of words of `OPPOSITES`; others have the weight 1."""
 
 COMMON_FRACTION = 0.7
-"""Fraction of the names of a file above which a word tells nothing, such as the robot's name as a prefix."""
+"""Fraction of the names of a file above which a word, such as the robot's name, distinguishes nothing."""
 
 SIDES = frozenset().union(*OPPOSITES)
+"""All words of `OPPOSITES`."""
 
 
 def words_of(name: str) -> frozenset[str]:

@@ -225,7 +225,7 @@ class _Pairer:
         return further
 
     def _unmatched_below(self, a: int, b: int) -> tuple[list[Link], list[Link]]:
-        """Return the links of both robots next below two nodes that get no partner of their own."""
+        """Return the links of both robots next below two nodes that no links of the other robot match."""
         if (a, b) not in self.match.children:
             return [], []
         pairs = assignment(*self.match.children[a, b], self.match.subtree)
@@ -302,7 +302,7 @@ class _Pairer:
             trees = {d: self.match.subtree(c, d) for d in second}
             best = max(trees.values(), default=0.0)
             for d in (d for d, tree in trees.items() if 0 < tree < FORCED / 2):
-                # the links next to the paired nodes, on the way to the branches
+                # the links next to the paired nodes, on the paths to the branches
                 starts = self.first.path(c, a)[0], self.second.path(d, b)[0]
                 found[c, d] = line_value(*starts, above.motion, self.size)
                 if best - trees[d] < UNCLEAR and starts[0].kind == starts[1].kind:

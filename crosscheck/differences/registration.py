@@ -26,10 +26,10 @@ MARGIN = 0.02
 """Value by which another explanation must be better than equal frames, and than equal poses."""
 
 SUBTREE_WEIGHT = 0.3
-"""Weight of the value of matched subtrees beside the value of equal numbers of their joints."""
+"""Weight of the value of matched subtrees; equal numbers of their joints have the weight 1."""
 
 POINT_WEIGHT = 0.3
-"""Value of an equal point of an axis, beside 1 for the axis: files put it anywhere on the axis."""
+"""Value of an equal point of an axis; an equal axis has the value 1, and files put points anywhere on it."""
 
 SEPARATE = 1e-3
 """Smallest distance, relative to the robot's size, or angle in rad, from which an angle is computed."""
@@ -112,7 +112,7 @@ def register(
         size: typical length of the robots, m.
         likeness: value of matched subtrees; tells branches apart.
         extra: more motions to try.
-        further: value of what follows; None if the link has enough numbers of its own.
+        further: value of what follows; None if numbers of the link suffice.
         pose_first: whether an equal pose is preferred to equal frames if both explain the same.
     """
     comparison = _Comparison(first, second, size, likeness, above)
@@ -132,14 +132,17 @@ def register(
         best, best_total = by_frame, totals[0]
     if comparison.value(best) < comparison.largest - MARGIN:
         others = [*extra, *comparison.candidates()]
-        own_totals = [comparison.total(motion) for motion in others]
-        largest = max(own_totals, default=0.0)
-        for motion, total in zip(others, own_totals, strict=True):
+        scores = [comparison.total(motion) for motion in others]
+        if further and scores:
             # what follows is compared only for the best explanations, since that costs more
-            if total > largest - MARGIN and further:
-                total += further(motion)
-            if total > best_total + MARGIN:
-                best, best_total = motion, total
+            least = max(scores) - MARGIN
+            scores = [
+                score + further(motion) if score > least else 0.0
+                for motion, score in zip(others, scores, strict=True)
+            ]
+        if scores and max(scores) > best_total + MARGIN:
+            best_total = max(scores)
+            best = others[scores.index(best_total)]
     pose_equal = comparison.value(pose) > comparison.value(best) - MARGIN
     return Registered(best, pose_equal and comparison.same_pose(best) == 1.0, best_total)
 
