@@ -83,7 +83,8 @@ class FileJoint:
         friction: largest force of dry friction, N or N m.
         stiffness: of a spring at the joint, N/m or N m/rad.
         rest: coordinate at which the spring has no force, rad or m.
-        limits: smallest and largest coordinate, rad or m; infinite without limit.
+        limits: smallest and largest coordinate, rad or m, of a ball 0 and the largest angle; infinite without
+            limit.
         effort: largest force or torque of all drives together, N or N m; infinite without limit.
         speed: largest velocity, m/s or rad/s; infinite without limit.
     """

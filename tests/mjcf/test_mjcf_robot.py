@@ -238,6 +238,33 @@ def test_a_model_in_memory_is_described_without_variants() -> None:
         assert [drive.name for drive in found.robot.drives] == ["motor", "servo", "speed", "slow", "thruster"]
 
 
+def test_a_urdf_is_described_as_mujoco_reads_it(tmp_path: Path) -> None:
+    """MuJoCo fixes the root link and merges links that fixed joints connect; a mesh is missing."""
+    link = (
+        '<link name="{0}"><inertial><origin xyz="0.1 0 0"/><mass value="{1}"/>'
+        '<inertia ixx="0.5" ixy="0" ixz="0" iyy="0.5" iyz="0" izz="0.5"/></inertial>{2}</link>'
+    )
+    joint = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/><axis xyz="0 0 1"/></joint>'
+    mesh = '<{0}><geometry><mesh filename="package://gone/a.stl"/></geometry></{0}>'
+    parts = [
+        '<link name="base"/>',
+        link.format("arm", 2, mesh.format("visual") + mesh.format("collision")),
+        link.format("tool", 0.5, ""),
+        joint.format("hinge", "continuous", "base", "arm"),
+        joint.format("bolt", "fixed", "arm", "tool"),
+    ]
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+    model = mujoco.MjModel.from_xml_string(
+        path.read_text().replace(mesh.format("visual") + mesh.format("collision"), "")
+    )
+    found = describe(path)
+    assert (found.format, len(found.variants)) == ("URDF", 16)
+    (body,) = found.robot.bodies
+    assert (body.name, body.mass, body.joints[0].name) == ("arm", 2.5, "hinge")
+    assert body.center.tolist() == model.body_ipos[1].tolist()
+
+
 def test_a_refused_file_raises(tmp_path: Path) -> None:
     path = tmp_path / "model.xml"
     path.write_text(ARM.replace('joint1="rail"', 'joint1="nowhere"'))
