@@ -95,7 +95,7 @@ def effects(
     states = CommonStates(first, second, alignment)
     if not states.is_closed:
         return found
-    terms = merged(states.one.robot, states.two.robot, states.alignment)
+    terms = merged(states.one.robot, states.two.robot, states.agreeing)
     before = states.of_first([terms.first])
     # the mass of a base that is held to compare has an effect that is not computed
     is_held = any(cut.base >= 0 for cut in states.cuts)

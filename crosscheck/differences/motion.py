@@ -14,7 +14,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from crosscheck.differences.alignment import Alignment
+from crosscheck.differences.alignment import Alignment, BodyPair
 from crosscheck.differences.dynamics import Accelerations, Dynamics, size_of
 from crosscheck.differences.frames import common_frames
 from crosscheck.differences.transfer import (
@@ -61,6 +61,10 @@ SLOW_BODY = 1e-3
 
 DIGITS_FACTOR = 2.0
 """The largest change among a few variants underestimates the largest possible one by about this factor."""
+
+
+MIN_SHIFT = 1e-4
+"""m, distance of centers of mass that tells one placement of a frame from another."""
 
 
 class Phase(StrEnum):
@@ -153,7 +157,8 @@ class CommonStates:
     """Two robots, cut to their common part, in the same random states.
 
     Attributes:
-        alignment: pairs of bodies and joints, with the frames in which most numbers agree.
+        agreeing: pairs of bodies and joints, with the frames in which most numbers agree.
+        alignment: pairs of bodies and joints, with frames in which the centers of mass agree better.
         pairs: pairs of bodies that move.
         one, two: equations of both robots.
         cuts: what both robots lose.
@@ -173,13 +178,16 @@ class CommonStates:
         """
         files = (first, second)
         frames = common_frames(first, second, alignment, None).frames
-        self.alignment = alignment = replace(
-            alignment,
-            bodies=tuple(
-                replace(pair, placement=frames[number].placement) if number in frames else pair
-                for number, pair in enumerate(alignment.bodies)
-            ),
-        )
+        # each body gets the frame in which most of its numbers agree: a changed number stays at its element
+        agreeing = [
+            replace(pair, placement=frames[number].placement) if number in frames else pair
+            for number, pair in enumerate(alignment.bodies)
+        ]
+        self.agreeing = replace(alignment, bodies=tuple(agreeing))
+        nearer = [
+            _nearer(first.robot, second.robot, *each) for each in zip(agreeing, alignment.bodies, strict=True)
+        ]
+        self.alignment = alignment = replace(alignment, bodies=tuple(nearer))
         gravities = [file.robot.gravity for file in files if file.robot.gravity is not None]
         self.gravity = gravities[0] if gravities else STANDARD_GRAVITY
         has_no_drives = [file.format == "URDF" and not file.robot.drives for file in files]
@@ -395,6 +403,22 @@ def compare_motions(first: RobotFile, second: RobotFile, alignment: Alignment) -
         freedoms,
         states.notes,
     )
+
+
+def _nearer(first: Robot, second: Robot, pair: BodyPair, other: BodyPair) -> BodyPair:
+    """Return the first of two ways to place a pair's frames, or the second if centers of mass agree better.
+
+    Args:
+        first, second: the robots.
+        pair, other: the same bodies with other placements.
+    """
+    center = mass_of_group(first, pair.first, first.placements())[1]
+    other_center = mass_of_group(second, pair.second, second.placements())[1]
+    errors = [
+        float(np.linalg.norm(each.position + each.rotation @ other_center - center))
+        for each in (pair.placement, other.placement)
+    ]
+    return pair if errors[0] <= errors[1] + MIN_SHIFT else other
 
 
 def _spread(robot: Robot, group: Sequence[int], length: float) -> tuple[Array, float]:

@@ -281,6 +281,34 @@ def test_joint_that_is_fixed_in_one_file_is_held() -> None:
         assert found.notes == (f"Only in the {where} file, and held: elbow.",)
 
 
+FOUR_BAR = """
+<mujoco><default><joint axis="0 1 0"/><geom type="capsule" size="0.01"/></default><worldbody>
+  <body name="a"><joint name="ja"/><geom fromto="0 0 0 0.05 0 0.2"/>
+    <body name="b" pos="0.05 0 0.2"><joint name="jb"/><geom fromto="0 0 0 0.5 0 0.1"/>INNER</body></body>
+  OUTER</worldbody><equality>LOOP</equality></mujoco>"""
+
+
+def test_loop_is_cut_at_another_joint() -> None:
+    """The third bar hangs on the ground in one file, and on the second bar in the other."""
+    on_ground = """<body name="c" pos="0.5 0 0"><joint name="jc"/><geom fromto="0 0 0 0.05 0 0.3"/></body>"""
+    on_bar = (
+        """<body name="c" pos="0.5 0 0.1"><joint name="jbc"/><geom fromto="0 0 0 -0.05 0 -0.3"/></body>"""
+    )
+    loops = (
+        '<connect body1="b" body2="c" anchor="0.5 0 0.1"/>',
+        '<connect body1="c" body2="world" anchor="-0.05 0 -0.3"/>',
+    )
+    texts = (
+        FOUR_BAR.replace("INNER", "").replace("OUTER", on_ground).replace("LOOP", loops[0]),
+        FOUR_BAR.replace("INNER", on_bar).replace("OUTER", "").replace("LOOP", loops[1]),
+    )
+    for order in (1, -1):
+        first, second = (of_text(text) for text in texts[::order])
+        found = compare_motions(first, second, align(first.robot, second.robot, {}))
+        assert found.likeness is Likeness.EQUAL
+        assert found.freedoms == (1, 1)
+
+
 def pendulum(mass: float, armature: float = 0.05) -> Robot:
     """Describe a point mass on a rod of 0.5 m, whose drive has a rotor."""
     hinge = FileJoint("hinge", JointKind.HINGE, np.array([0.0, 1.0, 0.0]), np.zeros(3), armature=armature)
