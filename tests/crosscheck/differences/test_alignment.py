@@ -52,7 +52,7 @@ def check_recovered(first: Robot, disguised: Disguise, alignment: Alignment) -> 
     assert (alignment.groups, alignment.loops) == ((), ())
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize(
     "changes",
     [
@@ -71,7 +71,7 @@ def test_a_disguised_robot_is_recognized(seed, changes):
     check_recovered(robot, disguised, align(robot, disguised.robot, {}))
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(20))
 def test_bodies_that_are_split_and_joints_of_one_body_in_a_chain(seed):
     rng = np.random.default_rng(100 + seed)
     robot = random_robot(rng, int(rng.integers(4, 10)), floating=False)
@@ -431,3 +431,80 @@ def test_names_that_cannot_be_paired(names, words):
         align(robot, robot, names)
     assert all(word in str(error.value) for word in words)
     assert "\n" not in str(error.value)
+
+
+def test_a_base_that_stands_elsewhere_in_the_world():
+    """One number differs, the placement of the base; no frame is turned and no zero is elsewhere."""
+    robot = arm()
+    base = robot.bodies[0]
+    half_turn = Placement(np.array([0.0, 0.3, 0.12]), turned(np.array([0.0, 0.0, 1.0]), np.pi))
+    alignment = align(robot, changed(robot, 0, placement=half_turn @ base.placement), {})
+    for pair in alignment.bodies:
+        np.testing.assert_allclose(pair.placement.position, 0.0, atol=EXACT)
+        np.testing.assert_allclose(pair.placement.rotation, np.eye(3), atol=EXACT)
+    assert [k.offset for k in alignment.joints] == [0.0] * 5
+
+
+def test_two_equal_arms_on_the_ground():
+    """The arms face each other: half a turn of the world takes each one to the other."""
+    one = arm(4)
+    left = Placement(np.array([0.0, 0.5, 0.0]), np.eye(3))
+    right = Placement(np.array([0.0, -0.5, 0.0]), turned(np.array([0.0, 0.0, 1.0]), np.pi))
+    bodies = []
+    for side, place in (("left", left), ("right", right)):
+        start = len(bodies)
+        own = named(one, [f"{side}_{body.name}" for body in one.bodies]).bodies
+        own = (replace(own[0], placement=place), *own[1:])
+        bodies += [replace(k, parent=k.parent + start if k.parent >= 0 else -1) for k in own]
+    robot = Robot("two arms", tuple(bodies))
+    for seed in range(8):
+        disguised = disguise(robot, np.random.default_rng(seed), frames=0.0, zeros=0.5)
+        alignment = align(robot, disguised.robot, {})
+        joints = {joint_name(robot, k.first): joint_name(disguised.robot, k.second) for k in alignment.joints}
+        assert joints == disguised.joints
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_equal_fingers_of_a_gripper_that_is_open(seed):
+    """The fingers are equal, and the zeros of their slides are elsewhere: their frames tell them apart."""
+    robot = arm(3)
+    slide = FileJoint("slide", JointKind.SLIDE, np.array([0.0, 1.0, 0.0]), np.zeros(3))
+    fingers = [
+        FileBody(
+            f"finger{k}",
+            2,
+            Placement(np.array([0.0, 0.02 * side, 0.1]), turned(np.array([0.0, 0.0, 1.0]), angle)),
+            (replace(slide, name=f"slide{k}"),),
+            0.1,
+            np.array([0.0, 0.01, 0.02]),
+            np.diag([1e-4, 2e-4, 2.5e-4]),
+        )
+        for k, (side, angle) in enumerate([(1, 0.0), (-1, np.pi)])
+    ]
+    robot = replace(robot, bodies=(*robot.bodies, *fingers))
+    disguised = disguise(robot, np.random.default_rng(seed), frames=0.0)
+    check_recovered(robot, disguised, align(robot, disguised.robot, {}))
+
+
+def test_another_version_of_a_robot_in_other_frames():
+    """Lengths and masses are others by some percent, and frames are turned: poses stay the same."""
+    rng = np.random.default_rng(1)
+    robot = arm()
+    bodies = [
+        replace(
+            body,
+            placement=Placement(body.placement.position * rng.uniform(0.95, 1.05), body.placement.rotation),
+            mass=body.mass * rng.uniform(0.9, 1.1),
+            center=body.center * rng.uniform(0.95, 1.05),
+            inertia=body.inertia * rng.uniform(0.9, 1.1),
+        )
+        for body in robot.bodies
+    ]
+    disguised = disguise(replace(robot, bodies=tuple(bodies)), rng, zeros=0.0)
+    alignment = align(robot, disguised.robot, {})
+    joints = {joint_name(robot, k.first): k for k in alignment.joints}
+    assert {name: joint_name(disguised.robot, k.second) for name, k in joints.items()} == disguised.joints
+    assert {name: k.sense for name, k in joints.items()} == disguised.senses
+    # in the pose of the file, coordinates correspond; lengths that differ by 5 % turn a link by less than 0.1
+    errors = [disguised.offsets[name] - k.offset for name, k in joints.items()]
+    assert errors == pytest.approx([0.0] * 5, abs=0.1)
