@@ -136,9 +136,8 @@ def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
         replaced.update((id(row), None) for row in unchanged)
         what = " and ".join(row.quantity for row in unchanged)
         if sign is not None:
-            size = max(row.size for row in unchanged)
             words = f"{sign.cause}, {what} not mirrored"
-            replaced[id(sign)] = replace(sign, size=size, cause=words, effect=None, convention=False)
+            replaced[id(sign)] = replace(sign, cause=words, effect=None, convention=False)
         if zero is not None and axis is not None and axis.cause:
             # A turn about any direction is a turn of the axis and a turn about the axis
             turn = 2.0 * math.acos(math.cos(0.5 * axis.size) * math.cos(0.5 * zero.size))
@@ -241,7 +240,7 @@ def _missing_columns(rows: list[Difference], formats: tuple[str, str]) -> Iterat
             span = f"{finite.min():.4g}" + (f" to {finite.max():.4g}" if np.ptp(finite) else "")
             name = ("first", "second")[where] + (f" file ({formats[where]})" if formats[where] else " file")
             lack = _lack(formats[other], quantity)
-            cause = f"only in the {name}, at {len(group)} elements: {span}{lack}"
+            cause = f"only in the {name}: {span}{lack}"
             yield Hypothesis(frozenset(group), _merged([rows[index] for index in group], cause))
 
 
@@ -378,9 +377,8 @@ def _only_in_one(rows: list[Difference], formats: tuple[str, str]) -> Iterator[H
             groups[row.element_kind, row.second is None].append(index)
     for (kind, in_first), group in groups.items():
         those = [rows[index] for index in group]
-        where = "first" if in_first else "second"
         lack = _lack(formats[1 if in_first else 0], Quantity.PRESENCE) if kind == "drive" else ""
-        cause = f"{len(those)} {_plural(kind)} only in the {where} file{lack}"
+        cause = lack.removeprefix("; ")
         yield Hypothesis(frozenset(group), _merged(those, cause))
 
 

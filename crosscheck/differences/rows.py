@@ -110,7 +110,7 @@ def _model_rows(common: CommonFrames) -> Iterator[Difference]:
         # "floating in the first, fixed in the second"
         held, _, other = common.alignment.base.partition(" in the first, ")
         values_of_base = held, other.removesuffix(" in the second")
-        yield difference(name, "model", Quantity.BASE, values_of_base, (1.0, 0.0), common.alignment.base)
+        yield difference(name, "model", Quantity.BASE, values_of_base, (1.0, 0.0))
     yield from _world_row(common, gravities[0])
     yield from _frame_row(common)
 
