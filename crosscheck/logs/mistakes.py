@@ -21,6 +21,7 @@ from crosscheck.logs.reading import ComparedLog, LogReading
 from crosscheck.own_run.errors import USABLE_BELOW, RunError, run_error
 from crosscheck.own_run.interpolation import at_outputs, without_energies
 from newton_euler.errors import NewtonEulerError, quoted
+from newton_euler.model.euler_parameters import angle_between
 
 MISTAKE_FACTOR = 10.0
 """Factor by which another reading of a log must reduce the error to be reported. Right readings of logs with
@@ -40,6 +41,9 @@ DELAY_ROUNDS = 4
 
 MAX_DELAY = 0.25
 """Largest delay that is searched, as a fraction of the duration of the log."""
+
+MIN_MOTION = 1e-9
+"""Motion, sizes of the mechanism and rad, that counts as round-off: files often have nine digits or more."""
 
 WHOLE_ROWS = 0.1
 """Distance of a delay from a whole number of rows, in rows, below which the delay is that number of rows."""
@@ -103,6 +107,8 @@ def find_mistakes(
                 tried = reading.compared(other.options)
             except NewtonEulerError:
                 continue
+            if other.options.time != options.time and not _explains_motion(tried):
+                continue  # in a much shorter time nothing moves, whatever the log has
             if best is None or tried.error.relative < best[0].error.relative:
                 best = tried, other
         if best is None:
@@ -118,6 +124,18 @@ def find_mistakes(
     if compared is not None and compared.error.relative > USABLE_BELOW:
         found.extend(_delay(compared))
     return tuple(found)
+
+
+def _explains_motion(compared: ComparedLog) -> bool:
+    """Return True if a reference moves much farther than the error of the log, and than round-off."""
+    reference, error = compared.reference, compared.error
+    moved = np.linalg.norm(reference.position - reference.position[0], axis=2)
+    start = np.broadcast_to(reference.quaternion[0], reference.quaternion.shape)
+    turned = angle_between(reference.quaternion, start)
+    size = compared.scene.mechanism.size
+    motion = np.max(moved) / size + np.max(turned)
+    error_of_log = error.largest_position / size + error.largest_rotation
+    return bool(motion > MISTAKE_FACTOR * max(error_of_log, MIN_MOTION))
 
 
 def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> Iterator[OtherReading]:
