@@ -243,14 +243,16 @@ class LogReading:
     def start_error(self, compared: ComparedLog) -> RunError | None:
         """Measure the error that another fit of the start velocities causes; None if they are not fitted.
 
-        Velocities are fitted to the first `RATE_ROWS` rows; the other fit uses one row less.
+        Velocities are fitted to the first `RATE_ROWS` rows, or to all if there are fewer; the other fit uses
+        one row less.
         """
         if not compared.start.is_fitted:
             return None
         try:
             data = compared.data
             points = compared.points or "frame"
-            start = log_start(compared.scene, self.elements, data, points, rows=RATE_ROWS - 1)
+            rows = min(RATE_ROWS, len(data.time)) - 1
+            start = log_start(compared.scene, self.elements, data, points, rows)
             other, _ = _reference(replace(compared.scene, initial_state=start.state))
         except NewtonEulerError:
             return None

@@ -181,6 +181,8 @@ def in_unit(value: float, kind: ErrorKind) -> str:
 
 def length(value: float) -> str:
     """Format a length in m, mm, um or nm with two or three digits."""
+    if not value:
+        return "0 m"
     for unit, scale in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9)):
         if value >= scale:
             return f"{value / scale:.3g} {unit}"

@@ -317,7 +317,7 @@ def percent(value: float) -> str:
     number = 100.0 * value
     if number >= 10.0:
         return f"{number:.0f} %"
-    return f"{number:.2g} %" if number >= 1e-3 else f"{number:.0e} %"
+    return f"{number:.2g} %" if number >= 1e-3 or not number else f"{number:.0e} %"
 
 
 def _mass(value: float) -> str:
