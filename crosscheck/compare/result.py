@@ -130,13 +130,16 @@ class EngineComparison(ComparisonResult):
     def with_allowed_errors(self, allowed: Sequence[AllowedError]) -> Self:
         """Return this result with largest errors that the `limited_runs` may have.
 
-        The result is unfinished if the own run, or its end, is not judged although the engines agree, or if a
-        log has no columns for an error.
+        The result is unfinished if the own run, or its end, is not judged although the engines agree. It is
+        also unfinished if a log has no columns for an error, or if the reference stops before the log ends.
         """
         stops = self.unfinished
         if self.logs:
             for name, log in self.logs.items():
                 reasons = [log.undetermined[each.kind] for each in allowed if each.kind in log.undetermined]
+                if allowed and log.unjudged_from is not None:
+                    end = f"not judged from {log.unjudged_from:.3g} s on"
+                    reasons.append(f"{end}, as the reference stops: {log.reference_stop}")
                 stops = (*stops, *(Stop(name, reason) for reason in dict.fromkeys(reasons)))
             return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
         if allowed and self.own_run is None and not self.differs:

@@ -36,6 +36,14 @@ SECONDS_NAME = re.compile(r"(?:.*_)?(?:secs?|seconds)")
 NANOSECONDS_NAME = re.compile(r"(?:.*_)?(?:nsecs?|nanosecs?|nanoseconds)")
 """Names of the two columns of a time stamp of ROS."""
 
+MOTION_KINDS = ("coordinate", "position", "quaternion")
+"""Kinds of columns by which a run has diverged if they end without numbers. Rates and inputs of the last row
+are often unknown."""
+
+MAX_NUMBER = 1e10
+"""Largest absolute number of a run that has not diverged, in the unit of its column: `mjMAXVAL` of MuJoCo,
+beyond which MuJoCo resets a run."""
+
 MAX_NORM_ERROR = 0.02
 """Largest deviation of the norm of a quaternion from 1: numbers with two digits are still accepted."""
 
@@ -86,6 +94,7 @@ class LogData:
         without_unit: names of columns whose unit an option decides, by dimension, such as "angle".
         unused: names of columns that belong to no quantity.
         dropped: number of rows without some of the numbers.
+        divergence: columns without finite numbers from some time on, in words; "" if there are none.
     """
 
     where: str
@@ -98,6 +107,7 @@ class LogData:
     without_unit: dict[str, list[str]]
     unused: tuple[str, ...]
     dropped: int
+    divergence: str
 
     def at(self, rows: Array) -> LogData:
         """Return the rows with the given numbers."""
@@ -148,9 +158,10 @@ def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> Lo
             problem = f"column {quoted(each.name)}: {table.texts[each.name]}; needed: a finite number"
             raise table.error(problem)
     time_names, time = _times(table, options)
+    end, divergence = _divergence(table, found, time)
     # rows with all numbers; exports of several topics leave cells empty
-    used = [time, *(table.columns[each.name] for each in found.values())]
-    complete = np.asarray(np.isfinite(used).all(axis=0))
+    used = [np.isfinite(time), *(_has_numbers(table, each) for each in found.values())]
+    complete = np.asarray(np.all(used, axis=0) & (np.arange(len(time)) < end))
     if np.sum(complete) < MIN_ROWS:
         fewest = min([*found.values()], key=lambda each: np.isfinite(table.columns[each.name]).sum())
         count = int(np.isfinite(table.columns[fewest.name]).sum())
@@ -173,7 +184,8 @@ def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> Lo
         {elements.coordinates[each.target.element][0]: reader.measured(each) for each in reader.of("force")},
         reader.without_unit,
         tuple(name for name in unused if name not in time_names.split(" and ")),
-        int(np.sum(~complete)),
+        int(np.sum(~complete[:end])),
+        divergence,
     )
     if options.inputs == "scene":
         data.inputs.clear()
@@ -184,6 +196,40 @@ def read_columns(table: LogTable, elements: Elements, options: LogOptions) -> Lo
         problem = f"no column is a joint coordinate or a pose: {listed(table.columns):.300}"
         raise table.error(f"{problem}; needed: columns such as coordinate.JOINT, or --log-map")
     return data
+
+
+def _divergence(table: LogTable, found: Mapping[Target, FoundColumn], time: Array) -> tuple[int, str]:
+    """Find the row from which on coordinates or poses have no finite numbers, as of a run that diverged.
+
+    Cells without numbers at the end of a column count if they are more in a row than anywhere before:
+    exports of several topics have such cells between numbers.
+
+    Returns:
+        The index of that row, and columns and time before it in words; else the number of rows and "".
+    """
+    ends: dict[str, int] = {}
+    for each in found.values():
+        numbers = np.flatnonzero(_has_numbers(table, each))
+        if each.target.kind in MOTION_KINDS and len(numbers):
+            longest = int(np.max(np.diff(numbers), initial=1)) - 1
+            if len(time) - 1 - numbers[-1] > longest:
+                ends[each.name] = int(numbers[-1]) + 1
+    if not ends:
+        return len(time), ""
+    end = min(ends.values())
+    first, *others = [name for name, row in ends.items() if row == end]
+    columns = (
+        f"columns {quoted(first)} and {len(others)} more have" if others else f"column {quoted(first)} has"
+    )
+    cell = f"{table.columns[first][end]:.3g} in {table.row(end)}"
+    before = time[:end]
+    last = np.max(before, where=np.isfinite(before), initial=-np.inf)
+    return end, f"{columns} no number below {MAX_NUMBER:g} after {last:.6g} s: {cell}"
+
+
+def _has_numbers(table: LogTable, column: FoundColumn) -> Array:
+    """Return True (n,) for the rows of a column with numbers that a run of a mechanism can have."""
+    return np.asarray(np.abs(table.columns[column.name]) <= MAX_NUMBER)
 
 
 class _Reader:

@@ -42,7 +42,8 @@ def log_lines(judgement: LogJudgement, allowed: Sequence[AllowedError] = ()) -> 
 def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator[str]:
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     error, times = judgement.error, judgement.run.time
-    yield f"{judgement.name}  {headline(judgement)}"
+    reason = f": {judgement.stopped}" if judgement.stopped else ""
+    yield f"{judgement.name}  {headline(judgement)}{reason}"
     bodies = judgement.compared  # names of the compared bodies
     compared = f"{len(bodies)} bodies" if len(bodies) > 1 else bodies[0]
     texts = [f"{judgement.engine}: {judgement.rows} rows, {times[-1]:.4g} s, {compared}"]

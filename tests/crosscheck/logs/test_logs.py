@@ -19,8 +19,10 @@ from crosscheck.logs.mistakes import _delay, mistake_line
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import loop_joints
 from crosscheck.logs.table import read_table
+from crosscheck.own_run.allowed import AllowedError, ErrorKind, length
 from crosscheck.own_run.errors import Band, LoopError
 from crosscheck.report.log import log_lines
+from crosscheck.report.own_run import percent
 from newton_euler import PD, Body, Mechanism, Polynomial, Revolute, Scene, Sine, Sum, simulate
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.source_file import SourceError
@@ -515,9 +517,99 @@ def test_a_reference_that_stops_ends_the_comparison_with_a_note(four_bar, monkey
     monkeypatch.setattr(reading, "simulate", stopping)
     found = judged(four_bar, four_bar[3])
     assert (found.rows, found.error.relative < 2e-4) == (51, True)
+    assert found.unjudged_from == pytest.approx(0.25)
     assert found.summary()["reference_stop"] == "joint 'elbow' is too fast"
     (note,) = (line for line in log_lines(found).lines if "reference stops" in line)
     assert "0.25 s: joint 'elbow' is too fast" in note
+
+
+def test_a_reference_that_stops_leaves_a_limit_unfinished(four_bar):
+    path, joints = four_bar[0], four_bar[3]
+    verdict = crosscheck.check(str(path), ["newton_euler"], runs={"isaac": joints}, excitation="off")
+    stopped = replace(verdict.logs["isaac"], reference_stop="a singular pose", unjudged_from=0.25)
+    result = replace(verdict.crosscheck, logs={"isaac": stopped})
+    assert result.outcome.exit_status() == 0  # without a limit
+    limited = result.with_allowed_errors([AllowedError(ErrorKind.RELATIVE, 0.5)])
+    assert limited.outcome.exit_status() == 3
+    assert [(stop.what, stop.reason) for stop in limited.unfinished] == [
+        ("isaac", "not judged from 0.25 s on, as the reference stops: a singular pose")
+    ]
+
+
+def broken_off(table, row, value):
+    """A log whose columns beside the time have another value from a row on."""
+    later = np.arange(len(table["time"])) >= row
+    return {name: x if name == "time" else np.where(later, value, x) for name, x in table.items()}
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
+@pytest.mark.parametrize("columns", [3, 4])
+def test_numbers_that_end_are_a_run_that_diverged(four_bar, columns, value):
+    found = judged(four_bar, broken_off(four_bar[columns], 40, value))
+    assert (found.rows, found.dropped) == (40, 0)
+    assert f"after 0.195 s: {value:.3g} in row 40" in found.stopped
+    assert log_lines(found).lines[0].startswith("isaac  DIVERGED: columns ")
+    assert (found.band, log_lines(found).verdict) == (Band.WRONG, "fails")
+    assert all(kind.of(found) == np.inf for kind in ErrorKind)
+    # the errors are those until then: as of the run at small steps
+    assert found.error.relative < 2e-4
+    assert found.error.position_at[1] < 0.2
+
+
+def test_a_file_with_empty_cells_at_its_end_is_a_run_that_diverged(four_bar, tmp_path):
+    rows = ["time,motor,elbow,pivot"]
+    for k in range(101):
+        cells = (
+            ["", "", ""]
+            if k >= 90
+            else [f"{four_bar[3][name][k]:.17g}" for name in ("motor", "elbow", "pivot")]
+        )
+        rows.append(",".join([f"{four_bar[3]['time'][k]:.17g}", *cells]))
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    assert "after 0.445 s: nan in line 92" in judged(four_bar, str(tmp_path / "log.csv")).stopped
+
+
+@pytest.mark.parametrize("end", [101, 100])
+def test_empty_cells_between_numbers_are_incomplete_rows(four_bar, end):
+    # exports of several topics: every second row has the joints, and the last row has them or has not
+    rows = np.arange(101) % 2 == 1
+    table = {n: x if n == "time" else np.where(rows, np.nan, x) for n, x in four_bar[3].items()}
+    found = judged(four_bar, {name: x[:end] for name, x in table.items()})
+    assert (found.stopped, found.dropped, found.rows) == ("", 50, end - 50)
+    assert "50 rows without some of the numbers were left out" in log_lines(found).lines[-1]
+
+
+@pytest.mark.parametrize("name", ["motor_vel", "drive.ctrl"])
+def test_a_last_row_without_rates_or_inputs_is_no_divergence(four_bar, name):
+    table = four_bar[3] | {"drive.ctrl": np.zeros(101)}
+    found = judged(four_bar, table | {name: np.append(table[name][:-1], np.nan)})
+    assert (found.stopped, found.dropped, found.rows) == ("", 1, 100)
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.5])
+def test_a_unit_of_times_with_which_nothing_moves_is_no_mistake(tmp_path, turned):
+    path = tmp_path / "rod.xml"
+    path.write_text(CLAMPED)
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+    # the rod falls 5 mm in 0.02 s, the log rests: in 0.02 ms or less, both are the same
+    log = {"time": 0.002 * np.arange(11), "h": np.full(11, turned), "h_vel": np.zeros(11)}
+    found = judge_log(scene, report.names, "log", log)
+    assert found.band is Band.WRONG
+    assert found.mistakes == ()
+
+
+def test_start_velocities_of_three_rows_have_an_error(four_bar):
+    first = {name: x[:3] for name, x in four_bar[3].items() if not name.endswith("_vel")}
+    found = judged(four_bar, first)
+    assert found.start.is_fitted
+    # the crank starts with 5 rad/s; the error of the fit turns it wrongly in the 0.01 s of the log
+    speed = np.linalg.norm(found.start.state.angular_velocity[1])
+    # it is estimated by a fit without the third row, whose own error is of the same size
+    assert found.start_error.rotation == pytest.approx(abs(speed - 5.0) * 0.01, rel=0.5)
+
+
+def test_zeros_have_a_unit():
+    assert (length(0.0), percent(0.0)) == ("0 m", "0 %")
 
 
 MOTOR = CLAMPED.replace('ctrllimited="true" ctrlrange="-1 1"', "")
