@@ -324,7 +324,8 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             Initial "qpos", "qvel", "act" and "eq_active"; "ctrl", see `Inputs.terms`; and "model", the
             numbers and arrays of the compiled file that the run changes, such as "opt.disableflags".
         """
-        model, active = self._model_of_run(reduced)
+        model, active = self._prepared(reduced)
+        self.settings.apply(model)
         return {
             "qpos": self._start.tolist(),
             "qvel": self._velocity.tolist(),

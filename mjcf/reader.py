@@ -38,7 +38,7 @@ from mjcf.reading.loops import Loops
 from mjcf.reading.plausibility import key_findings, mesh_findings
 from mjcf.reading.softness import equalities_with_own_softness
 from mjcf.reading.source import UNNAMED, SourceError, check_memory, compile_file, copy_model, model_name
-from mjcf.reading.start import ModelAtStart
+from mjcf.reading.start import ModelAtStart, ModelToImport
 from mjcf.reference import MjcfReference
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError
@@ -125,19 +125,23 @@ def read(
         check_memory(source_name, compiled_model)
         # likely mistakes in the file: inertias of meshes, and keyframes with too few numbers
         file_findings = [*mesh_findings(compiled_model), *key_findings(compiled_model, keyframe_sizes)]
-        # import; every import and every reference model changes its own copy of the compiled model
-        reading = _import(source_name, copy.copy(compiled_model), key, request)
+        # import; every reference model changes its own copy of the compiled model
+        to_import = ModelToImport.of(compiled_model)
+        reading = _import(source_name, to_import, key, request)
         try:
             # reference models for verification, with the controls of the file and with random controls
             reference = _reference_model(copy.copy(compiled_model), key, reading)
             references: list[tuple[ReferenceModel, Scene]] = [reference]
             if compiled_model.nu:
-                references.append(_reference_with_random_controls(source_name, compiled_model, key, request))
+                driven_model = copy.copy(compiled_model)
+                references.append(
+                    _reference_with_random_controls(source_name, driven_model, to_import, key, request)
+                )
             # constant controls, or on request the sines of the excitation
             start = reading.start.data
             inputs = Inputs(compiled_model, np.array(start.ctrl), np.array(start.act), sines={})
             if request.excitation:
-                reading, inputs = _excite(source_name, copy.copy(compiled_model), key, request, reading)
+                reading, inputs = _excite(source_name, to_import, key, request, reading)
             # the file as MuJoCo simulates it with the file's own settings, likely mistakes, and verification
             report = reading.report
             simulation = MujocoFile(compiled_model, reference[0], reading.scene, report, inputs)
@@ -175,12 +179,20 @@ def _reference_model(
 
 @np.errstate(all="ignore")  # numbers that overflow are refused later
 def _reference_with_random_controls(
-    source_name: str, model: Any, key: str | None, request: Request
+    source_name: str, model: Any, to_import: ModelToImport, key: str | None, request: Request
 ) -> tuple[ReferenceModel, Scene]:
-    """Import the model with random controls; return its reference model and its scene."""
+    """Import the file with random controls; return its reference model and its scene.
+
+    Args:
+        source_name: path or name of the model, for messages.
+        model: compiled model, which is changed.
+        to_import: the same model, for the import.
+        key: name of the keyframe, see `read`.
+        request: options of the scene.
+    """
     control = _random_control(model)
-    reading = _import(source_name, copy.copy(model), key, request, control)
-    return _reference_model(copy.copy(model), key, reading, (control, np.array(reading.start.data.act)))
+    reading = _import(source_name, to_import, key, request, control)
+    return _reference_model(model, key, reading, (control, np.array(reading.start.data.act)))
 
 
 def _random_control(model: Any) -> Array:
@@ -200,13 +212,13 @@ def _random_control(model: Any) -> Array:
 
 @np.errstate(all="ignore")  # numbers that overflow are refused later
 def _excite(
-    source_name: str, model: Any, key: str | None, request: Request, reading: Reading
+    source_name: str, to_import: ModelToImport, key: str | None, request: Request, reading: Reading
 ) -> tuple[Reading, Inputs]:
     """Import the model again with sines of the controls, and with start velocities if the file has none.
 
     Args:
         source_name: path or name of the model, for messages.
-        model: compiled model, which is changed.
+        to_import: model of the file.
         key: name of the keyframe, see `read`.
         request: options of the scene.
         reading: scene with the controls of the file, and its report.
@@ -214,15 +226,15 @@ def _excite(
     Returns:
         The new reading, and its controls for a run in MuJoCo.
     """
-    start = reading.start
+    start, model = reading.start, to_import.model
     excitation = choose_excitation(
         reading.scene,
         reading.drives,
         np.array(start.data.ctrl),
-        start.model.actuator_ctrladr,
+        model.actuator_ctrladr,
         reading.report.bounds,  # limits of coordinates and forces
     )
-    excited = _import(source_name, model, key, request, excitation.control, excitation.sines)
+    excited = _import(source_name, to_import, key, request, excitation.control, excitation.sines)
     # describe the excitation in one line of the report
     names = [model.actuator(k).name or repr(k) for k in range(model.nactuator)]
     phrases = []
@@ -264,7 +276,7 @@ def _count(elements: Sized, noun: str) -> str:
 
 def _import(
     source_name: str,
-    model: Any,
+    to_import: ModelToImport,
     key: str | None,
     request: Request,
     control: Array | None = None,
@@ -274,14 +286,14 @@ def _import(
 
     Args:
         source_name: path or name of the model, for messages.
-        model: compiled model, which is changed.
+        to_import: model of the file.
         key: name of the keyframe, see `read`.
         request: options of the scene.
         control: (nu,) controls; None for the controls of the keyframe.
         sines: sines of the excitation that are added to controls, by number of the actuator.
     """
     report = ImportReport()
-    start = ModelAtStart(source_name, model, key, report, request.redundancy_tolerance, control)
+    start = ModelAtStart(source_name, to_import, key, report, request.redundancy_tolerance, control)
     try:
         bodies = Bodies(start, report)
         scene, drives = _build_scene(start, bodies, report, request, sines)

@@ -53,12 +53,13 @@ FULL_MEMORY_FRACTION = 0.5
 
 Models that need more memory have used 85 % at the crash; models that crash MuJoCo have used a few MB."""
 
-READING_COPIES = 3
-"""Largest number of copies of a compiled model that exist at a time during its import."""
+READING_COPIES = 2
+"""Largest number of copies of a compiled model that exist at a time during its import: one for the import,
+one for the reference model."""
 
-ACTUATED_READING_COPIES = 5
-"""Largest number of copies for a model with actuators, which is imported again with random controls to
-verify the actuators."""
+ACTUATED_READING_COPIES = 3
+"""Largest number of copies for a model with actuators. A second reference model, with random controls,
+verifies the actuators."""
 
 UNKNOWN_ERROR = "unknown exception"
 """Message of MuJoCo for an error without a reason."""

@@ -8,7 +8,9 @@ their units.
 
 from __future__ import annotations
 
-from typing import Any
+import copy
+from dataclasses import dataclass
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -31,6 +33,38 @@ SWITCHED_OFF_FEATURES = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
 which results would depend on earlier ones."""
 
 
+@dataclass(frozen=True, eq=False)
+class ModelToImport:
+    """Copy of a compiled model for one or several imports, which do not change it.
+
+    Attributes:
+        model: MuJoCo's model without contacts, limits and dry friction.
+        flags_of_file: `disableflags` of the compiled model, the features that the file itself disables.
+    """
+
+    model: Any
+    flags_of_file: int
+
+    @classmethod
+    def of(cls, compiled_model: Any) -> Self:
+        """Copy a compiled model, and switch off `SWITCHED_OFF_FEATURES`."""
+        found = cls(copy.copy(compiled_model), int(compiled_model.opt.disableflags))
+        model = found.model
+        model.opt.disableflags |= sum(
+            int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")) for feature in SWITCHED_OFF_FEATURES
+        )
+        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame. Simple
+        # bodies keep this, because MuJoCo also takes their mass matrix, as diagonal, in the body frame
+        model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        if found.disabled("GRAVITY"):
+            model.opt.gravity[:] = 0.0
+        return found
+
+    def disabled(self, feature: str) -> bool:
+        """Return True if the file itself disables a feature, such as "GRAVITY", by `<flag>`."""
+        return bool(self.flags_of_file & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
+
+
 class ModelAtStart(FileStart):
     """Compiled model at its start state.
 
@@ -39,6 +73,7 @@ class ModelAtStart(FileStart):
         model: MuJoCo's model without contacts, limits and dry friction.
         data: MuJoCo's data at the start state, after `mj_fwdVelocity`.
         key: name of the keyframe in reports, or "qpos0".
+        disabled: function `ModelToImport.disabled`.
     """
 
     error = SourceError
@@ -47,7 +82,7 @@ class ModelAtStart(FileStart):
     def __init__(
         self,
         path: str,
-        model: Any,
+        imported: ModelToImport,
         key: str | None,
         report: ImportReport,
         tolerance: float,
@@ -57,7 +92,7 @@ class ModelAtStart(FileStart):
 
         Args:
             path: file of the model.
-            model: compiled model, which is changed.
+            imported: model of the file.
             key: name of the keyframe; None for the first one, or for qpos0 without keyframes.
             report: report that receives lines about the start.
             tolerance: a constraint counts as redundant if the part of its dimensionless Jacobian row that the
@@ -67,18 +102,9 @@ class ModelAtStart(FileStart):
         Raises:
             SourceError: for an unknown keyframe, and for loops that do not close.
         """
-        # switch off features, but remember the flags of the file
-        self.path, self.model = path, model
+        self.path, self.model, self.disabled = path, imported.model, imported.disabled
+        model = self.model
         self.data: Any = mujoco.MjData(model)
-        self._flags_of_file = int(model.opt.disableflags)
-        model.opt.disableflags |= sum(
-            int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")) for feature in SWITCHED_OFF_FEATURES
-        )
-        # otherwise MuJoCo replaces inertial frames that are nearly the body frame by the body frame. Simple
-        # bodies keep this, because MuJoCo also takes their mass matrix, as diagonal, in the body frame
-        model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        if self.disabled("GRAVITY"):
-            model.opt.gravity[:] = 0.0
         # set the state of the keyframe, and close the loops
         self.key = self._place(key)
         if control is not None:
@@ -91,10 +117,6 @@ class ModelAtStart(FileStart):
         report.start.extend(lines)
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
-
-    def disabled(self, feature: str) -> bool:
-        """Return True if the file itself disables a feature, such as "GRAVITY", by `<flag>`."""
-        return bool(self._flags_of_file & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
 
     def _place(self, key: str | None) -> str:
         """Set the state to a keyframe or qpos0; return the name of the keyframe in reports.

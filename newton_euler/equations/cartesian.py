@@ -293,11 +293,14 @@ class Cartesian(CartesianTerms):
             moved.extend([r, p / sqrt(p @ p)])
         return np.concatenate(moved)
 
+    def phi(self, q: Array) -> Array:
+        """Compute Phi(q), then 1/2 (p^T p - 1) of each body."""
+        return np.concatenate([self.Phi(q, np.zeros(self.nv)), self.norms(q)])
+
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """Compute Phi(q), then 1/2 (p^T p - 1) of each body, and the sparse rows of their Jacobian."""
-        at_rest = np.zeros(self.nv)
-        jacobian = [*self.Phi_q_and_B(q, at_rest)[0], *self.P(q)]
-        return np.concatenate([self.Phi(q, at_rest), self.norms(q)]), jacobian
+        """Compute `phi`, and the sparse rows of its Jacobian."""
+        jacobian = [*self.Phi_q_and_B(q, np.zeros(self.nv))[0], *self.P(q)]
+        return self.phi(q), jacobian
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Translate row numbers of the joint-coordinate form; see `Formulation.rows_of`.

@@ -83,7 +83,7 @@ def test_lack_of_memory_is_told_from_a_crash_by_what_was_used(
     assert ("unknown exception" in str(error.value)) != lacks
 
 
-@pytest.mark.parametrize(("actuators", "copies"), [("", 3), ('<motor joint="p"/>', 5)])
+@pytest.mark.parametrize(("actuators", "copies"), [("", 2), ('<motor joint="p"/>', 3)])
 def test_copies_of_a_model_that_exceed_the_free_memory_are_refused(
     actuators: str, copies: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
