@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -606,6 +608,20 @@ def test_start_velocities_of_three_rows_have_an_error(four_bar):
     speed = np.linalg.norm(found.start.state.angular_velocity[1])
     # it is estimated by a fit without the third row, whose own error is of the same size
     assert found.start_error.rotation == pytest.approx(abs(speed - 5.0) * 0.01, rel=0.5)
+
+
+@pytest.mark.parametrize("name", ["isaac", "deg"])
+def test_the_page_shows_the_lines_of_its_logs(name, tmp_path, monkeypatch):
+    root = Path(crosscheck.__file__).parents[1]
+    page = (root / "docs/how_to/logs.md").read_text()
+    (tmp_path / "examples").symlink_to(root / "examples")
+    monkeypatch.chdir(tmp_path)
+    exec(re.search(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)[1], {})  # writes both logs
+    scene, report = load_scene("examples/linkage.xml", {"excitation": "off"}, verified=False)
+    found = judge_log(scene, report.names, name, f"{name}.csv")
+    shown = re.search(rf"^{name}  .*?(?=^\.\.\.$)", page, re.DOTALL | re.MULTILINE)[0]
+    # the page breaks lines
+    assert " ".join(shown.split()) in " ".join("\n".join(log_lines(found).lines).split())
 
 
 def test_zeros_have_a_unit():
