@@ -104,9 +104,9 @@ OUTPUT = Path("output")
     "max_errors",
     multiple=True,
     metavar="[ERROR=]VALUE",
-    help="Exit with 5 if the run with the settings of the file has a larger error, or with --log if a log "
-    "has: a part of the motion such as 1e-3 or 0.1%, or position=1mm, rotation=0.1deg, opening=0.1mm, "
-    "energy=1%. Repeatable.",
+    help="Exit with 5 if the run with the settings of the file has a larger error; beside --log, only if a "
+    "log has. The error is a part of the motion such as 1e-3 or 0.1%, or position=1mm, rotation=0.1deg, "
+    "opening=0.1mm, energy=1%. Repeatable.",
 )
 @verbose_option
 @click.option(

@@ -59,7 +59,10 @@ def judged_runs(result: ComparisonResult) -> list[Part]:
     if result.own_run:
         # the line of the import report (`mapping`) on inputs and velocities that the file does not have
         excitation = result.mapping.excitation if result.mapping else ""
-        parts.append(own_run_lines(result.own_run, excitation, result.limits_of(OWN_RUN)))
+        own_run = own_run_lines(result.own_run, excitation, result.limits_of(OWN_RUN))
+        if result.logs and result.allowed_errors:
+            own_run.lines.append("  note    --max-error limits the logs, not this run")
+        parts.append(own_run)
     return parts
 
 

@@ -35,6 +35,7 @@ from crosscheck.own_run.errors import Band
 from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import error_texts
 from crosscheck.report.run import junit, report
+from crosscheck.report.summary import judged_runs
 from newton_euler import simulate
 from newton_euler.model.source_file import SourceError
 
@@ -261,6 +262,14 @@ def test_allowed_errors_are_those_of_logs(verdict):
     result = verdict.crosscheck.with_allowed_errors([AllowedError(ErrorKind.POSITION, 5e-4)])
     assert result.outcome.exit_status() == 5
     assert set(result.exceeded) == {"states", "poses", "crank"}
+    # the terminal and the test cases tell that the run of the file has no limit
+    *_, own_run = judged_runs(result)
+    assert own_run.lines[0].startswith("your settings  WRONG BY ")
+    assert own_run.lines[-1] == "  note    --max-error limits the logs, not this run"
+    page = ElementTree.fromstring(junit(result, report(result), "linkage", allow_reduced=False))
+    (case,) = (each for each in page.iter("testcase") if "your settings" in each.get("classname", ""))
+    assert case.get("name") == "accuracy"
+    assert case.find("skipped").get("message").endswith("no --max-error limits it")
     assert [each["exceeded"] for each in result.summary()["allowed_errors"]] == [True]
 
 
