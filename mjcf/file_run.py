@@ -29,6 +29,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import (
+    CONTACT_OF,
     INTEGRATOR,
     TIME_STEP,
     Cause,
@@ -321,8 +322,9 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             reduced: True for a run without the elements that the imported scene does not have.
 
         Returns:
-            Initial "qpos", "qvel", "act" and "eq_active"; "ctrl", see `Inputs.terms`; and "model", the
-            numbers and arrays of the compiled file that the run changes, such as "opt.disableflags".
+            Initial "qpos", "qvel", "act" and "eq_active"; "ctrl", see `Inputs.terms`; "model", the numbers
+            and arrays of the compiled file that the run changes, such as "opt.disableflags"; and "bodies",
+            the scene's names of the bodies with mass.
         """
         model, active = self._prepared(reduced)
         self.settings.apply(model)
@@ -333,6 +335,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             "eq_active": active.tolist(),
             "ctrl": self._inputs.terms,
             "model": _differing_numbers(self._model, model),
+            "bodies": list(self._names),
         }
 
     def causes(self) -> Iterator[Cause[MujocoSettings]]:
@@ -651,7 +654,7 @@ class _EventRecorder:
                 if bodies not in self._known_contacts:
                     self._known_contacts.add(bodies)
                     names = " and ".join(repr(model.body(body).name or f"body {body}") for body in bodies)
-                    self._add_event(f"contact of {names}")
+                    self._add_event(f"{CONTACT_OF}{names}")
             elif (row_type, number) not in self._known_limits:
                 self._known_limits.add((row_type, number))
                 topic, kind = topic_and_kind

@@ -227,20 +227,22 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
             raise
         raise reading.table.error("; ".join(map(mistake_line, mistakes))) from failure
     mistakes = find_mistakes(reading, options, data, compared)
-    # the comparison ends when an element acts that the reference does not have, and in chaos
+    # the comparison ends when an element acts that the reference does not have, and of a mechanism in chaos
     events = tuple(
         sorted(watch(compared.scene, compared.reference, compared.data), key=lambda event: event.time)
     )
-    until = comparable_until(compared.scene, compared.reference)
-    ends = [event.time for event in events if event.time > 0.0] + ([] if until is None else [until])
+    horizons = comparable_until(compared.scene, compared.reference)
+    until = min((event.time for event in events if event.time > 0.0), default=None)
     error, run, rows, scale = compared.error, compared.run, len(compared.run.time), compared.motion_scale
-    if ends:
-        rows = max(2, int(np.searchsorted(run.time, min(ends))))
+    if until is not None or any(horizons):
+        rows = rows if until is None else max(2, int(np.searchsorted(run.time, until)))
         run = run.first(rows)
         # errors are parts of the motion up to the end of the comparison
         count = max(2, int(np.searchsorted(compared.reference.time, run.time[-1], side="right")))
-        scale = MotionScale.of(compared.reference.first(count), compared.scene.mechanism)
+        scale = MotionScale.of(compared.reference.first(count), compared.scene.mechanism, horizons)
         error = run_error(run, compared.reference_at(run.time), scale)
+    # the reference stops before the log and before all reasons to end the comparison
+    is_unjudged = bool(compared.reference_stop) and until is None and not all(horizons)
     other_inputs = None
     if error.band is not Band.ACCURATE and not mistakes:
         other_inputs = reading.other_inputs(options, compared)
@@ -263,7 +265,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         scene=compared.scene,
         solution=compared.reference,
         reference_stop=compared.reference_stop,
-        unjudged_from=float(compared.reference.time[-1]) if compared.reference_stop and not ends else None,
+        unjudged_from=float(compared.reference.time[-1]) if is_unjudged else None,
         missing=reading.missing(compared),
         compared=run.body_names,
         rows=rows,

@@ -29,13 +29,13 @@ class ErrorKind(StrEnum):
     RELATIVE = "relative"
     """Larger one of the errors of positions and of orientations, each divided by the extent of the motion."""
     POSITION = "position"
-    """Largest error of a center of mass, m."""
+    """Largest error of a center of mass, m, in the judged comparison and in the other one if there is one."""
     ROTATION = "rotation"
-    """Largest error of an orientation, rad."""
+    """Largest error of an orientation, rad, likewise."""
     OPENING = "opening"
-    """Largest distance between the ends of a loop constraint, m."""
+    """Largest distance between the ends of a loop constraint, m, likewise."""
     LOOP_ANGLE = "loop_angle"
-    """Largest violation of a loop constraint of angles, rad."""
+    """Largest violation of a loop constraint of angles, rad, likewise."""
     ENERGY = "energy"
     """Largest error of the total energy, divided by the reference's largest kinetic energy plus the range of
     its potential energy."""
@@ -48,15 +48,15 @@ class ErrorKind(StrEnum):
             case ErrorKind.RELATIVE:
                 return judgement.error.relative
             case ErrorKind.POSITION:
-                return max(error.largest_position for error in judgement.errors)
+                return max(each.error.largest_position for each in judgement.measured)
             case ErrorKind.ROTATION:
-                return max(error.largest_rotation for error in judgement.errors)
+                return max(each.error.largest_rotation for each in judgement.measured)
             case ErrorKind.OPENING:
-                return judgement.loop_error.opening
+                return max(each.loop_error.opening for each in judgement.measured)
             case ErrorKind.LOOP_ANGLE:
-                return judgement.loop_error.angle
+                return max(each.loop_error.angle for each in judgement.measured)
             case ErrorKind.ENERGY:
-                return max(error.energy for error in judgement.errors)
+                return judgement.error.energy
             case _:
                 assert_never(self)
 
@@ -64,6 +64,9 @@ class ErrorKind(StrEnum):
 RATIOS = {"": 1.0, "%": 0.01}
 LENGTHS = {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6}
 ANGLES = {"": 1.0, "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}
+
+LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
+"""Units of printed lengths, m, the largest first."""
 
 UNITS = {
     ErrorKind.RELATIVE: RATIOS,
@@ -147,11 +150,16 @@ def exceeded_text(name: str, judgement: Judgement, exceeded: Sequence[AllowedErr
     run = "the run with your settings" if name == OWN_RUN else f"the log {name}"
     if reason := _divergence(judgement):
         return f"{run} diverged: {reason}"
-    parts = [
-        f"{each.kind} {found_text(judgement, each.kind)}, allowed {in_unit(each.largest, each.kind)}"
-        for each in exceeded
-    ]
+    parts = [f"{each.kind} {', allowed '.join(_both(each, judgement))}" for each in exceeded]
     return f"errors of {run}: {'; '.join(parts)}"
+
+
+def _both(allowed: AllowedError, judgement: Judgement) -> tuple[str, str]:
+    """Format an error and the largest allowed one, with as many digits as show that they differ."""
+    kind = allowed.kind
+    values = kind.of(judgement), allowed.largest
+    texts = ((in_unit(values[0], kind, digits), in_unit(values[1], kind, digits)) for digits in range(3, 18))
+    return next(pair for pair in texts if pair[0] != pair[1])
 
 
 def found_text(judgement: Judgement, kind: ErrorKind) -> str:
@@ -166,24 +174,22 @@ def _divergence(judgement: Judgement) -> str:
     return judgement.stopped or judgement.stopped_as_it_stands
 
 
-def in_unit(value: float, kind: ErrorKind) -> str:
+def in_unit(value: float, kind: ErrorKind, digits: int = 3) -> str:
     """Word an error of a kind with its unit and three digits."""
     match kind:
         case ErrorKind.RELATIVE | ErrorKind.ENERGY:
-            return f"{100.0 * value:.3g} %"
+            return f"{100.0 * value:.{digits}g} %"
         case ErrorKind.POSITION | ErrorKind.OPENING:
-            return length(value)
+            return length(value, digits)
         case ErrorKind.ROTATION | ErrorKind.LOOP_ANGLE:
-            return f"{math.degrees(value):.3g} deg"
+            return f"{math.degrees(value):.{digits}g} deg"
         case _:
             assert_never(kind)
 
 
-def length(value: float) -> str:
-    """Format a length in m, mm, um or nm with two or three digits."""
-    if not value:
-        return "0 m"
-    for unit, scale in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9)):
+def length(value: float, digits: int = 3) -> str:
+    """Format a length in m, mm, um, nm or pm with three digits."""
+    for unit, scale in LENGTH_UNITS.items():
         if value >= scale:
-            return f"{value / scale:.3g} {unit}"
-    return f"{value:.1e} m"
+            return f"{value / scale:.{digits}g} {unit}"
+    return "below 1 pm" if value else "0 m"

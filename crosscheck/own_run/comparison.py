@@ -14,14 +14,14 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
 
-import numpy as np
-
 from crosscheck.engines.engine import newton_euler_options
-from crosscheck.own_run.errors import MotionScale, RunError, run_error
+from crosscheck.own_run.errors import LoopError, MotionScale, RunError, outputs_before, run_error
 from crosscheck.own_run.horizon import comparable_until
+from crosscheck.own_run.interpolation import common_outputs
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.reading.file_run import Event, FileRun, FileSimulation
+from newton_euler.reading.file_run import CONTACT_OF, Event, FileRun, FileSimulation
+from newton_euler.reading.import_report import CONTACTS
 from newton_euler.runs.simulate import simulate
 
 MAX_STEPS = 200_000
@@ -49,7 +49,21 @@ class MeasuredSettings:
 
 
 def merged(events: Sequence[Event], acting: Sequence[Event]) -> tuple[Event, ...]:
-    """Return the first event of each element in two sequences, in the order of time."""
+    """Return the first event of each element in two sequences, in the order of time.
+
+    Contacts are one element in the reference's motion, and one for each pair of bodies in a run of the file.
+    If a pair is known, the first one stands for the contacts of the reference's motion.
+
+    Args:
+        events: events in a run of the file.
+        acting: elements of the file that act in the reference's motion.
+    """
+    pairs = [event for event in events if event.element.startswith(CONTACT_OF)]
+    if pairs:
+        acting = [
+            replace(event, element=pairs[0].element) if event.element == CONTACTS else event
+            for event in acting
+        ]
     first: dict[str, Event] = {}
     for event in sorted([*events, *acting], key=lambda event: event.time):
         first.setdefault(event.element, event)
@@ -64,10 +78,11 @@ class Comparison:
         simulation: the file in its own engine.
         scene: scene of the reference, with the output times of the comparison.
         reference: reference solution.
-        scale: extent of the motion up to `until`, by which errors are divided.
+        scale: extent of the motion up to `until`, by which errors are divided, and the time until which
+            each mechanism is compared.
         every: number of the file's time steps from one output to the next.
         steps: number of the file's time steps in the compared time.
-        until: time, s, at which the comparison ends; None for the whole run.
+        until: time, s, at which the comparison of all mechanisms ends; None for the whole run.
     """
 
     simulation: FileSimulation[Any]
@@ -84,15 +99,16 @@ class Comparison:
         cls,
         simulation: FileSimulation[Any],
         method: Mapping[str, Any] | None = None,
-        until: float | None = None,
+        horizons: Sequence[float | None] = (),
     ) -> Comparison:
         """Choose output times that are multiples of the file's time step, and simulate the reference.
 
         Args:
             simulation: the file in its own engine.
             method: arguments of `newton_euler.simulate` for the reference; those of crosschecks if None.
-            until: time, s, at which the comparison ends, None for the whole run. Without `method`, it is
-                found from the reference instead, as the time at which the motion becomes chaotic.
+            horizons: time, s, at which the comparison of each mechanism ends because its motion is chaotic,
+                None for the whole run; empty if no mechanism is chaotic. Without `method`, these times are
+                found from the reference instead.
         """
         step = simulation.settings.timestep
         scene = simulation.scene
@@ -112,20 +128,24 @@ class Comparison:
         )
         reference = simulate(sampled, **(method or newton_euler_options(sampled)))
         if method is None:
-            until = comparable_until(sampled, reference)
-        whole = MotionScale.of(reference, scene.mechanism)
-        compared = cls(simulation, sampled, reference, whole, every, steps, None)
-        return compared if until is None else compared.ending_at(until)
+            horizons = comparable_until(sampled, reference)
+        scale = MotionScale.of(reference, scene.mechanism, horizons)
+        return cls(simulation, sampled, reference, scale, every, steps, None)
 
     def ending_at(self, until: float) -> Comparison:
         """Return the comparison up to a time, s, which divides errors by the motion up to then."""
         ending = replace(self, until=until)
-        scale = MotionScale.of(ending.until_end(self.reference), self.scene.mechanism)
-        return replace(ending, scale=scale)
+        reference = ending.until_end(self.reference)
+        return replace(ending, scale=MotionScale.of(reference, self.scene.mechanism, self.horizons))
+
+    @property
+    def horizons(self) -> tuple[float | None, ...]:
+        """Time, s, at which the comparison of each mechanism ends because its motion is chaotic."""
+        return tuple(mechanism.until for mechanism in self.scale.mechanisms)
 
     def reaches(self, time: float) -> bool:
-        """Return True if the comparison goes on at a time, s, and has outputs between the start and then."""
-        return time > self.reference.time[1] and (self.until is None or time < self.until)
+        """Return True if a time, s, is in the run and the run has outputs between the start and then."""
+        return bool(self.reference.time[1] < time <= self.reference.time[-1])
 
     def run(
         self, settings: Any, reduced: bool = True, simulation: FileSimulation[Any] | None = None
@@ -149,7 +169,21 @@ class Comparison:
         """Return the reduced run with some settings; it is simulated at the first call."""
         if settings not in self._runs:
             self._runs[settings] = self.run(settings)
-        return self._runs[settings]
+        return self.in_window(self._runs[settings])
+
+    def in_window(self, run: FileRun) -> FileRun:
+        """Return a run, as a complete one if it has all outputs up to the end of the comparison."""
+        times = run.trajectory.time
+        if self.until is None or not run.stopped or times[-1] == 0.0:
+            return run
+        # the run may have its outputs only at each second output time of the reference, or fewer
+        next_output = times[-1] + times[1]
+        return replace(run, stopped="") if next_output >= self.until else run
+
+    def is_comparable(self, run: FileRun) -> bool:
+        """Return True if a run has an output after the start at which it is compared."""
+        common, _ = common_outputs(self.until_end(run.trajectory), self.reference)
+        return len(common.time) > 1
 
     @property
     def unjudged_from(self) -> float | None:
@@ -159,8 +193,8 @@ class Comparison:
 
     @property
     def completed(self) -> list[FileRun]:
-        """Runs of `run_once` that came to their end."""
-        return [run for run in self._runs.values() if not run.stopped]
+        """Runs of `run_once` that came to the end of the comparison."""
+        return [run for each in self._runs.values() if not (run := self.in_window(each)).stopped]
 
     def affords(self, settings: Any) -> bool:
         """Return True if a run with these settings has few enough evaluations for its engine."""
@@ -169,6 +203,10 @@ class Comparison:
     def error(self, run: FileRun) -> RunError:
         """Compare a run with the reference, up to the time `until`."""
         return run_error(self.until_end(run.trajectory), self.reference, self.scale)
+
+    def loop_error(self, run: FileRun) -> LoopError:
+        """Find the largest violations of the loop constraints of a run, up to the time `until`."""
+        return LoopError.of(run.loop_errors, self.until_end(run.trajectory).time)
 
     def measured(self, settings: Any, run: FileRun) -> tuple[Mapping[str, str], str, RunError]:
         """Return the fields of `MeasuredSettings` for settings and the run with them."""
@@ -180,6 +218,4 @@ class Comparison:
 
     def until_end(self, run: Trajectory) -> Trajectory:
         """Return a run up to the time at which the comparison ends."""
-        if self.until is None:
-            return run
-        return run.first(max(1, int(np.searchsorted(run.time, self.until))))
+        return run if self.until is None else run.first(outputs_before(run.time, self.until))

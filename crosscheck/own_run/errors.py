@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import Literal, assert_never
 
 import numpy as np
 
-from crosscheck.own_run.interpolation import common_outputs
+from crosscheck.own_run.interpolation import TIME_TOLERANCE, common_outputs
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
@@ -21,8 +22,8 @@ ACCURATE_BELOW, USABLE_BELOW = 1e-3, 1e-2
 error below 0.1 % adds nothing to that; above 1 % the simulation is the largest error."""
 
 MIN_SCALE = 1e-2
-"""Smallest motion, sizes or rad, that errors are divided by: the motion of a mechanism that nearly rests. An
-error of 1e-5 sizes, such as 10 um on a robot of 1 m, is accurate even then."""
+"""Smallest motion, in sizes of the mechanism or rad, that errors are divided by, for a mechanism that nearly
+rests. An error of 1e-5 sizes, such as 10 um on a robot of 1 m, is accurate even then."""
 
 MAX_ANGLE_SCALE = 1.0
 """Largest rotation, rad, that errors of rotations are divided by: many revolutions excuse no larger error."""
@@ -66,8 +67,8 @@ class RunError:
         rotation: error of the orientation of the body whose error is the largest part of the motion, rad.
         rotation_at: body and time, s, of that error.
         energy: largest error of the change of total energy, divided by `MotionScale.energy`.
-        relative_position: `position`, divided by the body's scale in `MotionScale.lengths`.
-        relative_rotation: `rotation`, divided by the body's scale in `MotionScale.angles`.
+        relative_position: `position`, divided by `MechanismMotion.length_scale`.
+        relative_rotation: `rotation`, divided by `MechanismMotion.angle_scale`.
         largest_position: largest error of any center of mass, m. It is larger than `position` if a body of
             another mechanism that moves farther has this error.
         largest_rotation: largest error of any orientation, rad.
@@ -137,56 +138,119 @@ class LoopError:
 
 
 @dataclass(frozen=True)
+class MechanismMotion:
+    """Extent of the motion of one mechanism: of bodies that joints connect without the ground.
+
+    Attributes:
+        bodies: names of the bodies.
+        size: largest distance between two points of the mechanism at the start, m; points are the joints, or
+            those at the root mean square distance of a body's mass from its center of mass.
+        length: largest displacement of a center of mass, m.
+        angle: largest rotation of a body, rad.
+        until: time, s, at which the comparison of the mechanism ends because its motion is chaotic or
+            unstable from then on, see `crosscheck.own_run.horizon`; None if it is compared to the end.
+    """
+
+    bodies: tuple[str, ...]
+    size: float
+    length: float
+    angle: float
+    until: float | None
+
+    @property
+    def length_scale(self) -> float:
+        """Length, m, that errors of positions are divided by."""
+        return max(self.length, MIN_SCALE * self.size)
+
+    @property
+    def angle_scale(self) -> float:
+        """Angle, rad, that errors of orientations are divided by."""
+        return min(max(self.angle, MIN_SCALE), MAX_ANGLE_SCALE)
+
+    def moves(self, by_position: bool) -> bool:
+        """Return True if errors of positions, or of orientations, are divided by the motion itself."""
+        return self.length >= MIN_SCALE * self.size if by_position else self.angle >= MIN_SCALE
+
+    def outputs(self, times: Array) -> int:
+        """Return the number of output times, s, at which the mechanism is compared."""
+        return len(times) if self.until is None else outputs_before(times, self.until)
+
+
+@dataclass(frozen=True)
 class MotionScale:
     """Extent of a motion, by which errors are divided.
 
-    Bodies that joints connect without the ground are one mechanism, and have one scale. A small mechanism
-    beside one that falls far is judged by its own motion.
+    Each mechanism has its own scale: a small mechanism beside one that falls far is judged by its own motion.
 
     Attributes:
-        lengths: for each body, by name: largest displacement of a center of mass of its mechanism, m.
-        angles: for each body, by name: largest rotation of a body of its mechanism, at most 1 rad.
-        energy: largest kinetic energy plus the range of the potential energy of all bodies, J.
+        mechanisms: extent of the motion of each mechanism.
+        energy: largest kinetic energy plus the range of the potential energy of all bodies, J, while all
+            mechanisms are compared.
     """
 
-    lengths: Mapping[str, float]
-    angles: Mapping[str, float]
+    mechanisms: tuple[MechanismMotion, ...]
     energy: float
 
     @classmethod
-    def of(cls, reference: Trajectory, mechanism: Mechanism) -> MotionScale:
+    def of(
+        cls, reference: Trajectory, mechanism: Mechanism, horizons: Sequence[float | None] = ()
+    ) -> MotionScale:
         """Measure a reference solution.
 
         Args:
             reference: run with energies.
             mechanism: mechanism of the run.
+            horizons: `MechanismMotion.until` of each of `Mechanism.connected_bodies`; empty if none is
+                chaotic.
         """
-        lengths = np.max(np.linalg.norm(reference.position - reference.position[0], axis=2), axis=0)
+        groups = mechanism.connected_bodies  # indices of the bodies of each mechanism
+        moved = np.linalg.norm(reference.position - reference.position[0], axis=2)
         start = np.broadcast_to(reference.quaternion[0], reference.quaternion.shape)
-        angles = np.max(angle_between(reference.quaternion, start), axis=0)
+        turned = angle_between(reference.quaternion, start)
         extents = np.array(mechanism.extents)
-        for bodies in mechanism.connected_bodies:  # indices of the bodies of one mechanism
+        motions = []
+        for bodies, until in zip(groups, horizons or [None] * len(groups), strict=True):
             group = list(bodies)
-            lengths[group] = max(np.max(lengths[group]), MIN_SCALE * np.max(extents[group]))
-            angles[group] = np.clip(np.max(angles[group]), MIN_SCALE, MAX_ANGLE_SCALE)
-        lengths[0], angles[0] = np.max(lengths), np.max(angles)  # the ground has no error
-        kinetic, potential = _energies(reference)
-        names = reference.body_names
-        return cls(
-            lengths=dict(zip(names, lengths.tolist(), strict=True)),
-            angles=dict(zip(names, angles.tolist(), strict=True)),
-            energy=float(np.max(kinetic) + np.ptp(potential)),
-        )
+            centers, extent = reference.position[0, group], extents[group]
+            # (k, k) distances between the outermost points of each two bodies
+            gaps = np.linalg.norm(centers[:, None] - centers, axis=2) + extent[:, None] + extent
+            count = len(reference.time) if until is None else outputs_before(reference.time, until)
+            motions.append(
+                MechanismMotion(
+                    bodies=tuple(reference.body_names[body] for body in bodies),
+                    size=float(np.max(gaps)),
+                    length=float(np.max(moved[:count, group])),
+                    angle=float(np.max(turned[:count, group])),
+                    until=until,
+                )
+            )
+        count = min(motion.outputs(reference.time) for motion in motions)
+        kinetic, potential = (energy[:count] for energy in _energies(reference))
+        return cls(tuple(motions), energy=float(np.max(kinetic) + np.ptp(potential)))
+
+    @cached_property
+    def by_body(self) -> Mapping[str, MechanismMotion]:
+        """The motion of the mechanism of each body, by the name of the body; the ground is not in it."""
+        return {body: motion for motion in self.mechanisms for body in motion.bodies}
 
     @property
     def length(self) -> float:
-        """Largest displacement of any center of mass, m."""
-        return max(self.lengths.values())
+        """Largest length, m, that errors of positions are divided by."""
+        return max(motion.length_scale for motion in self.mechanisms)
 
     @property
     def angle(self) -> float:
-        """Largest rotation of any body, at most 1 rad."""
-        return max(self.angles.values())
+        """Largest angle, rad, that errors of orientations are divided by."""
+        return max(motion.angle_scale for motion in self.mechanisms)
+
+    def outputs(self, times: Array) -> int:
+        """Return the number of output times, s, at which all mechanisms are compared."""
+        return min(motion.outputs(times) for motion in self.mechanisms)
+
+
+def outputs_before(times: Array, end: float) -> int:
+    """Return the number of output times, s, before an end, but at least 1, for the start."""
+    return max(1, int(np.searchsorted(times, end - TIME_TOLERANCE)))
 
 
 def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> RunError:
@@ -195,17 +259,25 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
     Args:
         run: run with the same bodies; it may end early.
         reference: reference solution.
-        scale: extent of the reference's motion.
+        scale: extent of the reference's motion. A chaotic mechanism is compared until its `until`, the total
+            energy while all mechanisms are compared.
     """
     run, reference = common_outputs(run, reference)
     energy_changes = []  # of the run and of the reference: total energy (n,), J, minus that of the start
     for each in (run, reference):
-        kinetic, potential = _energies(each)
+        kinetic, potential = (energy[: scale.outputs(run.time)] for energy in _energies(each))
         energy_changes.append(kinetic + potential - kinetic[0] - potential[0])
     energy_error = float(np.max(np.abs(energy_changes[0] - energy_changes[1])))
-    position, rotation = errors_over_time(run, reference)
-    names, times = run.body_names, run.time
-    lengths, angles = ([each[name] for name in names] for each in (scale.lengths, scale.angles))
+    # errors (n, b) of the bodies of mechanisms, zero from the end of their comparison on
+    moving = [k for k, name in enumerate(run.body_names) if name in scale.by_body]
+    names, times = [run.body_names[k] for k in moving], run.time
+    motions = [scale.by_body[name] for name in names]
+    compared = np.arange(len(times))[:, None] < [motion.outputs(times) for motion in motions]
+    position, rotation = (
+        np.where(compared, errors[:, moving], 0.0) for errors in errors_over_time(run, reference)
+    )
+    lengths = [motion.length_scale for motion in motions]
+    angles = [motion.angle_scale for motion in motions]
     # output and body of the largest errors relative to the motion
     worst, turned = _largest_at(position / lengths), _largest_at(rotation / angles)
     return RunError(

@@ -23,6 +23,10 @@ STATES = 8
 CANCELLATION = 1.25
 """Smallest ratio of the error by one cause and the error of the run at which errors count as cancelling."""
 
+MIN_OUTPUTS = 10
+"""Smallest number of outputs between the start and the first event at which the run until then is judged. The
+error of a short motion is a large part of the motion, as that grows with the square of time."""
+
 
 @dataclass(frozen=True)
 class MeasuredCause:
@@ -42,6 +46,21 @@ class MeasuredCause:
     is_choice: bool = False
 
 
+@dataclass(frozen=True)
+class MeasuredError:
+    """Errors of a file's run up to the end of a comparison.
+
+    Attributes:
+        error: error of the run.
+        loop_error: largest violations of the loop constraints.
+        scale: extent of the motion, by which errors are divided.
+    """
+
+    error: RunError
+    loop_error: LoopError
+    scale: MotionScale
+
+
 @dataclass(frozen=True, eq=False)
 class Judgement:
     """Judgement of a file's run.
@@ -50,16 +69,15 @@ class Judgement:
         engine: name and version of the file's engine.
         settings: settings of the file in words.
         error: error of the judged run, up to the time at which it ended.
-        loop_error: largest violations of the loop constraints.
+        loop_error: largest violations of the loop constraints up to then.
         stopped: reason why the run ended early; "" for a complete run.
         events: elements of the file that act and that the reference does not have, in the order of time. If
             there are any, the judged run is without them.
-        until: time, s, at which the comparison ends: the motion is chaotic or unstable from then on, or the
-            first of `events` acts (`ends_with_event`); None if the comparison ends with the run.
-        ends_with_event: True if the comparison ends with the first of `events`. It does so if the error until
-            then is a larger part of the motion until then than the error of the whole run without `events`.
-        other_error: the error of the whole run if the comparison ends with an event, or else the error until
-            the first event; None if no event is after the start.
+        until: time, s, at which the comparison ends because the first of `events` acts; None if it ends with
+            the run. It ends with the event if the error until then is a larger part of the motion until then
+            than the error of the whole run, or if only the run without `events` stops early.
+        other: the errors of the whole run if the comparison ends with an event, or else the errors until the
+            first event; None if no event is after the start.
         causes: error by property of the settings, largest first; empty for an accurate run.
         harmless: tested properties without which no run is closer to the reference.
         remedies: settings with a smaller error, cheapest first; empty for an accurate run.
@@ -71,7 +89,10 @@ class Judgement:
         are_assumed: True if the settings are usual ones, since the file has none and the user gives none.
         stopped_as_it_stands: reason why the run with contacts, limits and friction ended early, although the
             judged run without them completes; "" otherwise.
-        scale: extent of the reference's motion, by which errors are divided.
+        stopped_reduced: reason why the run without contacts, limits and friction ended early, although the
+            run with them completes; "" otherwise.
+        scale: extent of the reference's motion, by which errors are divided. A mechanism that is chaotic is
+            compared until its `MechanismMotion.until`.
         unjudged_from: time, s, from which the run is not judged because it has too many time steps; None if
             the whole motion is judged.
         run_inputs: start, controls, changed numbers and output times of the judged run. With these,
@@ -93,17 +114,18 @@ class Judgement:
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
     stopped_as_it_stands: str = ""
+    stopped_reduced: str = ""
     run_inputs: Mapping[str, Any] = field(default_factory=dict)
     are_assumed: bool = False
     harmless: tuple[str, ...] = ()
     unjudged_from: float | None = None
-    ends_with_event: bool = False
-    other_error: RunError | None = None
+    other: MeasuredError | None = None
 
     @property
-    def errors(self) -> tuple[RunError, ...]:
-        """The error of the judgement, and that of the other comparison if there is one."""
-        return (self.error,) if self.other_error is None else (self.error, self.other_error)
+    def measured(self) -> tuple[MeasuredError, ...]:
+        """Errors of the judged comparison, and those of the other comparison if there is one."""
+        judged = MeasuredError(self.error, self.loop_error, self.scale)
+        return (judged,) if self.other is None else (judged, self.other)
 
     @property
     def errors_cancel(self) -> bool:
@@ -152,20 +174,27 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     Raises:
         NewtonEulerError: if the scene has no reference solution.
     """
-    compared = whole = Comparison.of(simulation)
+    whole = Comparison.of(simulation)
     # the run as it stands; if something acts that the reference does not have, the run without such elements
-    run = compared.run(simulation.settings, reduced=False)
-    as_it_stands = run.stopped
+    as_it_stands = run = whole.run(simulation.settings, reduced=False)
     events = merged(run.events, acting)
     if events:
-        run = compared.run_once(simulation.settings)  # reduced, and kept for later calls
-    error, other_error = compared.error(run), None
-    # until the first event both runs are the same; the larger one of both errors is judged
-    if events and not run.stopped and compared.reaches(events[0].time):
-        until_event = compared.ending_at(events[0].time)
-        other_error = until_event.error(run)
-        if other_error.relative > error.relative:
-            compared, error, other_error = until_event, other_error, error
+        run = whole.run_once(simulation.settings)  # reduced, and kept for later calls
+    stopped_reduced = "" if as_it_stands.stopped else run.stopped
+    # until the first event both runs are the same
+    compared, other = whole, None
+    if events and whole.reaches(events[0].time):
+        until_event = whole.ending_at(events[0].time)
+        if stopped_reduced:
+            compared = until_event
+        elif not run.stopped:
+            # the larger one of both errors is judged
+            judged, other = _measured(whole, run), _measured(until_event, run)
+            if other.error.relative > judged.error.relative and _is_long_enough(until_event, other.error):
+                compared, other = until_event, judged
+    run = compared.in_window(run)
+    found = _measured(compared, run)
+    error = found.error
     causes: tuple[MeasuredCause, ...] = ()
     harmless: tuple[str, ...] = ()
     remedies: tuple[MeasuredRemedy, ...] = ()
@@ -173,7 +202,11 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     changes: tuple[ModelChange, ...] = ()
     if run.stopped or error.band is not Band.ACCURATE:
         causes = tuple(_causes(compared, run, error.stated_by_position))
-        tested = dict.fromkeys(cause.name for cause in simulation.causes())
+        tested = dict.fromkeys(
+            cause.name
+            for cause in simulation.causes()
+            if compared.is_comparable(compared.run_once(cause.without))
+        )
         harmless = tuple(name for name in tested if name not in {cause.name for cause in causes})
         remedies = tuple(find_remedies(compared, run, error))
         if run.stopped or (causes and causes[0].name in (TIME_STEP, INTEGRATOR)):
@@ -183,7 +216,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         engine=simulation.engine,
         settings=simulation.words(),
         error=error,
-        loop_error=LoopError.of(run.loop_errors, whole.until_end(run.trajectory).time),
+        loop_error=found.loop_error,
         stopped=run.stopped,
         events=events,
         until=compared.until,
@@ -191,40 +224,43 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         remedies=remedies,
         run=run.trajectory,
         reference=compared.reference,
-        scale=compared.scale,
+        scale=found.scale,
         stability=stability,
         changes=changes,
-        stopped_as_it_stands="" if run.stopped else as_it_stands,
+        stopped_as_it_stands="" if run.stopped else as_it_stands.stopped,
+        stopped_reduced=stopped_reduced,
         run_inputs={**simulation.run_inputs(reduced=bool(events)), "output_times": output_times},
         are_assumed=simulation.are_assumed,
         harmless=harmless,
         unjudged_from=compared.unjudged_from,
-        ends_with_event=compared is not whole,
-        other_error=other_error,
+        other=other,
     )
 
 
-@dataclass(frozen=True)
-class MeasuredError:
-    """Error of a file's run without causes and remedies.
+def _measured(compared: Comparison, run: FileRun) -> MeasuredError:
+    """Measure the errors of a run up to the end of a comparison."""
+    return MeasuredError(compared.error(run), compared.loop_error(run), compared.scale)
 
-    Attributes:
-        error: error of the run.
-        loop_error: largest violations of the loop constraints.
-        scale: extent of the motion, by which errors are divided.
+
+def _is_long_enough(compared: Comparison, error: RunError) -> bool:
+    """Return True if a comparison has `MIN_OUTPUTS`, and the mechanism of the largest error clearly moves."""
+    by_position = error.relative_position >= error.relative_rotation
+    body, _ = error.position_at if by_position else error.rotation_at
+    outputs = len(compared.until_end(compared.reference).time) - 1  # after the start
+    return outputs >= MIN_OUTPUTS and compared.scale.by_body[body].moves(by_position)
+
+
+def horizons(simulation: FileSimulation[Any]) -> tuple[float | None, ...]:
+    """Find the time, s, until which each of `Mechanism.connected_bodies` can be compared in runs of a file.
+
+    None means the whole run.
     """
-
-    error: RunError
-    loop_error: LoopError
-    scale: MotionScale
+    return Comparison.of(simulation).horizons
 
 
-def horizon(simulation: FileSimulation[Any]) -> float | None:
-    """Find the time, s, until which runs of a file can be compared; None means the whole run."""
-    return Comparison.of(simulation).until
-
-
-def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | None) -> MeasuredError:
+def measure_error(
+    simulation: FileSimulation[Any], rtol: float, horizons: Sequence[float | None]
+) -> MeasuredError:
     """Measure the error of a file's run with its own settings.
 
     Elements of the file that the reference does not have are switched off, whether they act or not.
@@ -232,16 +268,18 @@ def measure_error(simulation: FileSimulation[Any], rtol: float, until: float | N
     Args:
         simulation: the file in its own engine.
         rtol: relative tolerance of the reference solution.
-        until: time, s, at which the comparison ends; None for the whole run.
+        horizons: result of `horizons`; empty if no mechanism is chaotic.
 
     Raises:
         CrosscheckError: if the run diverges.
     """
-    compared = Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, until)
+    compared = Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, horizons)
     run = compared.run(simulation.settings)
     if run.stopped:
         raise CrosscheckError(f"the run with the settings of the file diverges: {run.stopped}")
-    loop_error = LoopError.of(run.loop_errors, compared.until_end(run.trajectory).time)
+    # violations of chaotic loops do not repeat on another processor
+    times = run.trajectory.time
+    loop_error = LoopError.of(run.loop_errors, times[: compared.scale.outputs(times)])
     return MeasuredError(compared.error(run), loop_error, compared.scale)
 
 
@@ -266,7 +304,7 @@ def _causes(compared: Comparison, run: FileRun, of_position: bool) -> list[Measu
         removed = compared.run_once(cause.without)
         # the run with the error of the property: the judged run, or one with settings for this comparison
         kept = run if cause.against is None else compared.run_once(cause.against)
-        if removed.stopped:
+        if removed.stopped or not compared.is_comparable(removed):
             continue
         error, remaining = compared.error(kept), compared.error(removed)
         is_closer = remaining.relative < error.relative or bool(kept.stopped)
@@ -313,6 +351,6 @@ def _stability(compared: Comparison, run: FileRun) -> tuple[Stability | None, tu
 
     def changed_run(changed: FileSimulation[Any]) -> FileRun:
         """Simulate a changed model with the settings of the file."""
-        return compared.run(simulation.settings, simulation=changed)
+        return compared.in_window(compared.run(simulation.settings, simulation=changed))
 
     return mode.found, tuple(model_changes(mode, simulation, is_stable, changed_run, compared.error))

@@ -95,14 +95,19 @@ def _completed(compared: Comparison, run: FileRun, kinds: Iterable[tuple[float, 
     own = compared.run_once(simulation.settings)  # reduced and timed like the other runs
     for divisor, settings in kinds:
         tried = compared.run_once(settings)
-        if tried.stopped:
+        if tried.stopped or not compared.is_comparable(tried):
             continue
         evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
-        run_time = evaluations if run.stopped else tried.trajectory.wall_time / own.trajectory.wall_time
+        run_time = evaluations if run.stopped else _pace(tried) / _pace(own)
         # the fields of `MeasuredSettings`: changes, fragment (text for the file), error
         measured = compared.measured(settings, tried)
         remedy = MeasuredRemedy(*measured, evaluations=evaluations, run_time=run_time)
         yield _Trial(divisor, settings, remedy)
+
+
+def _pace(run: FileRun) -> float:
+    """Return the run time per second of motion."""
+    return run.trajectory.wall_time / float(run.trajectory.time[-1])
 
 
 def _smaller_steps(compared: Comparison) -> list[tuple[float, Any]]:

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from crosscheck.own_run.comparison import Comparison, MeasuredSettings, merged
+from crosscheck.own_run.errors import MotionScale
 from newton_euler.reading.file_run import Event, FileSimulation
 
 MAX_ORDER = 6.0
@@ -82,8 +83,8 @@ class SettingsSearch:
         runs: number of runs that were made.
         events: elements of the file that act and that the reference does not have, in the order of time. If
             they act with the settings of the file, all runs are without them.
-        until: time, s, at which the comparison ends because the motion is chaotic or unstable; None if the
-            comparison ends with the run.
+        scale: extent of the motion, by which errors are divided, and the time until which each mechanism is
+            compared because its motion is chaotic or unstable from then on.
     """
 
     engine: str
@@ -94,7 +95,7 @@ class SettingsSearch:
     tradeoff: tuple[Tried, ...]
     runs: int
     events: tuple[Event, ...]
-    until: float | None
+    scale: MotionScale
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -157,7 +158,7 @@ def search_settings(
 
     own = tried(simulation.settings)
     steps_of_file = compared.every  # number of the file's time steps between two outputs
-    judged_outputs = len(compared.until_end(compared.reference).time) - 1  # after the start
+    judged_outputs = compared.scale.outputs(compared.reference.time) - 1  # after the start
     numbers = _numbers_of_steps(steps_of_file, judged_outputs)
     kinds = list(simulation.alternatives(divisor=1))  # with the file's time step
 
@@ -213,7 +214,7 @@ def search_settings(
         listed,
         runs,
         events,
-        compared.until,
+        compared.scale,
     )
 
 

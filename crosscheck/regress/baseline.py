@@ -184,22 +184,23 @@ class MeasurementPlan(_Strict):
         step: s, step of runs with fixed steps.
         time: s, time of `state`.
         state: a state of the scene's own run at which all bodies that can move do move.
-        own_run_until: s, time at which the comparison of the "own run" (with the settings of the model file)
-            and the reference ends, because the motion is chaotic or unstable; None for the whole run, then
-            the baseline has no such field.
+        own_run_until: s, times at which the comparison of the "own run" (with the settings of the model file)
+            and the reference ends for each of `Mechanism.connected_bodies`, because its motion is chaotic or
+            unstable; None for the whole run. Empty if no mechanism is chaotic, then the baseline has no such
+            field.
     """
 
     rtol: dict[str, Annotated[float, Field(gt=0.0, lt=0.1)]]
     step: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     state: StoredState
-    own_run_until: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
+    own_run_until: tuple[Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None, ...] = ()
 
     @model_serializer(mode="wrap")
     def _omit_unset_end(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the content of the file, without `own_run_until` if it is None."""
+        """Return the content of the file, without `own_run_until` if it is empty."""
         content: dict[str, Any] = serialize(self)
-        if self.own_run_until is None:
+        if not self.own_run_until:
             del content["own_run_until"]
         return content
 

@@ -577,9 +577,9 @@ def _measure_own_run(measurement: Measurement) -> Iterator[StoredQuantity]:
     if measurement.simulation is None:
         raise CrosscheckError("the model has no run with settings of its own")
     plan = measurement.plan
-    # the comparison of a chaotic or unstable run ends early, at `own_run_until`
+    # the comparison of a chaotic or unstable mechanism ends early, at `own_run_until`
     measured = measure_error(
-        measurement.simulation, rtol=plan.rtol[MAIN_FORMULATION], until=plan.own_run_until
+        measurement.simulation, rtol=plan.rtol[MAIN_FORMULATION], horizons=plan.own_run_until
     )
     error, motion = measured.error, measured.scale  # `scale` is the extent of the motion
     for name, unit, value, extent in (

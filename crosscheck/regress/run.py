@@ -23,7 +23,7 @@ from crosscheck.library import SCENES
 from crosscheck.library.model_files import is_model_file
 from crosscheck.library.options import titled
 from crosscheck.loading.load import load_scene, with_excitation
-from crosscheck.own_run.judge import horizon
+from crosscheck.own_run.judge import horizons
 from crosscheck.regress.baseline import (
     OWN_RUN_GROUP,
     Baseline,
@@ -151,8 +151,9 @@ def make_baseline(guarded: GuardedScene, reason: str, progress: Progress) -> Bas
         raise CrosscheckError(f"scene {scene.name!r} cannot be run: {error}") from error
     import_report = guarded.import_report
     simulation = import_report.simulation if import_report else None
-    if simulation is not None:  # the file also runs in its own engine; runs are compared until a horizon, s
-        plan = plan.model_copy(update={"own_run_until": horizon(simulation)})
+    # the file also runs in its own engine; a mechanism is compared until its motion becomes chaotic, s
+    if simulation is not None and any(until := horizons(simulation)):
+        plan = plan.model_copy(update={"own_run_until": until})
     quantities, left_out = list[StoredQuantity](), dict[GroupName, str]()
     for group in GROUPS:
         if group == OWN_RUN_GROUP and simulation is None:

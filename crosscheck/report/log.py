@@ -11,7 +11,16 @@ from collections.abc import Iterator, Sequence
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.allowed import AllowedError, length
-from crosscheck.report.own_run import allowed_lines, angle, chaos_text, error_texts, headline, percent, size
+from crosscheck.report.own_run import (
+    allowed_lines,
+    angle,
+    chaos_text,
+    error_texts,
+    headline,
+    is_plural,
+    percent,
+    size,
+)
 from crosscheck.report.table import Lines
 
 MAX_NAMES = 4
@@ -55,7 +64,7 @@ def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator
     # mistakes in reading the log: other units, orders or times with which the error is much smaller
     yield from (f"  mistake {mistake_line(mistake)}" for mistake in judgement.mistakes)
     if error.position or error.rotation:
-        yield f"  errors  {'; '.join(error_texts(judgement, judgement.has_energy))}"
+        yield f"  errors  {'; '.join(error_texts(error, judgement.loop_error, judgement.has_energy))}"
     yield from allowed_lines(judgement, allowed)
     yield from (f"  note    {note}" for note in _notes(judgement))
 
@@ -64,10 +73,12 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
     """Yield sentences on what limits the comparison."""
     if judgement.events:  # elements of the model that act and are not simulated, in the order of time
         first = judgement.events[0]
-        end = "compared until then" if first.time > 0.0 else "the error may be due to it"
-        yield f"{first.element} acts from {first.time:.3g} s on and the reference does not simulate it: {end}"
-    if judgement.until is not None:  # time, s, from which on the motion is chaotic or unstable
-        yield chaos_text(judgement.until)
+        end = "compared until then" if first.time > 0.0 else "the error may be due to that"
+        acts, it = ("act", "them") if is_plural(first) else ("acts", "it")
+        since = f"{acts} from {first.time:.3g} s on"
+        yield f"{first.element} {since} and the reference does not simulate {it}: {end}"
+    if chaos := chaos_text(judgement.scale):
+        yield chaos
     if judgement.reference_stop and judgement.solution:
         end = f"{judgement.solution.time[-1]:.3g} s"
         yield f"the reference stops after {end}: {judgement.reference_stop}; compared until then"

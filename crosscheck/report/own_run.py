@@ -11,13 +11,21 @@ import math
 from collections.abc import Iterator, Sequence
 
 from crosscheck.own_run.allowed import AllowedError, found_text, in_unit, length
-from crosscheck.own_run.errors import MAX_ANGLE_SCALE, Band, MotionScale, RunError
+from crosscheck.own_run.errors import (
+    MAX_ANGLE_SCALE,
+    Band,
+    LoopError,
+    MechanismMotion,
+    MotionScale,
+    RunError,
+)
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
 from crosscheck.own_run.judge import Judgement
 from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.table import Cell, Lines, Rows
 from newton_euler.reading.file_run import Event
+from newton_euler.reading.import_report import CONTACTS, LIMITS
 from newton_euler.reading.small_motions import MovingBody
 
 OWN_MOTION = "without that: --set excitation=off"
@@ -35,6 +43,12 @@ of two steps."""
 
 HEAVY_NEIGHBOR = 100.0
 """Smallest ratio of the mass of a neighbor and the mass of a body that is reported."""
+
+ROUND_OFF = 1e-12
+"""Relative error that counts as round-off. Errors of a time step are far above it."""
+
+NO_MOTION = 1e-9
+"""Largest motion, m or rad, that counts as none."""
 
 SAME_RUN_TIME = 1.25
 """Largest ratio of two run times that count as the same."""
@@ -56,7 +70,7 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     # a file without settings of a run, such as a URDF, is judged with usual settings, which are assumed
     yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
-    yield f"  run     {judgement.settings} ({judgement.engine}); {_extent(judgement.scale)}"
+    yield f"  run     {judgement.settings} ({judgement.engine}); {_extent(judgement)}"
     if excitation:
         yield f"  motion  {excitation}; {OWN_MOTION}"
     else:
@@ -65,12 +79,12 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
     if (error.position or error.rotation) and not judgement.stopped:
-        yield f"  errors  {'; '.join(error_texts(judgement))}"
+        yield f"  errors  {'; '.join(error_texts(error, judgement.loop_error))}"
     yield from allowed_lines(judgement, allowed)
     if judgement.events:
         yield f"  note    {_events_text(judgement)}"
-    if judgement.until is not None and not judgement.ends_with_event:
-        yield f"  note    {chaos_text(judgement.until)}, and no run with other steps can match"
+    if chaos := chaos_text(judgement.scale):
+        yield f"  note    {chaos}, and no run with other steps can match"
     if judgement.unjudged_from is not None:
         yield f"  note    judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"
     if judgement.stopped_as_it_stands:
@@ -123,34 +137,71 @@ def _limit(allowed: AllowedError) -> str:
     return f"{allowed.kind} error at most {in_unit(allowed.largest, allowed.kind)}"
 
 
-def _extent(scale: MotionScale) -> str:
-    """Format how far bodies move in the reference."""
-    capped = ">" if scale.angle >= MAX_ANGLE_SCALE else ""
-    return f"bodies move {length(scale.length)}, {capped}{angle(scale.angle)}"
+def _extent(judgement: Judgement) -> str:
+    """Format how far the mechanisms of the largest errors move in the reference."""
+    error, scale = judgement.error, judgement.scale
+    by_position, by_rotation = (scale.by_body[body] for body, _ in (error.position_at, error.rotation_at))
+    stated = dict.fromkeys(_motion(by_position if each else by_rotation, scale) for each in _stated(error))
+    return "; ".join(stated)
+
+
+def _motion(motion: MechanismMotion, scale: MotionScale) -> str:
+    """Format how far a mechanism moves in the reference."""
+    capped = ">" if motion.angle >= MAX_ANGLE_SCALE else ""
+    extents = [length(motion.length)] if motion.length > NO_MOTION else []
+    extents += [f"{capped}{angle(motion.angle_scale)}"] if motion.angle > NO_MOTION else []
+    if len(scale.mechanisms) == 1:
+        return f"bodies move {', '.join(extents)}" if extents else "nothing moves"
+    moves = f"moves {', '.join(extents)}" if extents else "does not move"
+    return f"the mechanism of {motion.bodies[0]} {moves}"
 
 
 def unsimulated_text(events: Sequence[Event]) -> str:
     """Name the first of the elements that act and that the reference does not simulate, and their number."""
     first, *others = events
     more = f" and {len(others)} more" if others else ""
-    return f"{first.element}{more}: it acts from {first.time:.3g} s on and the reference does not simulate it"
+    acts, it = ("they act", "them") if others or is_plural(first) else ("it acts", "it")
+    return (
+        f"{first.element}{more}: {acts} from {first.time:.3g} s on and the reference does not simulate {it}"
+    )
+
+
+def is_plural(event: Event) -> bool:
+    """Return True if the name of an element is plural, such as "limits of joint 'pivot'"."""
+    return event.element.startswith((CONTACTS, LIMITS))
 
 
 def _events_text(judgement: Judgement) -> str:
     """Tell what acts in the file and not in the reference, and what that means for the judgement."""
-    found, other = unsimulated_text(judgement.events), judgement.other_error
+    found, other = unsimulated_text(judgement.events), judgement.other
+    if judgement.stopped_reduced:
+        if judgement.until is None:
+            return f"judged without {found}; the run as it stands completes"
+        without = f"without that, the run stops: {judgement.stopped_reduced}"
+        return f"judged until {judgement.until:.3g} s, because of {found}; {without}"
     if other is None:
         return f"judged without {found}"
-    error = f"{sizes(other)} ({percent(other.relative)})"
-    if judgement.ends_with_event:
-        return f"judged until {judgement.until:.3g} s, because of {found}; without it, to the end: {error}"
-    return f"judged without {found}; until then: {error}"
+    errors = ", ".join(error_texts(other.error, other.loop_error))
+    if judgement.until is not None:
+        return f"judged until {judgement.until:.3g} s, because of {found}; without that, to the end: {errors}"
+    is_short = other.error.relative > judgement.error.relative
+    short = ", a motion too short to judge" if is_short else ""
+    return f"judged without {found}; until then{short}: {errors}"
 
 
-def chaos_text(until: float) -> str:
-    """Tell until when, s, a comparison with the reference means something."""
-    growth = f"by more than {MAX_ERROR_GROWTH:g}"
-    return f"compared until {until:.3g} s: from then on the motion multiplies any error {growth}"
+def chaos_text(scale: MotionScale) -> str:
+    """Tell until when chaotic mechanisms are compared with the reference; "" without one."""
+    growth = f"from then on the motion multiplies any error by more than {MAX_ERROR_GROWTH:g}"
+    chaotic = [(each.until, each.bodies[0]) for each in scale.mechanisms if each.until is not None]
+    if not chaotic:
+        return ""
+    (first, body), *others = sorted(chaotic)
+    if len(scale.mechanisms) == 1:
+        return f"compared until {first:.3g} s: {growth}"
+    named = [f"the mechanism of {body} is compared until {first:.3g} s"]
+    named += [f"that of {body} until {until:.3g} s" for until, body in others[: MAX_ELEMENTS - 1]]
+    more = f" and {len(chaotic) - len(named)} more" if len(chaotic) > len(named) else ""
+    return f"{', '.join(named)}{more}: {growth}"
 
 
 def _by_position(judgement: Judgement, error: RunError) -> bool:
@@ -233,16 +284,29 @@ def headline(judgement: Judgement) -> str:
     """Format the accuracy and the error of a judged run in a few words, such as "OFF BY 2 mm"."""
     error = judgement.error
     if judgement.stopped:
-        return "DIVERGED"
+        without = " without what acts in the file and not in the reference"
+        return f"DIVERGED{without if judgement.stopped_reduced else ''}"
     if judgement.stopped_as_it_stands:
         return "DIVERGED with what acts in the file and not in the reference"
+    if error.relative < ROUND_OFF:
+        return "ACCURATE, the same as the reference to round-off"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]
-    shares = dict.fromkeys(percent(error.relative_by(by_position)) for by_position in _stated(error))
-    # a body of another mechanism may have the largest error, and a smaller one relative to its motion
-    is_largest = error.position == error.largest_position and error.rotation == error.largest_rotation
-    place = error.position_at if error.stated_by_position else error.rotation_at
-    motion = "the motion" if is_largest else f"the motion of the mechanism of {place[0]}"
-    return f"{word} {sizes(error)}, {' and '.join(shares)} of {motion}"
+    # the mechanism of each stated error, whose motion the error is a part of
+    names: list[str] = []
+    if len(judgement.scale.mechanisms) > 1:
+        for by_position in _stated(error):
+            body, _ = error.position_at if by_position else error.rotation_at
+            names.append(f" of the mechanism of {judgement.scale.by_body[body].bodies[0]}")
+    shares = [percent(error.relative_by(by_position)) for by_position in _stated(error)]
+    if len({*names}) < 2:
+        return (
+            f"{word} {sizes(error)}, {' and '.join(dict.fromkeys(shares))} of the motion{''.join({*names})}"
+        )
+    parts = [
+        f"{size(error, by_position)}, {share} of the motion{name}"
+        for by_position, share, name in zip(_stated(error), shares, names, strict=True)
+    ]
+    return f"{word} {' and '.join(parts)}"
 
 
 def sizes(error: RunError) -> str:
@@ -266,17 +330,19 @@ def size(error: RunError, by_position: bool) -> str:
 def angle(value: float) -> str:
     """Format an angle, rad, in degrees with two or three digits."""
     degrees = math.degrees(value)
+    if degrees < 1e-9:
+        return "below 1e-9 deg" if degrees else "0 deg"
     return f"{degrees:.0f} deg" if degrees >= 10.0 else f"{degrees:.2g} deg"
 
 
-def error_texts(judgement: Judgement, has_energy: bool = True) -> Iterator[str]:
+def error_texts(error: RunError, loops: LoopError, has_energy: bool = True) -> Iterator[str]:
     """Yield texts on all errors of a run, with body and time.
 
     Args:
-        judgement: judgement of the run.
+        error: errors of the run.
+        loops: largest violations of the loop constraints.
         has_energy: False if the run does not determine the error of the energy.
     """
-    error, loops = judgement.error, judgement.loop_error
     for name, value, text, (place, time) in (
         ("position", error.position, _with_largest(error, True), error.position_at),
         ("rotation", error.rotation, _with_largest(error, False), error.rotation_at),
@@ -299,6 +365,8 @@ def _with_largest(error: RunError, by_position: bool) -> str:
 def _remedy(remedy: MeasuredRemedy, by_position: bool) -> str:
     """Format other settings, their error and their run time relative to the settings of the file."""
     error = f"{size(remedy.error, by_position)} ({percent(remedy.error.relative)})"
+    if remedy.error.relative < ROUND_OFF:
+        error = "the same as the reference to round-off"
     return f"{remedy.text}: {error}, {cost_text(remedy)}"
 
 
@@ -317,7 +385,9 @@ def percent(value: float) -> str:
     number = 100.0 * value
     if number >= 10.0:
         return f"{number:.0f} %"
-    return f"{number:.2g} %" if number >= 1e-3 or not number else f"{number:.0e} %"
+    if number < 1e-9:
+        return "below 1e-9 %" if number else "0 %"
+    return f"{number:.2g} %" if number >= 1e-3 else f"{number:.0e} %"
 
 
 def _mass(value: float) -> str:

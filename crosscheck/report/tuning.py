@@ -3,9 +3,9 @@
 `crosscheck tune` searches the cheapest settings (time step, integrator, solver) of a model file's engine with
 which the error of a run is below a target. The error is relative to the extent of the motion.
 
-If the motion is chaotic or unstable, the comparison with the reference solution ends early, at
-`SettingsSearch.until`. `SettingsSearch.events` are elements of the file that act in the run and that the
-reference does not simulate, such as contacts.
+If the motion of a mechanism is chaotic or unstable, its comparison with the reference solution ends early, at
+a time in `SettingsSearch.scale`. `SettingsSearch.events` are elements of the file that act in the run and
+that the reference does not simulate, such as contacts.
 """
 
 from __future__ import annotations
@@ -93,5 +93,5 @@ def _notes(tuning: SettingsSearch) -> Iterator[str]:
     )
     if tuning.events:
         yield f"note: the error is without {unsimulated_text(tuning.events)}"
-    if tuning.until is not None:
-        yield f"note: {chaos_text(tuning.until)}, and no run with other steps can match"
+    if chaos := chaos_text(tuning.scale):
+        yield f"note: {chaos}, and no run with other steps can match"

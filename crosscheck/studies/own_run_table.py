@@ -152,10 +152,11 @@ def _without(own_run: Mapping[str, Any]) -> str:
     if events := own_run["events"]:
         others = f" and {len(events) - 1} more" if events[1:] else ""
         words.append(f"{events[0]['element']}{others}, from {events[0]['time']:.3g} s on")
-    if own_run["ends_with_event"]:
+    if own_run["until"] is not None:
         words.append("judged until then")
-    elif own_run["until"] is not None:
-        words.append(f"chaotic from {own_run['until']:.3g} s on")
+    ends = [each["until"] for each in own_run["scale"]["mechanisms"] if each["until"] is not None]
+    if ends:
+        words.append(f"chaotic from {min(ends):.3g} s on")
     return "; ".join(words)
 
 

@@ -37,6 +37,10 @@ TIME_STEP, INTEGRATOR = "time step", "integrator"
 that is too fast for the time step."""
 
 
+CONTACT_OF = "contact of "
+"""Beginning of `Event.element` of a contact, before the names of both bodies."""
+
+
 @dataclass(frozen=True)
 class Event:
     """First action of an element of a file that the reference does not simulate.

@@ -101,8 +101,13 @@ def main(path: str, summary: str) -> None:
     with open(summary, encoding="utf-8") as file:
         own_run = json.load(file)["own_run"]
     inputs, until = own_run["run_inputs"], own_run["until"]
-    # `until` is the time at which the comparison ends
+    # `until` is the time at which the comparison ends; that of a chaotic mechanism may end earlier
     times = [now for now in inputs["output_times"] if until is None or now < until]
+    mechanisms = own_run["scale"]["mechanisms"]
+    ends = {body: each["until"] for each in mechanisms for body in each["bodies"]}
+    compared = np.array(
+        [[ends[body] is None or now < ends[body] for body in inputs["bodies"]] for now in times]
+    )
     step = compiled(path, inputs, {}).opt.timestep / FINE_STEP_DIVISOR
     stiff = {"solref": f"{2.0 * step} 1", "solimp": "0.9999 0.9999 0.001", "solver": "Newton"}
     fine = {"timestep": f"{step}", "iterations": "100", "tolerance": "1e-12", **stiff}
@@ -112,16 +117,21 @@ def main(path: str, summary: str) -> None:
             reference = simulate(compiled(path, inputs, fine | {"integrator": integrator}), inputs, times)
     for settings in ({}, *(remedy["changes"] for remedy in own_run["remedies"])):
         run = simulate(compiled(path, inputs, settings), inputs, times)
-        print(json.dumps(None if run is None or reference is None else errors(run, reference)))
+        print(json.dumps(None if run is None or reference is None else errors(run, reference, compared)))
 
 
-def errors(run: Any, reference: Any) -> dict[str, float]:
-    """Return the largest distance of centers of mass, m, and angle between orientations, rad, of two runs."""
+def errors(run: Any, reference: Any, compared: Any) -> dict[str, float]:
+    """Return the largest distance of centers of mass, m, and angle between orientations, rad, of two runs.
+
+    Args:
+        run, reference: centers of mass (n, b, 3) and orientations (n, b, 4).
+        compared: (n, b) False where a chaotic body is not compared.
+    """
     (centers, orientations), (others, other_orientations) = run, reference
-    position = np.max(np.linalg.norm(centers - others, axis=2))
+    position = np.max(compared * np.linalg.norm(centers - others, axis=2))
     # unit quaternions with a chord c between them differ by the angle 4 asin(c / 2); q and -q are one turn
     chords = [np.linalg.norm(orientations - sign * other_orientations, axis=2) for sign in (1.0, -1.0)]
-    angle = np.max(4.0 * np.arcsin(0.5 * np.minimum(*chords)))
+    angle = np.max(4.0 * compared * np.arcsin(0.5 * np.minimum(*chords)))
     return {"position": float(position), "rotation": float(angle)}
 
 

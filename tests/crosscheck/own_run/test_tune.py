@@ -169,9 +169,9 @@ def test_a_chaotic_motion_has_ten_compared_outputs_too(tmp_path, monkeypatch):
     path = tmp_path / "model.xml"
     path.write_text(PENDULUM)
     scene, simulation = loaded(path)
-    monkeypatch.setattr("crosscheck.own_run.comparison.comparable_until", lambda *_: 0.055)
+    monkeypatch.setattr("crosscheck.own_run.comparison.comparable_until", lambda *_: (0.055,))
     search = search_settings(simulation, TARGET)
-    assert search.until == 0.055
+    assert search.scale.mechanisms[0].until == 0.055
     assert float(search.found.changes["timestep"]) <= scene.output_period
 
 

@@ -146,10 +146,10 @@ def test_an_error_fails_only_where_it_grows(now, moved, better):
 def test_a_chaotic_motion_is_compared_until_the_time_in_the_baseline(capsys, guarded):
     path = guarded / "swing.baseline.json"
     found = read_baseline(path)
-    assert found.plan.own_run_until is None
+    assert found.plan.own_run_until == ()
     assert "own_run_until" not in path.read_text()
-    plan = found.plan.model_copy(update={"own_run_until": 0.2})
+    plan = found.plan.model_copy(update={"own_run_until": (0.2,)})
     path.write_text(found.model_copy(update={"plan": plan}).text())
-    assert read_baseline(path).plan.own_run_until == 0.2
+    assert read_baseline(path).plan.own_run_until == (0.2,)
     # the error of half the run is smaller
     assert compared(capsys, guarded)[2]["more_accurate"] == ["swing"]

@@ -1,0 +1,226 @@
+"""Windows of the comparison of a file's run: until an event, until chaos, or to the end."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from crosscheck.loading.load import load_scene
+from crosscheck.own_run.allowed import ErrorKind
+from crosscheck.own_run.comparison import Comparison
+from crosscheck.own_run.errors import Band
+from crosscheck.own_run.judge import judge
+from crosscheck.report.own_run import headline, own_run_lines
+from newton_euler.reading.file_run import Event
+
+G = 9.81
+PERCENT = 0.01
+"""Largest difference between a judged error and that by hand, relative."""
+
+
+def simulation_of(tmp_path, text, **options):
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    _, report = load_scene(str(path), {"excitation": "off", **{k: str(v) for k, v in options.items()}})
+    return report.simulation
+
+
+def line_of(judgement, keyword):
+    """The lines of a report that begin with a keyword, as one text."""
+    return " ".join(line for line in own_run_lines(judgement).lines if line.split()[0] == keyword)
+
+
+# two links that a limit holds; without the limit they spin faster and faster, until the time step is too long
+SPUN = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body name="a">
+  <joint name="j1" axis="0 1 0" range="-20 20" limited="true"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".2" contype="0"/>
+  <body name="b" pos=".3 0 0"><joint name="j2" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 .2 0 .1" size=".02" mass=".2" contype="0"/></body></body></worldbody>
+  <actuator><motor name="m" joint="j1" gear="1"/></actuator><keyframe><key name="k" ctrl="20"/></keyframe>
+  </mujoco>"""
+
+
+def mujoco_alone(text, step, times, integrator=None, limits=True):
+    """Centers of mass (n, b, 3) of a run from the first keyframe by MuJoCo alone, and whether it diverges."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = step
+    if integrator is not None:
+        model.opt.integrator = integrator
+    if not limits:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    centers = []
+    for now in times:
+        mujoco.mj_step(model, data, round((now - data.time) / step))
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        centers.append(data.xipos[1:].copy())
+    return np.array(centers), bool(data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number)
+
+
+def test_a_run_that_completes_does_not_diverge_because_of_the_run_without_its_limits(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
+    found = judge(simulation_of(tmp_path, SPUN, key="k", duration=0.5))
+    assert not mujoco_alone(SPUN, 0.002, [0.5])[1]
+    assert mujoco_alone(SPUN, 0.002, [0.5], limits=False)[1]
+    assert found.stopped == found.stopped_as_it_stands == ""
+    assert "QACC" in found.stopped_reduced
+    assert found.band is Band.WRONG
+    assert found.until == pytest.approx(0.024, abs=0.002)
+    times = found.reference.time[found.reference.time < found.until - 1e-9]
+    run, _ = mujoco_alone(SPUN, 0.002, times)
+    exact, _ = mujoco_alone(SPUN, 1e-5, times, mujoco.mjtIntegrator.mjINT_RK4, limits=False)
+    assert found.error.position == pytest.approx(np.max(np.linalg.norm(run - exact, axis=2)), rel=PERCENT)
+    assert found.causes, "measured until the event"
+    assert "WRONG BY" in headline(found)
+    assert "without that, the run stops: Nan, Inf" in line_of(found, "note")
+
+
+# an oscillator beside a double pendulum, which is chaotic
+BESIDE_CHAOS = """<mujoco><option timestep="0.002" integrator="RK4"/><worldbody>
+  <body name="A" pos="0 1 0"><joint type="slide" axis="1 0 0" stiffness="10000" springref="0.01"/>
+    <geom type="box" size=".05 .05 .05" mass="1" contype="0"/></body>
+  <body name="p1"><joint axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 .1 0 .1" size=".01" mass=".1" contype="0"/>
+    <body name="p2" pos=".1 0 .1"><joint axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 .14" size=".01" mass=".1" contype="0"/></body></body>
+  </worldbody></mujoco>"""
+
+
+def test_a_chaotic_mechanism_ends_the_comparison_of_its_own_bodies_only(tmp_path):
+    step, duration, reach, frequency = 0.002, 4.0, 0.01, 100.0
+    found = judge(simulation_of(tmp_path, BESIDE_CHAOS, duration=duration, output_period=0.01))
+    oscillator, pendulum = found.scale.mechanisms
+    assert (oscillator.bodies, oscillator.until) == (("A",), None)
+    assert pendulum.bodies == ("p1", "p2")
+    assert 0.1 < pendulum.until < 3.0
+    # by hand: RK4 of x'' = -w^2 x multiplies x + i x'/w by the series of exp(i w h) to the fourth order
+    phase = 1j * frequency * step
+    factor = sum(phase**k / [1, 1, 2, 6, 24][k] for k in range(5))
+    steps = np.rint(found.reference.time / step).astype(int)
+    error = np.max(np.abs(reach * np.real(factor**steps - np.exp(phase * steps))))
+    assert found.error.position_at == ("A", pytest.approx(duration, rel=0.1))
+    assert found.error.position == pytest.approx(error, rel=PERCENT)
+    assert found.error.relative_position == pytest.approx(error / (2.0 * reach), rel=PERCENT)
+    assert found.error.rotation_at[1] < pendulum.until
+    assert found.until is None
+    note = line_of(found, "note")
+    assert f"the mechanism of p1 is compared until {pendulum.until:.3g} s" in note
+    assert "the mechanism of A moves 20 mm" in line_of(found, "run")
+
+
+BOX = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1 1 .1"/>
+  <body name="box" pos="0 0 {height}"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body>
+  </worldbody></mujoco>"""
+
+
+def test_a_motion_that_is_too_short_before_a_contact_is_not_judged(tmp_path):
+    """Semi-implicit Euler falls g h t/2 too far: h/t of the motion, a large part of a short one."""
+    step, duration = 0.002, 1.0
+    found = judge(simulation_of(tmp_path, BOX.format(height=0.101), duration=duration))
+    assert found.until is None
+    assert found.error.position == pytest.approx(0.5 * G * step * duration, rel=PERCENT)
+    assert found.band is Band.USABLE
+    _, last = found.other.error.position_at
+    # the floor of the motion: 1 % of the distance between the outermost points of a box, whose mass has a
+    # root mean square distance of 0.1 m from its center
+    assert found.other.error.relative_position == pytest.approx(0.5 * G * step * last / 2e-3, rel=PERCENT)
+    assert found.other.error.relative > found.error.relative
+    assert ErrorKind.ENERGY.of(found) == found.error.energy < found.other.error.energy
+    assert "until then, a motion too short to judge: position" in line_of(found, "note")
+
+
+def test_contacts_of_a_run_and_of_the_reference_are_one_element(tmp_path):
+    simulation = simulation_of(tmp_path, BOX.format(height=0.2), duration=0.5)
+    found = judge(simulation, [Event(0.13, "contacts")])
+    assert found.events == (Event(0.13, "contact of 'world' and 'box'"),)
+    assert "contact of 'world' and 'box': it acts from 0.13 s on" in line_of(found, "note")
+    limits = judge(simulation_of(tmp_path, SPUN, key="k", duration=0.1))
+    assert "limits of joint 'j1': they act from" in line_of(limits, "note")
+
+
+def test_outputs_and_ends_of_comparisons(tmp_path):
+    compared = Comparison.of(simulation_of(tmp_path, BOX.format(height=3.0), duration=0.5))
+    period, end = compared.reference.time[1], compared.reference.time[-1]
+    assert [compared.reaches(time) for time in (period, 1.5 * period, end, 1.1 * end)] == [
+        False,
+        True,
+        True,
+        False,
+    ]
+    run = compared.run_once(compared.simulation.settings)
+    assert compared.is_comparable(run)
+    assert not compared.ending_at(0.5 * period).is_comparable(run)  # only the start
+
+
+# ten links of 0.1 m that hang at rest
+CHAIN = (
+    '<mujoco><worldbody><body name="root" pos="0 0 1">'
+    + '<body pos="0 0 -.1">'.join(
+        ['<joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.1" size=".01" contype="0"/>'] * 10
+    )
+    + "</body>" * 10
+    + "</worldbody></mujoco>"
+)
+
+
+def test_the_smallest_scale_is_that_of_the_whole_mechanism(tmp_path):
+    found = judge(simulation_of(tmp_path, CHAIN, duration=0.2))
+    (chain,) = found.scale.mechanisms
+    # the last joint is 0.9 m below the first one; each center of mass is 0.05 m from its joint
+    assert chain.size == pytest.approx(1.0, rel=1e-9)
+    assert chain.length_scale == pytest.approx(0.01, rel=1e-9)
+    assert line_of(found, "run").endswith("nothing moves")
+    assert headline(found) == "ACCURATE, the same as the reference to round-off"
+
+
+# an oscillator, a body on a torsion spring, and a falling body
+THREE = """<mujoco><option timestep="0.002"/><worldbody>
+  <body name="A"><joint type="slide" axis="1 0 0" stiffness="400" springref="0.01"/>
+    <geom type="box" size=".05 .05 .05" mass="1" contype="0"/></body>
+  <body name="B" pos="0 1 0"><joint type="hinge" axis="0 1 0" stiffness="1" springref="50"/>
+    <geom type="box" size=".05 .05 .05" mass="1" contype="0"/></body>
+  <body name="C" pos="0 2 0"><freejoint/><geom type="box" size=".05 .05 .05" mass="100" contype="0"/></body>
+  </worldbody></mujoco>"""
+
+
+def test_each_error_has_the_name_of_its_mechanism(tmp_path):
+    found = judge(simulation_of(tmp_path, THREE, duration=1.0))
+    assert (found.error.position_at[0], found.error.rotation_at[0]) == ("A", "B")
+    assert " of the motion of the mechanism of A and " in headline(found)
+    assert headline(found).endswith(" of the motion of the mechanism of B")
+    assert line_of(found, "run").endswith("the mechanism of A moves 20 mm; the mechanism of B moves >57 deg")
+
+
+LINKAGE = """<mujoco><option timestep="0.002"/><default><joint axis="0 1 0" damping="0.002"/>
+  <geom type="capsule" size="0.01" density="2700" contype="0"/></default><worldbody>
+  <body name="crank"><joint name="motor" armature="1e-4"/><geom fromto="0 0 0 0 0 0.1"/>
+    <body name="coupler" pos="0 0 0.1"><joint name="elbow"/><geom fromto="0 0 0 0.3 0 0.15"/>
+      <site name="one" pos="0.3 0 0.15"/></body></body>
+  <body name="rocker" pos="0.3 0 0"><joint name="pivot" stiffness="0.5" range="-3 3" limited="true"/>
+    <geom fromto="0 0 0 0 0 0.25"/><site name="two" pos="0 0 0.25"/></body></worldbody>
+  <equality><connect name="loop" site1="one" site2="two"/></equality>
+  <actuator><position name="servo" joint="motor" kp="2" kv="0.05"/></actuator>
+  <keyframe><key name="go" ctrl="1"/></keyframe></mujoco>"""
+
+
+def test_loop_errors_are_those_of_the_judged_window(tmp_path):
+    found = judge(simulation_of(tmp_path, LINKAGE, key="go", duration=0.3, output_period=0.002))
+    assert found.until is not None, "a limit acts after more than ten outputs"
+    # by hand, until the limit and without it to the end
+    model = mujoco.MjModel.from_xml_string(LINKAGE)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    openings = []
+    for now in found.run.time:
+        mujoco.mj_step(model, data, round((now - data.time) / 0.002))
+        mujoco.mj_kinematics(model, data)
+        openings.append(np.linalg.norm(data.site("one").xpos - data.site("two").xpos))
+    until = int(np.searchsorted(found.run.time, found.until))
+    assert found.loop_error.opening == pytest.approx(max(openings[:until]), rel=PERCENT)
+    assert found.other.loop_error.opening == pytest.approx(max(openings), rel=PERCENT)
+    assert ErrorKind.OPENING.of(found) == found.other.loop_error.opening > found.loop_error.opening
+    assert "without that, to the end: position " in line_of(found, "note")
