@@ -9,6 +9,7 @@ from typing import Any
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.alignment import Alignment, align
 from crosscheck.differences.difference import Difference, Quantity, Standing
+from crosscheck.differences.effects import effects
 from crosscheck.differences.motion import Likeness, Motion, compare_motions
 from crosscheck.differences.rows import differences
 from newton_euler.reading.robot import RobotFile
@@ -89,11 +90,14 @@ def compare_files(
     rows = differences(first, second, alignment, tolerance)
     progress("comparing motions")
     motion = compare_motions(first, second, alignment)
+    found = effects(first, second, alignment, rows)
+    rows = [replace(row, effect=effect) for row, effect in zip(rows, found, strict=True)]
     if motion.likeness in (Likeness.EQUAL, Likeness.ROUNDING):
         # a loop of one file and couplings of the other that allow the same motion
         rows = [replace(row, convention=row.convention or _is_constraint(row)) for row in rows]
     rank = list(Standing)
-    rows.sort(key=lambda row: (rank.index(row.standing), -(row.effect or 0.0)))
+    # rows without a known effect, such as limits, after those with one
+    rows.sort(key=lambda row: (rank.index(row.standing), 1.0 if row.effect is None else -row.effect))
     return FileComparison(first, second, alignment, tuple(rows), motion, tolerance)
 
 
