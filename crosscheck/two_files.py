@@ -91,12 +91,12 @@ def diff(
     are rounding.
 
     Args:
-        first, second: paths of MJCF or URDF files, an `MjSpec` or `MjModel` of MuJoCo, or a `Model` of
-            Pinocchio, alone or paired with its constraints.
+        first, second: paths of MJCF, URDF or scene files, an `MjSpec` or `MjModel` of MuJoCo, a `Model` of
+            Pinocchio, alone or paired with its constraints, or a `Scene`.
         names: names of bodies or joints of the first file, and of their partners in the second. Others are
             found by names and structure.
         tolerance: relative difference that counts as rounding, instead of the digits of the files.
-        first_options, second_options: options of each model: `loops`, the loop file of a URDF.
+        first_options, second_options: options of each model, such as `loops`, the loop file of a URDF.
         progress: function that is called with a message before each stage.
 
     Raises:

@@ -49,9 +49,9 @@ def diff_command(
 ) -> int:
     """Compare two model files of one robot: what differs, and does it matter.
 
-    FIRST and SECOND are MJCF or URDF files. Bodies and joints are paired by names and by structure. Each
-    difference has one row with both values and its effect on the motion. Differences within the digits of
-    the files are rounding.
+    FIRST and SECOND are MJCF, URDF or scene files, or names of scenes. Bodies and joints are paired by names
+    and by structure. Each difference has one row with its effect on the motion. Differences within the
+    digits of the files are rounding.
 
     The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
     """

@@ -135,6 +135,8 @@ def _sentence(row: Difference) -> str:
         text += f" only in the {'second' if row.first is None else 'first'} file"
         if row.element_kind == "body":
             text += f" ({values[row.first is None]} kg)"
+    elif row.quantity is Quantity.GRAVITY:
+        text += f": {values[0]} against {values[1]} {row.unit}"
     elif not isinstance(row.first, tuple) and not isinstance(row.second, tuple) and values[0] != values[1]:
         text += f": {values[0]} against {values[1]}{f' {row.unit}' if row.unit else ''}"
     return f"{text}; {row.cause}" if row.cause else text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import mujoco
 import pytest
@@ -10,7 +11,8 @@ from command_line import run
 
 import crosscheck
 from crosscheck.compare.outcome import Outcome
-from crosscheck.support.errors import CrosscheckError
+
+ROOT = Path(__file__).parents[3]
 
 ARM = """<mujoco model="arm"><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.2"/>
   <inertial pos="0.1 0 0" mass="{mass}" diaginertia="0.002 0.01 0.01"/>
@@ -83,9 +85,8 @@ def test_names_that_the_user_pairs(capsys, arm, tmp_path):
     assert run(capsys, "diff", arm("first"), other, "--names", pairs)[0] == 2
 
 
-def test_scenes_are_refused(arm):
-    with pytest.raises(CrosscheckError):
-        crosscheck.diff("pendulum", arm("first"))
+def test_a_scene_and_its_file():
+    assert crosscheck.diff("tracker", ROOT / "mjcf" / "tracker.xml").outcome is Outcome.SAME
 
 
 def test_results_of_other_files_are_not_overwritten(capsys, arm, tmp_path, monkeypatch):
