@@ -8,7 +8,7 @@ from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.differences.difference import Difference, Quantity, Standing, Value
-from crosscheck.differences.motion import Likeness
+from crosscheck.differences.motion import ROUND_OFF, Likeness
 from crosscheck.differences.result import FileComparison
 from crosscheck.own_run.allowed import length
 from crosscheck.report.own_run import percent
@@ -89,8 +89,12 @@ def _motion_text(comparison: FileComparison) -> str:
     motion = comparison.motion
     match motion.likeness:
         case Likeness.DIFFERENT:
-            if motion.gaps:
-                gap = max(motion.gaps, key=lambda gap: gap.error)
+            if motion.freedoms[0] != motion.freedoms[1]:
+                return (
+                    f"the first has {motion.freedoms[0]} independent motions, the second {motion.freedoms[1]}"
+                )
+            if open_gaps := [gap for gap in motion.gaps if gap.error > max(gap.uncertainty, ROUND_OFF)]:
+                gap = max(open_gaps, key=lambda gap: gap.error)
                 size = length(gap.error) if gap.unit == "m" else f"{math.degrees(gap.error):.2g} deg"
                 return f"poses of the first do not fit the second: {gap.constraint!r} is off by {size}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
