@@ -279,12 +279,15 @@ def _axis(joint: ET.Element) -> Array:
 
 
 def _mimics(joints: list[ET.Element]) -> Iterator[FileCoupling]:
-    """Yield the couplings of joints that mimic others."""
+    """Yield the couplings of joints that mimic others; a fixed joint follows none, and stays at zero."""
+    moving = {str(joint.get("name")) for joint in joints if joint.get("type") in JOINT_KINDS}
     for joint in joints:
         mimic, name = joint.find("mimic"), str(joint.get("name"))
-        if mimic is not None:
+        if mimic is not None and name in moving:
             powers = (_number(mimic, "offset"), _number(mimic, "multiplier", 1.0))
-            yield FileCoupling(name, name, str(mimic.get("joint")), powers)
+            leader = str(mimic.get("joint"))
+            is_led = leader in moving
+            yield FileCoupling(name, name, leader if is_led else "", powers if is_led else powers[:1])
 
 
 def _coupled(loops: Loops, notes: list[str]) -> Iterator[FileCoupling]:

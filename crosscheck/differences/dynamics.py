@@ -532,7 +532,7 @@ class Dynamics:
         force = np.where(idle, 0.0, force)
         diagonal += np.where(idle, np.maximum(largest, 1.0) * MASSLESS, 0.0)
         if not self.rows:
-            found = np.linalg.solve(mass, force[..., None])[..., 0]
+            found = _solved(mass, force)
         else:
             bias = self.constraints(coordinates, velocities, moving).bias
             start = -self.scale * equations.solution(bias)
@@ -541,7 +541,7 @@ class Dynamics:
             # columns of zeros pad the basis to the same width at all states
             np.einsum("...ii->...i", reduced)[...] += np.all(basis == 0.0, axis=-2)
             right = np.einsum("...ji,...j->...i", basis, force - apply(mass, start))
-            found = start + apply(basis, np.linalg.solve(reduced, right[..., None])[..., 0])
+            found = start + apply(basis, _solved(reduced, right))
         return self._at_points(moving, found, points)
 
     def _mass_and_force(self, moving: Kinematics) -> tuple[Array, Array]:
@@ -634,6 +634,14 @@ def _product_row(
     """Return the constraint that two vectors are perpendicular, with its Jacobian row and its bias."""
     bias = np.sum(a_bias * b + 2 * a_rate * b_rate + a * b_bias, axis=-1)
     return np.sum(a * b, axis=-1)[..., None], row[..., None, :], bias[..., None]
+
+
+def _solved(mass: Array, force: Array) -> Array:
+    """Return the accelerations (..., n) for mass matrices (..., n, n) and forces; parts without mass rest."""
+    try:
+        return np.asarray(np.linalg.solve(mass, force[..., None])[..., 0])
+    except np.linalg.LinAlgError:  # several coordinates together move no mass
+        return apply(np.linalg.pinv(mass, rcond=MASSLESS, hermitian=True), force)
 
 
 def size_of(robot: Robot) -> float:

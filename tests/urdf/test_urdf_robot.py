@@ -209,6 +209,17 @@ def test_joints_have_the_numbers_of_the_file(tmp_path: Path) -> None:
     assert [body.name for body in found.robot.bodies] == ["base", "a", "b", "c", "d", "e"]
 
 
+def test_joints_that_mimic_a_fixed_joint_are_held(tmp_path: Path) -> None:
+    text = CHAIN.replace('name="first" type="revolute"', 'name="first" type="fixed"').replace(
+        "</robot>",
+        '<joint name="fourth" type="continuous"><parent link="d"/><child link="e"/>'
+        '<mimic joint="first" multiplier="-2" offset="0.5"/></joint><link name="e"/></robot>',
+    )
+    assert 'type="fixed"' in text
+    (coupling,) = described(tmp_path, text).robot.couplings
+    assert (coupling.follower, coupling.leader, coupling.powers) == ("fourth", "", (0.5,))
+
+
 def test_loop_files_are_described(tmp_path: Path) -> None:
     text = robot(
         *TIPS, link("c"), joint("jc", "revolute", "base", "c"), link("e"), joint("je", "fixed", "c", "e")

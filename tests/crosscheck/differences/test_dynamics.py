@@ -339,3 +339,22 @@ def test_double_pendulum_by_hand() -> None:
     matrix = [[m1 * l1**2 + m2 * (l1 + l2) ** 2, m2 * (l1 + l2) * l2], [m2 * (l1 + l2) * l2, m2 * l2**2]]
     force = 9.81 * np.array([m1 * l1 + m2 * (l1 + l2), m2 * l2])
     assert found.coordinates[0, 0] == pytest.approx(np.linalg.solve(matrix, force), rel=1e-12)
+
+
+def test_joints_that_together_move_no_mass_rest() -> None:
+    """Two hinges with one axis, and a link without mass between: the arm falls like one on a single hinge."""
+    hinges = (FileJoint(name, JointKind.HINGE, np.array([0.0, 1.0, 0.0]), np.zeros(3)) for name in ("a", "b"))
+    bodies = tuple(
+        FileBody(
+            name, parent, Placement(np.zeros(3), np.eye(3)), (hinge,), mass, center, 0.005 * mass * np.eye(3)
+        )
+        for name, parent, mass, center, hinge in zip(
+            ("link", "arm"), (-1, 0), (0.0, 2.0), np.array([[0.0] * 3, [0.1, 0.0, 0.0]]), hinges, strict=True
+        )
+    )
+    dynamics = Dynamics([Robot("arm", bodies, gravity=GRAVITY)], 0.3)
+    points = np.array([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]])
+    states, still = np.zeros((1, 1, 2)), np.zeros((1, 1, 0))
+    found = dynamics.accelerations(states, states, still, np.zeros(1, bool), points)
+    # m g l / (I + m l^2) l downwards at the center of mass
+    assert np.allclose(found.linear[0, 0, 1], [0.0, 0.0, -9.81 * 0.1**2 / (0.005 + 0.1**2)], atol=1e-12)
