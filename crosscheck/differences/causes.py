@@ -238,10 +238,10 @@ def _missing_columns(rows: list[Difference], formats: tuple[str, str]) -> Iterat
             values = [_numbers((rows[index].first, rows[index].second)[where]) for index in group]
             finite = np.concatenate([value for value in values if value is not None] or [np.zeros(1)])
             span = f"{finite.min():.4g}" + (f" to {finite.max():.4g}" if np.ptp(finite) else "")
-            name = ("first", "second")[where] + (f" file ({formats[where]})" if formats[where] else " file")
-            lack = _lack(formats[other], quantity)
-            cause = f"only in the {name}: {span}{lack}"
-            yield Hypothesis(frozenset(group), _merged([rows[index] for index in group], cause))
+            cause = _lack(formats[other], quantity).removeprefix("; ") or "only in one file"
+            found = _merged([rows[index] for index in group], cause)
+            found = replace(found, first=span) if where == 0 else replace(found, second=span)
+            yield Hypothesis(frozenset(group), found)
 
 
 def _scaled_masses(rows: list[Difference]) -> Iterator[Hypothesis]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.alignment import Alignment, align
+from crosscheck.differences.causes import LACKING
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
 from crosscheck.differences.motion import Likeness, Motion, compare_motions
@@ -90,11 +91,13 @@ def compare_files(
     rows = differences(first, second, alignment, tolerance)
     progress("comparing motions")
     motion = compare_motions(first, second, alignment)
+    formats = first.format, second.format
     found = effects(first, second, alignment, rows)
     rows = [replace(row, effect=effect) for row, effect in zip(rows, found, strict=True)]
     if motion.likeness in (Likeness.EQUAL, Likeness.ROUNDING):
         # a loop of one file and couplings of the other that allow the same motion
         rows = [replace(row, convention=row.convention or _is_constraint(row)) for row in rows]
+    rows = [replace(row, convention=row.convention or _is_unsaid(row, formats)) for row in rows]
     rank = list(Standing)
     # rows without a known effect, such as limits, after those with one
     rows.sort(key=lambda row: (rank.index(row.standing), 1.0 if row.effect is None else -row.effect))
@@ -104,3 +107,13 @@ def compare_files(
 def _is_constraint(row: Difference) -> bool:
     """Return whether a row is about a loop or a coupling that only one file has."""
     return row.quantity is Quantity.PRESENCE and row.element_kind in ("loop", "coupling")
+
+
+def _is_unsaid(row: Difference, formats: tuple[str, str]) -> bool:
+    """Return whether a row is about a number that one of the formats cannot state, without effect on motion.
+
+    A URDF has no drives, for instance, and an MJCF no limits of speed.
+    """
+    lacking = formats[0] if row.first in (None, 0.0) else formats[1]
+    is_drive = row.quantity is not Quantity.PRESENCE or row.element_kind == "drive"
+    return row.quantity in LACKING.get(lacking, ()) and is_drive and not row.effect

@@ -142,7 +142,9 @@ def _sentence(row: Difference) -> str:
     elif row.quantity is Quantity.GRAVITY:
         text += f": {values[0]} against {values[1]} {row.unit}"
     elif not isinstance(row.first, tuple) and not isinstance(row.second, tuple) and values[0] != values[1]:
-        text += f": {values[0]} against {values[1]}{f' {row.unit}' if row.unit else ''}"
+        unit = f" {row.unit}" if row.unit else ""
+        between = unit if row.second is None else ""  # the unit is that of the number before
+        text += f": {values[0]}{between} against {values[1]}{'' if row.second is None else unit}"
     return f"{text}; {row.cause}" if row.cause else text
 
 
@@ -169,9 +171,9 @@ def effect_text(row: Difference) -> str:
 
 
 def value_text(value: Value) -> str:
-    """Format a value of a model file with six digits; "-" for none."""
+    """Format a value of a model file with six digits; "none" if it has none."""
     if value is None:
-        return "-"
+        return "none"
     if isinstance(value, str):
         return value
     numbers = value if isinstance(value, tuple) else (value,)

@@ -388,7 +388,7 @@ PLANTS: dict[str, Plant] = {
                 "left_hip_roll",
                 Q.ARMATURE,
                 1.0,
-                "only in the first file (MJCF): 0.01 to 0.02",
+                "URDF has none",
                 6,
             ),
         ),
@@ -396,7 +396,7 @@ PLANTS: dict[str, Plant] = {
     "no damping": Plant(
         "arm",
         lambda r: with_every_joint(r, damping=0.0),
-        (Row("yaw", Q.DAMPING, 1.0, "only in the first file (MJCF): 0.1 to 2", 4),),
+        (Row("yaw", Q.DAMPING, 1.0, "only in one file", 4),),
     ),
     "knees weaker": Plant(
         "walker",
