@@ -388,7 +388,7 @@ PLANTS: dict[str, Plant] = {
                 "left_hip_roll",
                 Q.ARMATURE,
                 1.0,
-                "URDF has none",
+                "only in one file",
                 6,
             ),
         ),
