@@ -11,7 +11,7 @@ from command_line import check_refused, run, verdict_of
 
 import crosscheck
 from crosscheck.compare.outcome import ExitStatus, Outcome
-from crosscheck.own_run.allowed import AllowedError, ErrorKind
+from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind, exceeded_text, length
 from crosscheck.own_run.errors import Band
 from crosscheck.support.errors import CrosscheckError
 from mjcf.errors import collected_warnings
@@ -169,6 +169,24 @@ def test_every_error_can_be_limited(swing):
         "loop_angle": found.loop_error.angle,
         "energy": found.error.energy,
     }
+
+
+def test_an_error_just_above_the_allowed_one_has_more_digits(swing):
+    found = crosscheck.check(swing(COARSE), ENGINES).own_run
+    allowed = AllowedError(ErrorKind.ENERGY, found.error.energy * (1.0 - 1e-6))
+    text = exceeded_text(OWN_RUN, found, [allowed])
+    judged, limit = text.removeprefix("errors of the run with your settings: energy ").split(", allowed ")
+    # both numbers differ, and are those of the run and of the limit to round-off of at most 9 digits
+    assert judged != limit
+    assert float(judged.removesuffix(" %")) == pytest.approx(100.0 * found.error.energy, rel=1e-6)
+    assert float(limit.removesuffix(" %")) == pytest.approx(100.0 * allowed.largest, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("meters", "text"), [(0.0, "0 m"), (1e-16, "below 1 pm"), (2e-12, "2 pm"), (0.0123, "12.3 mm")]
+)
+def test_lengths(meters, text):
+    assert length(meters) == text
 
 
 def test_models_in_memory(swing):
