@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.allowed import AllowedError, length
+from crosscheck.own_run.errors import Band
 from crosscheck.report.own_run import (
     allowed_lines,
     angle,
@@ -108,6 +109,10 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
             change = f"{percent(other.thinned.relative)} of the motion"
             advice = "log them at each step of the simulation, beginning with the first"
             yield f"inputs of every second row only change the reference by {change}: {advice}"
+    is_passive = judgement.scene and not (judgement.scene.control or judgement.held_inputs)
+    if is_passive and not judgement.has_inputs and judgement.band is Band.WRONG:
+        advice = "log columns such as JOINT.effort if motors drove the run"
+        yield f"neither the model nor the log has forces of motors: the reference moves freely; {advice}"
     if judgement.held_inputs:
         yield f"no input in the log, held at the start: {_name_list(judgement.held_inputs)}"
     if judgement.missing:

@@ -624,6 +624,25 @@ def test_the_page_shows_the_lines_of_its_logs(name, tmp_path, monkeypatch):
     assert " ".join(shown.split()) in " ".join("\n".join(log_lines(found).lines).split())
 
 
+def test_a_log_without_efforts_of_a_model_without_controllers_names_them(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(MERGED_LINKS)
+    scene, report = load_scene(str(path), {"excitation": "off", "duration": "0.5"}, verified=False)
+    # a motor holds the arm, which falls in the reference
+    held = {"time": 0.01 * np.arange(51), "h": np.zeros(51), "h_vel": np.zeros(51)}
+    found = judge_log(scene, report.names, "arm", held)
+    assert found.band is Band.WRONG
+    assert sum("JOINT.effort" in line for line in log_lines(found).lines) == 1
+    with_efforts = judge_log(scene, report.names, "arm", held | {"h.effort": np.zeros(51)})
+    assert with_efforts.error.position == pytest.approx(found.error.position, rel=1e-6)  # no force either
+    assert not any("JOINT.effort" in line for line in log_lines(with_efforts).lines)
+    # an arm that falls is accurate, and needs no advice
+    run = simulate(scene)
+    motion = run.joint("h")
+    fall = {"time": run.time, "h": motion.coordinates[:, 0], "h_vel": motion.rates[:, 0]}
+    assert not any("effort" in line for line in log_lines(judge_log(scene, report.names, "arm", fall)).lines)
+
+
 def test_zeros_have_a_unit():
     assert (length(0.0), percent(0.0)) == ("0 m", "0 %")
 
