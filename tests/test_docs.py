@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 
 PAGES = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")))
 
-FENCE = re.compile(r'^```(\w*)(?: title="(.+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 
 VERDICT = re.compile(r"^(AGREE|DISAGREE|SAME|DIFFERENT|QUIET|MOVED|INACCURATE)\b", re.MULTILINE)
 
