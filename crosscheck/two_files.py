@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from crosscheck.compare.outcome import Outcome
-from crosscheck.differences.difference import Difference, Standing
+from crosscheck.differences.difference import Difference
 from crosscheck.differences.motion import Motion
 from crosscheck.differences.result import FileComparison, compare_files
 from crosscheck.loading.robots import describe_model
@@ -51,7 +51,7 @@ class Diff:
     @property
     def differences(self) -> tuple[Difference, ...]:
         """True differences, the largest effect on motion first; rounding is not among them."""
-        return self.comparison.of_standing(Standing.DIFFERENT)
+        return self.comparison.differences
 
     @property
     def motion(self) -> Motion:

@@ -41,12 +41,17 @@ class FileComparison:
         return tuple(row for row in self.rows if row.standing is standing)
 
     @property
+    def differences(self) -> tuple[Difference, ...]:
+        """True differences, the largest effect on motion first."""
+        return self.of_standing(Standing.DIFFERENT)
+
+    @property
     def outcome(self) -> Outcome:
         """`SAME`, `SAME_TO_ROUNDING` if only the digits of the files differ, or `DIFFERENT`."""
         # with a tolerance, other motion may be the effect of numbers that differ by less
         is_allowed = self.tolerance is not None and self.of_standing(Standing.ROUNDING)
         moves_differently = self.motion.likeness is Likeness.DIFFERENT and not is_allowed
-        if moves_differently or self.of_standing(Standing.DIFFERENT):
+        if moves_differently or self.differences:
             return Outcome.DIFFERENT
         is_rounded = self.motion.likeness is Likeness.ROUNDING or self.of_standing(Standing.ROUNDING)
         return Outcome.SAME_TO_ROUNDING if is_rounded else Outcome.SAME

@@ -44,7 +44,7 @@ ABSOLUTE = {
 def report(comparison: FileComparison) -> Report:
     """Make the report of a comparison of two model files."""
     outcome = comparison.outcome
-    different = comparison.of_standing(Standing.DIFFERENT)
+    different = comparison.differences
     short: list[Part] = []
     if different:
         columns = [*number_columns("motion", "difference"), Column("what differs")]
@@ -65,7 +65,7 @@ def report(comparison: FileComparison) -> Report:
 
 def verdict(comparison: FileComparison) -> str:
     """Format the result in one sentence."""
-    different, motion = comparison.of_standing(Standing.DIFFERENT), comparison.motion
+    different, motion = comparison.differences, comparison.motion
     rounded = comparison.of_standing(Standing.ROUNDING)
     words = comparison.outcome.value
     match comparison.outcome:
@@ -128,10 +128,10 @@ def _table(title: str, comparison: FileComparison, rows: tuple[Difference, ...])
 
 def _short_row(row: Difference) -> list[str | Cell]:
     """Make the cells of a difference for the terminal: effect, size, and a sentence."""
-    return [effect_text(row), Cell(size_text(row), "fails"), Cell(_sentence(row), about=row.element)]
+    return [effect_text(row), Cell(size_text(row), "fails"), Cell(sentence(row), about=row.element)]
 
 
-def _sentence(row: Difference) -> str:
+def sentence(row: Difference) -> str:
     """Tell a difference with its values and its cause; of several numbers, such as a position, no values."""
     text = _what(row)
     values = [value_text(value) for value in (row.first, row.second)]
@@ -202,7 +202,7 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
         yield f"paired by structure, as names differ: {', '.join(pairs)}{more}"
     yield from comparison.motion.notes
     if conventions := comparison.of_standing(Standing.CONVENTION):
-        texts = [_sentence(row) for row in conventions[:MAX_CONVENTIONS]]
+        texts = [sentence(row) for row in conventions[:MAX_CONVENTIONS]]
         others = len(conventions) - MAX_CONVENTIONS
         yield f"in other terms: {'; '.join(texts)}{f' and {others} more' if others > 0 else ''}"
     rounded = comparison.of_standing(Standing.ROUNDING)

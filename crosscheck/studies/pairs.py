@@ -1,0 +1,202 @@
+"""Study of public pairs of model files: run `crosscheck diff` on listed pairs, and write a table.
+
+    python -m crosscheck.studies.pairs docs/results/pairs.yaml FOLDER --write docs/results/pairs.md
+
+The YAML file lists pairs of files of one robot. FOLDER contains clones of the repositories as OWNER/NAME, or
+as OWNER/NAME@COMMIT for an older commit. For each pair, the list has a number that does not come from
+crosscheck: the relative difference of joint accelerations that MuJoCo or Pinocchio computes.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import click
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from crosscheck.compare.outcome import Outcome
+from crosscheck.differences.motion import Likeness
+from crosscheck.differences.result import FileComparison, compare_files
+from crosscheck.loading.robots import describe_model
+from crosscheck.report.diff import sentence
+from crosscheck.report.own_run import percent
+from crosscheck.report.render import markdown_table
+from crosscheck.report.table import Rows, Table, text_columns
+from crosscheck.studies.models import REFUSED, write
+from crosscheck.support.errors import CrosscheckError
+from newton_euler.errors import NewtonEulerError
+
+SHORT_COMMIT = 7
+"""Number of characters of a commit in the name of a folder."""
+
+MAX_SENTENCES = 3
+"""Largest number of differences of a pair that the table tells."""
+
+
+class ListedFile(BaseModel):
+    """A model file of a pair.
+
+    Attributes:
+        repository: name of the repository as OWNER/NAME.
+        commit: commit of the file.
+        file: path of the file in its repository.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    repository: str
+    commit: str
+    file: str
+
+    def path(self, folder: Path) -> Path:
+        """Return the path of the file; an older commit has a folder of its own."""
+        older = folder / f"{self.repository}@{self.commit[:SHORT_COMMIT]}" / self.file
+        return older if older.exists() else folder / self.repository / self.file
+
+
+class ListedPair(BaseModel):
+    """Two files of one robot.
+
+    Attributes:
+        name: name of the pair.
+        first, second: the files.
+        independent: relative difference of the joint accelerations of both files under gravity, by MuJoCo or
+            Pinocchio alone: without drives, springs, dampers and armature. None if it is not known.
+        why: what a person found out.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str
+    first: ListedFile
+    second: ListedFile
+    independent: float | None = None
+    why: str = ""
+
+
+class PairResult(BaseModel):
+    """Result of a pair.
+
+    Attributes:
+        verdict: `SAME`, `SAME TO ROUNDING`, `DIFFERENT`, or `REFUSED` for a file that cannot be read.
+        text: the largest differences, or the error.
+        motion: difference of the motions.
+        wall_time: of reading and comparing, s.
+    """
+
+    verdict: str
+    text: str
+    motion: str
+    wall_time: float
+
+
+def read_list(path: Path) -> list[ListedPair]:
+    """Read the list of pairs from a YAML file.
+
+    Raises:
+        CrosscheckError: for a file that is not a list of pairs.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return [ListedPair.model_validate(each) for each in content["pairs"]]
+    except (OSError, yaml.YAMLError, ValidationError, TypeError, KeyError) as error:
+        raise CrosscheckError(f"{path} is no list of pairs: {error}") from error
+
+
+def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
+    """Compare the files of a pair.
+
+    Args:
+        folder: folder of the repositories.
+        pair: the pair.
+    """
+    start = time.perf_counter()
+    try:
+        first, second = (describe_model(each.path(folder), {}) for each in (pair.first, pair.second))
+        comparison = compare_files(first, second, {}, None, lambda stage: None)
+    except (CrosscheckError, NewtonEulerError) as error:
+        text = str(error).replace(f"{folder}/", "")
+        return PairResult(verdict=REFUSED, text=text, motion="", wall_time=time.perf_counter() - start)
+    rows = comparison.differences
+    texts = [sentence(row) for row in rows[:MAX_SENTENCES]]
+    if more := len(rows) - len(texts):
+        texts.append(f"{more} more")
+    return PairResult(
+        verdict=comparison.outcome.value,
+        text="; ".join(texts),
+        motion=_motion(comparison),
+        wall_time=time.perf_counter() - start,
+    )
+
+
+def _motion(comparison: FileComparison) -> str:
+    """Format the difference of the motions of a pair."""
+    match comparison.motion.likeness:
+        case Likeness.EQUAL:
+            return "equal"
+        case Likeness.ROUNDING:
+            return "rounding"
+        case Likeness.UNDECIDED:
+            return "not compared"
+        case Likeness.DIFFERENT:
+            return percent(comparison.motion.change)
+
+
+def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator[str]:
+    """Yield the lines of Markdown: counts of verdicts, and a table of all pairs in the order of the list.
+
+    Args:
+        pairs: the list.
+        found: results by the name of the pair.
+    """
+    counts = Counter(result.verdict for result in found.values())
+    order = (Outcome.SAME.value, Outcome.SAME_TO_ROUNDING.value, Outcome.DIFFERENT.value, REFUSED)
+    slowest = max((result.wall_time for result in found.values()), default=math.nan)
+    yield f"{len(found)} pairs: {', '.join(f'{counts[each]} {each}' for each in order if counts[each])}."
+    yield f"The slowest took {slowest:.1f} s."
+    yield ""
+    rows: Rows = []
+    for pair in pairs:
+        result = found.get(pair.name)
+        if result is None:
+            continue
+        places = [
+            f"{each.repository} {each.commit[:SHORT_COMMIT]}: {each.file}"
+            for each in (pair.first, pair.second)
+        ]
+        independent = "" if pair.independent is None else f"{pair.independent:.1e}"
+        text = "; ".join(filter(None, [result.text, pair.why]))
+        rows.append([pair.name, *places, result.verdict, result.motion, independent, text])
+    heads = text_columns(
+        "pair", "first", "second", "verdict", "motion", "engine alone", "largest differences"
+    )
+    yield from markdown_table(Table("", heads, rows))
+
+
+@click.command()
+@click.argument("pairs", type=click.Path(path_type=Path))
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
+@click.option("--only", default="", help="Compare only pairs whose name contains this text.")
+@click.option("--write", "target", type=click.Path(path_type=Path), help="Markdown file to write into.")
+def main(pairs: Path, folder: Path, only: str, target: Path | None) -> None:
+    """Compare the pairs of the list PAIRS, whose repositories are in FOLDER as OWNER/NAME."""
+    try:
+        listed = [pair for pair in read_list(pairs) if only in pair.name]
+        found = {}
+        for pair in listed:
+            found[pair.name] = result = compare_pair(folder, pair)
+            click.echo(f"{pair.name}: {result.wall_time:.1f} s: {result.verdict} {result.motion}")
+        if target is not None:
+            write(target, list(table(listed, found)))
+            click.echo(f"wrote {target}")
+    except CrosscheckError as error:
+        raise click.ClickException(str(error)) from error
+
+
+if __name__ == "__main__":
+    main()
