@@ -324,7 +324,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         Returns:
             Initial "qpos", "qvel", "act" and "eq_active"; "ctrl", see `Inputs.terms`; "model", the numbers
             and arrays of the compiled file that the run changes, such as "opt.disableflags"; and "bodies",
-            the scene's names of the bodies with mass.
+            MuJoCo's indices of the bodies that are one body of the scene, by its name, the root first.
         """
         model, active = self._prepared(reduced)
         self.settings.apply(model)
@@ -335,7 +335,10 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             "eq_active": active.tolist(),
             "ctrl": self._inputs.terms,
             "model": _differing_numbers(self._model, model),
-            "bodies": list(self._names),
+            "bodies": {
+                name: [root, *(member for member in members.tolist() if member != root)]
+                for name, (root, members) in zip(self._names, self._groups, strict=True)
+            },
         }
 
     def causes(self) -> Iterator[Cause[MujocoSettings]]:

@@ -34,8 +34,7 @@ def simulate(
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]] | None:
     """Simulate a compiled model: return centers of mass (n, b, 3), m, and orientations (n, b, 4).
 
-    Bodies are those with mass; bodies without a joint between them count as one. The result is None for a run
-    that diverges.
+    Bodies without a joint between them count as one. The result is None for a run that diverges.
 
     Args:
         model: compiled model.
@@ -46,9 +45,10 @@ def simulate(
     for name in ("qpos", "qvel", "act", "eq_active"):
         getattr(data, name)[:] = inputs[name]
     constant, sine, cosine, frequency = map(np.array, inputs["ctrl"].values())
-    weights = (model.body_weldid == np.arange(model.nbody)[:, None]) * model.body_mass
-    bodies = [k for k in range(1, model.nbody) if weights[k].sum() > 0.0]
-    weights = weights[bodies] / weights[bodies].sum(axis=1, keepdims=True)
+    groups = list(inputs["bodies"].values())  # bodies that are fixed to each other, the root first
+    bodies = [root for root, *_ in groups]
+    weights = np.array([np.isin(np.arange(model.nbody), group) * model.body_mass for group in groups])
+    weights /= weights.sum(axis=1, keepdims=True)
     centers, orientations = [], []
     for k, now in enumerate(times):
         for _ in range(round((now - times[k - 1]) / model.opt.timestep) if k else 0):
