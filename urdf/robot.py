@@ -21,6 +21,7 @@ from newton_euler.model.source_file import element_lines, path_text, read_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.robot import (
+    IN_PLACE,
     FileBody,
     FileCoupling,
     FileJoint,
@@ -69,9 +70,6 @@ NUMBER_TAGS = (
     "springStiffness",
 )
 """Tags of elements that tools add and whose texts are numbers."""
-
-IN_PLACE = Placement(np.zeros(3), np.eye(3))
-"""Placement of a frame that coincides with another one."""
 
 
 def describe(

@@ -1,6 +1,6 @@
 """Effect of each differing number of two robot files on the motion.
 
-In: two robot files, their `Alignment`, and rows of differences. Out: for each row, the relative change of
+In: common states of two robots, and rows of differences. Out: for each row, the relative change of
 accelerations of the first robot if this row's numbers, and no others, are taken from the second file. The
 equations are evaluated again for each row, at the states in which `crosscheck.differences.motion` compares.
 """
@@ -12,12 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from crosscheck.differences.alignment import Alignment
 from crosscheck.differences.causes import LENGTHS
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.motion import CommonStates, relative_changes
 from crosscheck.differences.transfer import Merged, merged
-from newton_euler.reading.robot import FileBody, Robot, RobotFile
+from newton_euler.reading.robot import FileBody, Robot
 from newton_euler.scalars import Array
 
 Fields = Mapping[Quantity, tuple[str, ...]]
@@ -74,14 +73,11 @@ REPLACED = (Quantity.PRESENCE, Quantity.KIND)
 """Quantities of a loop or coupling that is exchanged as a whole."""
 
 
-def effects(
-    first: RobotFile, second: RobotFile, alignment: Alignment, rows: Sequence[Difference]
-) -> list[float | None]:
+def effects(states: CommonStates | None, rows: Sequence[Difference]) -> list[float | None]:
     """Return the effect of each row on the motion.
 
     Args:
-        first, second: the robot files.
-        alignment: their pairs of bodies and joints.
+        states: common states of both robots, see `crosscheck.differences.motion.common_states`.
         rows: differences of the two files.
 
     Returns:
@@ -90,17 +86,15 @@ def effects(
         joints that cannot be exchanged one by one.
     """
     found: list[float | None] = [0.0 if row.standing is Standing.CONVENTION else None for row in rows]
-    if not alignment.joints:
-        return found
-    states = CommonStates(first, second, alignment)
-    if not states.is_closed:
+    if states is None or not states.is_closed:
         return found
     terms = merged(states.one.robot, states.two.robot, states.agreeing)
     before = states.of_first([terms.first])
     # the mass of a base that is held to compare has an effect that is not computed
     is_held = any(cut.base >= 0 for cut in states.cuts)
     moving = {pair.first for pair in states.pairs}
-    held = {first.robot.bodies[pair.first[0]].name for pair in alignment.bodies if pair.first not in moving}
+    first = states.files[0].robot
+    held = {first.bodies[pair.first[0]].name for pair in states.agreeing.bodies if pair.first not in moving}
     # robots of one structure are evaluated at once
     groups: dict[tuple[object, ...], list[tuple[int, Robot]]] = defaultdict(list)
     for index, row in enumerate(rows):
@@ -110,7 +104,7 @@ def effects(
         if changed is not None:
             groups[_structure(changed)].append((index, changed))
         elif row.element_kind == "body" and row.quantity is Quantity.PRESENCE:
-            found[index] = _effect_of_branches(states, first, second, row)
+            found[index] = _effect_of_branches(states, row)
     for group in groups.values():
         after = states.of_first([robot for _, robot in group])
         for (index, _), change in zip(group, _largest(before, after), strict=True):
@@ -131,19 +125,16 @@ def _structure(robot: Robot) -> tuple[object, ...]:
     )
 
 
-def _effect_of_branches(
-    states: CommonStates, first: RobotFile, second: RobotFile, row: Difference
-) -> float | None:
+def _effect_of_branches(states: CommonStates, row: Difference) -> float | None:
     """Return the effect of the mass of bodies that only one file has, held in the pose of the file.
 
     Args:
         states: common states, from which such bodies are cut.
-        first, second: the robot files.
         row: the row of their presence.
     """
     for file, cut, robot, accelerations in (
-        (first, states.cuts[0], states.one.robot, states.of_first),
-        (second, states.cuts[1], states.two.robot, states.of_second),
+        (states.files[0], states.cuts[0], states.one.robot, states.of_first),
+        (states.files[1], states.cuts[1], states.two.robot, states.of_second),
     ):
         bodies = list(robot.bodies)
         restored = [index for index in cut.bodies if file.robot.bodies[index].name in row.elements]

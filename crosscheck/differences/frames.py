@@ -28,7 +28,7 @@ from crosscheck.differences.stack import (
     matrix_distance,
     twist,
 )
-from newton_euler.reading.robot import JointKind, Placement, Robot, RobotFile
+from newton_euler.reading.robot import IN_PLACE, JointKind, Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 
 IN_WORLD = -1
@@ -119,9 +119,7 @@ class CommonFrames:
         self.joints: list[JointPlace] = []
         self.moved_joints: list[JointPair] = []
         self._place_joints()
-        self.frames: dict[int, CommonFrame] = {
-            IN_WORLD: CommonFrame(GROUND, GROUND, Placement(np.zeros(3), np.eye(3)))
-        }
+        self.frames: dict[int, CommonFrame] = {IN_WORLD: CommonFrame(GROUND, GROUND, IN_PLACE)}
         for number in range(len(alignment.bodies)):
             if alignment.bodies[number].first and alignment.bodies[number].second:
                 self._choose(number)
@@ -202,7 +200,7 @@ class CommonFrames:
         inside = at_same_place.inverse() @ world
         slack_angle, slack_shift = self._slack(first, world, above)
         candidates = [
-            CommonFrame(first, world, Placement(np.zeros(3), np.eye(3))),
+            CommonFrame(first, world, IN_PLACE),
             *(
                 CommonFrame(
                     first, world @ Poses.constant(placement.inverse()), placement, slack_angle, slack_shift
@@ -282,7 +280,7 @@ class CommonFrames:
         ground = base.second @ base.first.inverse()
         placement = Placement(ground.position[0], ground.rotation[0]).inverse()
         slack_angle, slack_shift = self._slack(base.first, base.second, self.frames[IN_WORLD])
-        level = CommonFrame(GROUND, GROUND, Placement(np.zeros(3), np.eye(3)))
+        level = CommonFrame(GROUND, GROUND, IN_PLACE)
         moved = CommonFrame(GROUND, Poses.constant(placement.inverse()), placement, slack_angle, slack_shift)
         if fixed:
             self.frames[IN_WORLD] = moved

@@ -13,14 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from newton_euler.reading.robot import FileJoint, JointKind, Placement, Robot
+from newton_euler.reading.robot import IN_PLACE, FileJoint, JointKind, Placement, Robot
 from newton_euler.scalars import Array
 
 MASSLESS_FRACTION = 1e-6
 """Fraction of the robot's mass below which a link with one joint and one child only transmits the motion."""
-
-GROUND = Placement(np.zeros(3), np.eye(3))
-"""Frame of the world in the world."""
 
 
 @dataclass(eq=False)
@@ -127,7 +124,7 @@ class LinkTree:
         """Make one link of bodies that are fixed to each other."""
         frames = self.frame_of
         names = tuple(self.robot.bodies[index].name for index in bodies)
-        frame = frames[bodies[0]] if bodies else frames[key[0]] if key else GROUND
+        frame = frames[bodies[0]] if bodies else frames[key[0]] if key else IN_PLACE
         joint, axis, point = None, np.zeros(3), frame.position
         if key is not None:
             own = frames[key[0]]

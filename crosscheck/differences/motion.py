@@ -157,6 +157,7 @@ class CommonStates:
     """Two robots, cut to their common part, in the same random states.
 
     Attributes:
+        files: the robot files.
         agreeing: pairs of bodies and joints, with the frames in which most numbers agree.
         alignment: pairs of bodies and joints, with frames in which the centers of mass agree better.
         pairs: pairs of bodies that move.
@@ -176,7 +177,7 @@ class CommonStates:
             first, second: the robot files.
             alignment: their pairs of bodies and joints.
         """
-        files = (first, second)
+        self.files = files = (first, second)
         frames = common_frames(first, second, alignment, None).frames
         # each body gets the frame in which most of its numbers agree: a changed number stays at its element
         agreeing = [
@@ -349,21 +350,29 @@ class CommonStates:
         return int(np.median(np.linalg.matrix_rank(basis, tol=MIN_FREEDOM)))
 
 
-def compare_motions(first: RobotFile, second: RobotFile, alignment: Alignment) -> Motion:
-    """Compare the accelerations of two robots at common random states.
+def common_states(first: RobotFile, second: RobotFile, alignment: Alignment) -> CommonStates | None:
+    """Put two robots into the same random states; None for robots without joints in common.
 
     Args:
         first, second: the robot files.
         alignment: their pairs of bodies and joints.
     """
-    if not alignment.joints:
+    return CommonStates(first, second, alignment) if alignment.joints else None
+
+
+def compare_motions(states: CommonStates | None) -> Motion:
+    """Compare the accelerations of two robots at common random states.
+
+    Args:
+        states: result of `common_states`.
+    """
+    if states is None:
         return Motion(Likeness.UNDECIDED, notes=("The robots have no joints in common.",))
-    states = CommonStates(first, second, alignment)
     if not states.is_closed:
         return Motion(Likeness.UNDECIDED, notes=(*states.notes, "The first robot's loops cannot be closed."))
     variants = [
         [cut.of(robot, states.gravity) for robot in file.variants]
-        for cut, file in zip(states.cuts, (first, second), strict=True)
+        for cut, file in zip(states.cuts, states.files, strict=True)
     ]
     one = states.of_first([states.one.robot, *variants[0]])
     two = states.of_second([states.two.robot, *variants[1]])
@@ -375,7 +384,7 @@ def compare_motions(first: RobotFile, second: RobotFile, alignment: Alignment) -
     bodies = []
     for k, pair in enumerate(states.pairs):
         worst = _worst(changes[:, k], uncertainties[:, k])
-        name = first.robot.bodies[pair.first[0]].name
+        name = states.files[0].robot.bodies[pair.first[0]].name
         bodies.append(
             BodyChange(name, float(changes[worst, k]), float(uncertainties[worst, k]), list(Phase)[worst])
         )

@@ -13,7 +13,7 @@ from functools import partial
 from itertools import pairwise
 
 from crosscheck.differences.joint_matches import MatchedJoint, joints_in_order, matched_joint
-from crosscheck.differences.links import GROUND, Link, LinkTree, composite
+from crosscheck.differences.links import Link, LinkTree, composite
 from crosscheck.differences.registration import (
     Further,
     Rigid,
@@ -23,7 +23,7 @@ from crosscheck.differences.registration import (
     rigid,
 )
 from crosscheck.differences.tree_match import FORCED, TreeMatch, assignment
-from newton_euler.reading.robot import JointKind, Placement
+from newton_euler.reading.robot import IN_PLACE, JointKind, Placement
 from newton_euler.scalars import Array
 
 MIN_MOVED_VALUE = 0.4
@@ -52,7 +52,7 @@ class LinkPair:
     second: list[int]
     above: LinkPair | None = None
     heads: tuple[Link, Link] | None = None
-    motion: Placement = GROUND
+    motion: Placement = IN_PLACE
     same_pose: bool = True
 
 
@@ -178,7 +178,7 @@ class _Pairer:
         self.pairing.links.append(links)
         self._of_first.update(dict.fromkeys(links.first, links))
         self._of_second.update(dict.fromkeys(links.second, links))
-        above = links.above.motion if links.above else GROUND
+        above = links.above.motion if links.above else IN_PLACE
         one, two = links.heads or (None, None)
         ends = (
             rigid([self.first.links[k] for k in links.first], self.first.links, one),

@@ -16,6 +16,7 @@ import numpy as np
 
 from crosscheck.differences.links import Link, composite
 from crosscheck.differences.tree_match import LOCATED, agreement, assignment
+from crosscheck.differences.vectors import rotation_matrix
 from newton_euler.reading.robot import JointKind, Placement
 from newton_euler.scalars import Array
 
@@ -375,15 +376,8 @@ def principal_rotations(first: Array, second: Array) -> list[Array]:
 
 def about_line(axis: Array, point: Array, angle: float) -> Placement:
     """Return the motion that turns by an angle, rad, about a line of direction (3,) through a point (3,)."""
-    rotation = rotation_about(axis, angle)
+    rotation = rotation_matrix(angle * axis)
     return Placement(point - rotation @ point, rotation)
-
-
-def rotation_about(axis: Array, angle: float) -> Array:
-    """Return the rotation matrix about a unit vector (3,) by an angle, rad (Rodrigues)."""
-    x, y, z = axis
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * skew + (1.0 - math.cos(angle)) * (skew @ skew)
 
 
 def rotation_between(first: Array, second: Array) -> Array:
@@ -394,8 +388,8 @@ def rotation_between(first: Array, second: Array) -> Array:
         if cosine > 0:
             return np.eye(3)
         normal = np.cross(first, np.eye(3)[int(np.argmin(abs(first)))])
-        return rotation_about(normal / _norm(normal), math.pi)
-    return rotation_about(normal / sine, math.atan2(sine, cosine))
+        return rotation_matrix(math.pi / _norm(normal) * normal)
+    return rotation_matrix(math.atan2(sine, cosine) / sine * normal)
 
 
 def fitted(first: Array, second: Array, axes: Sequence[tuple[Array, Array]]) -> Placement:

@@ -11,7 +11,7 @@ from crosscheck.differences.alignment import Alignment, align
 from crosscheck.differences.causes import LACKING
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
-from crosscheck.differences.motion import Likeness, Motion, compare_motions
+from crosscheck.differences.motion import Likeness, Motion, common_states, compare_motions
 from crosscheck.differences.rows import differences
 from newton_euler.reading.robot import RobotFile
 
@@ -95,9 +95,10 @@ def compare_files(
     progress("comparing numbers")
     rows = differences(first, second, alignment, tolerance)
     progress("comparing motions")
-    motion = compare_motions(first, second, alignment)
+    states = common_states(first, second, alignment)
+    motion = compare_motions(states)
     formats = first.format, second.format
-    found = effects(first, second, alignment, rows)
+    found = effects(states, rows)
     rows = [replace(row, effect=effect) for row, effect in zip(rows, found, strict=True)]
     if motion.likeness in (Likeness.EQUAL, Likeness.ROUNDING):
         # a loop of one file and couplings of the other that allow the same motion

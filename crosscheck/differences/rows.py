@@ -20,6 +20,7 @@ from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames,
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
 from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import angle, distance
+from crosscheck.differences.vectors import rotation_vector
 from newton_euler.reading.robot import JointKind, RobotFile
 from newton_euler.scalars import Array
 
@@ -172,7 +173,4 @@ def _relative_distance(reference: Array, values: Array) -> Array:
 
 def _turn(rotation: Array) -> float:
     """Return the angle, rad, of a rotation (3, 3)."""
-    twice_sine = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    return math.atan2(float(np.linalg.norm(twice_sine)), float(np.trace(rotation)) - 1.0)
+    return float(np.linalg.norm(rotation_vector(rotation)))

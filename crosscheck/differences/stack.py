@@ -6,13 +6,13 @@ array, of length V, counts the robot and its variants, so that one evaluation se
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from crosscheck.differences.vectors import apply, rotation_matrix
 from newton_euler.reading.robot import JointKind, Placement, RobotFile
 from newton_euler.scalars import Array
 
@@ -21,12 +21,6 @@ JointKey = tuple[int, int]
 
 ROUND_OFF = 1e-11
 """Relative difference of equal numbers that were computed in two ways; also rad."""
-
-
-def turned(rotation: Array, vector: Array) -> Array:
-    """Return rotation @ vector for stacks (V, 3, 3) and (V, 3)."""
-    product: Array = (rotation @ vector[..., None])[..., 0]
-    return product
 
 
 def dot(first: Array, second: Array) -> Array:
@@ -53,11 +47,11 @@ class Poses(NamedTuple):
     def inverse(self) -> Poses:
         """Return where the other frame is in this frame."""
         back = np.swapaxes(self.rotation, -1, -2)
-        return Poses(back, -turned(back, self.position))
+        return Poses(back, -apply(back, self.position))
 
     def point(self, point: Array) -> Array:
         """Return points (V, 3) of this frame in the other frame."""
-        return self.position + turned(self.rotation, point)
+        return self.position + apply(self.rotation, point)
 
     @classmethod
     def constant(cls, placement: Placement) -> Poses:
@@ -78,7 +72,7 @@ class Line(NamedTuple):
     def seen_from(self, frame: Poses) -> Line:
         """Return the line in a frame that is given in the line's present frame."""
         inside = frame.inverse()
-        return Line(turned(inside.rotation, self.axis), inside.point(self.point))
+        return Line(apply(inside.rotation, self.axis), inside.point(self.point))
 
     def nearest(self, point: Array) -> Array:
         """Return the points (V, 3) of the line that are nearest to a point (3,)."""
@@ -125,7 +119,7 @@ class Side:
             for number, joint in enumerate(body.joints):
                 axis = np.array([each.joints[number].axis for each in bodies])
                 point = np.array([each.joints[number].point for each in bodies])
-                self.lines[index, number] = Line(turned(pose.rotation, axis), pose.point(point))
+                self.lines[index, number] = Line(apply(pose.rotation, axis), pose.point(point))
                 displacement = coordinates.get((index, number), joint.zero) - joint.zero
                 if displacement:
                     pose = pose @ _moved(joint.kind, axis, point, displacement)
@@ -165,14 +159,6 @@ def about_other_point(mass: Array, offset: Array) -> Array:
     return inertia
 
 
-def rotations(axis: Array, angle: float) -> Array:
-    """Return the rotations (V, 3, 3) by an angle, rad, about unit vectors (V, 3)."""
-    cross = np.cross(axis[..., None, :], np.eye(3))
-    cross = np.swapaxes(cross, -1, -2)
-    rotation: Array = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
-    return rotation
-
-
 def twist(reference: Array, rotations: Array, axis: Array) -> Array:
     """Return the turns (V,), rad, about an axis (3,) from a rotation (3, 3) to rotations (V, 3, 3).
 
@@ -197,8 +183,8 @@ def _moved(kind: JointKind, axis: Array, point: Array, displacement: float) -> P
     """Return the motion of a body by a joint whose coordinate changes, in the frame of the body."""
     if kind == JointKind.SLIDE:
         return Poses(np.broadcast_to(np.eye(3), (len(axis), 3, 3)), displacement * axis)
-    rotation = rotations(axis, displacement)
-    return Poses(rotation, point - turned(rotation, point))
+    rotation = rotation_matrix(displacement * axis)
+    return Poses(rotation, point - apply(rotation, point))
 
 
 Metric = Callable[[Array, Array], Array]

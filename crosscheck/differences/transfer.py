@@ -15,8 +15,10 @@ import numpy as np
 from crosscheck.differences.alignment import Alignment, JointKey
 from crosscheck.differences.connections import loop_name
 from crosscheck.differences.dynamics import Dynamics
+from crosscheck.differences.links import composite
 from crosscheck.differences.vectors import Equations, apply, cross, rotation_vector
 from newton_euler.reading.robot import (
+    IN_PLACE,
     FileBody,
     FileCoupling,
     FileDrive,
@@ -43,9 +45,6 @@ MAX_STEPS = 30
 SMALL_STEP = 1e-9
 """Change of a coordinate, rad or m, at which these steps end: the next one is about its square."""
 
-GROUND = Placement(np.zeros(3), np.eye(3))
-"""Placement of the ground in the world."""
-
 
 @dataclass(frozen=True, eq=False)
 class Cut:
@@ -62,7 +61,7 @@ class Cut:
     bodies: tuple[int, ...] = ()
     held: tuple[int, ...] = ()
     base: int = -1
-    base_placement: Placement = GROUND
+    base_placement: Placement = IN_PLACE
     without_drives: bool = False
 
     def of(self, robot: Robot, gravity: Array) -> Robot:
@@ -103,7 +102,7 @@ def cuts(first: Robot, second: Robot, alignment: Alignment, without_drives: bool
     """
     branches = _branches(first, alignment.first_bodies), _branches(second, alignment.second_bodies)
     joints = paired_joints(alignment)
-    bases, placements = [-1, -1], [GROUND, GROUND]
+    bases, placements = [-1, -1], [IN_PLACE, IN_PLACE]
     for side, robot in enumerate((first, second)):
         for index, body in enumerate(robot.bodies):
             is_free = any(joint.kind is JointKind.FREE for joint in body.joints)
@@ -453,7 +452,7 @@ class _Terms:
             return body.placement
         # the frame of the parent, which is fixed to its carrier: a body with partner, or the ground
         world = self.worlds[0]
-        own = world[body.parent] if body.parent >= 0 else GROUND
+        own = world[body.parent] if body.parent >= 0 else IN_PLACE
         parent = self.posed[carrier] @ world[carrier].inverse() @ own if carrier >= 0 else own
         return parent.inverse() @ self.posed[root]
 
@@ -621,11 +620,5 @@ def mass_of_group(
         body = robot.bodies[index]
         place, turn = world[group[0]].inverse() @ world[index]
         parts.append((body.mass, place + turn @ body.center, turn @ body.inertia @ turn.T))
-    mass = sum(part[0] for part in parts)
-    weights = [part[0] / mass for part in parts] if mass else [1.0 / len(parts) for _ in parts]
-    center = np.asarray(sum(w * part[1] for w, part in zip(weights, parts, strict=True)))
-    inertia = np.zeros((3, 3))
-    for part_mass, part_center, part_inertia in parts:
-        d = part_center - center
-        inertia += part_inertia + part_mass * (d @ d * np.eye(3) - np.outer(d, d))
-    return mass, center, inertia
+    # without mass, the mean of the centers
+    return composite(parts, np.mean([center for _, center, _ in parts], axis=0))

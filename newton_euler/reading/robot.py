@@ -40,6 +40,10 @@ class Placement(NamedTuple):
         return Placement(-self.rotation.T @ self.position, self.rotation.T)
 
 
+IN_PLACE = Placement(np.zeros(3), np.eye(3))
+"""Placement of a frame that coincides with the other frame."""
+
+
 class JointKind(StrEnum):
     """Motion that a joint of a model file allows."""
 
@@ -218,9 +222,8 @@ class Robot:
     def placements(self) -> list[Placement]:
         """Return where the frame of each body is in the world, in the pose of the file."""
         found: list[Placement] = []
-        ground = Placement(np.zeros(3), np.eye(3))
         for body in self.bodies:
-            found.append((found[body.parent] if body.parent >= 0 else ground) @ body.placement)
+            found.append((found[body.parent] if body.parent >= 0 else IN_PLACE) @ body.placement)
         return found
 
 

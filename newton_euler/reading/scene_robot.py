@@ -40,6 +40,7 @@ from newton_euler.model.spanning_tree import (
     weld_loops,
 )
 from newton_euler.reading.robot import (
+    IN_PLACE,
     FileBody,
     FileCoupling,
     FileDrive,
@@ -115,7 +116,7 @@ class _Description:
     def _placement(self, body: int) -> Placement:
         """Return the placement of a body of the mechanism in the world."""
         if body == 0:
-            return Placement(np.zeros(3), np.eye(3))
+            return IN_PLACE
         described = self._mechanism.bodies[body]
         return Placement(np.array(described.center_of_mass), rotation(described.quaternion))
 

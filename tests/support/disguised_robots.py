@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from newton_euler.reading.robot import FileBody, FileJoint, JointKind, Placement, Robot
+from newton_euler.reading.robot import IN_PLACE, FileBody, FileJoint, JointKind, Placement, Robot
 from newton_euler.scalars import Array
-
-HERE = Placement(np.zeros(3), np.eye(3))
 
 
 @dataclass
@@ -112,7 +110,7 @@ def moved_joint(joint: FileJoint, change: float, turn: Array) -> Placement:
 
 def moved_body(body: FileBody, changes: list[float], turn: Array) -> FileBody:
     """Describe a body in another pose: each joint's coordinate is changed, and balls are turned."""
-    motion = HERE
+    motion = IN_PLACE
     joints: list[FileJoint] = []
     for joint, change in zip(reversed(body.joints), reversed(changes), strict=True):
         # axes of joints before others are moved by the others, which are between them and the body
@@ -170,7 +168,9 @@ def disguise(
     body_names = {k.name: words[i] if names else k.name for i, k in enumerate(robot.bodies)}
     all_joints = [joint for body in robot.bodies for joint in body.joints]
     joint_names = {k.name: words[count + i] + "q" if names else k.name for i, k in enumerate(all_joints)}
-    placed = {k.name: random_placement(rng, 0.3) if rng.uniform() < frames else HERE for k in robot.bodies}
+    placed = {
+        k.name: random_placement(rng, 0.3) if rng.uniform() < frames else IN_PLACE for k in robot.bodies
+    }
     senses, offsets = {}, {}
     made: list[FileBody] = []
     for body in robot.bodies:
@@ -193,7 +193,7 @@ def disguise(
             )
             for k, name in zip(moved.joints, own, strict=True)
         )
-        above = placed[robot.bodies[body.parent].name] if body.parent >= 0 else HERE
+        above = placed[robot.bodies[body.parent].name] if body.parent >= 0 else IN_PLACE
         described = with_frame(replace(moved, joints=signed), placed[body.name], above)
         made.append(replace(described, name=body_names[body.name]))
     result = reordered(made, rng) if order else tuple(made)
@@ -247,7 +247,7 @@ def chained(robot: Robot) -> Robot:
             link = FileBody(
                 f"{joint.name}_link", parent, placement, (joint,), 0.0, np.zeros(3), np.zeros((3, 3))
             )
-            parent, placement = len(made), HERE
+            parent, placement = len(made), IN_PLACE
             made.append(link)
         place[index] = len(made)
         made.append(replace(body, parent=parent, placement=placement, joints=body.joints[-1:]))

@@ -10,6 +10,7 @@ import numpy as np
 
 from crosscheck.differences.alignment import Alignment, BodyPair, JointPair
 from newton_euler.reading.robot import (
+    IN_PLACE,
     FileBody,
     FileCoupling,
     FileDrive,
@@ -22,8 +23,6 @@ from newton_euler.reading.robot import (
     RobotFile,
 )
 from newton_euler.scalars import Array
-
-HERE = Placement(np.zeros(3), np.eye(3))
 
 
 def at(x: float, y: float, z: float) -> Placement:
@@ -196,7 +195,7 @@ def linkage() -> Robot:
             Placement(np.array([0.3, 0, 0]), np.eye(3)),
             Placement(np.array([0.0, 0, 0.2]), np.eye(3)),
         ),
-        FileLoop("tie", LoopKind.ROD, 0, 3, HERE, HERE, 0.45),
+        FileLoop("tie", LoopKind.ROD, 0, 3, IN_PLACE, IN_PLACE, 0.45),
     )
     couplings = (FileCoupling("grip", "close", "open", (0.0, -1.0)),)
     drives = (
@@ -434,7 +433,7 @@ def aligned(
     joints, other_joints = keys(first), keys(second)
     return Alignment(
         tuple(
-            BodyPair(own[name], other[name], (placements or {}).get(name, HERE))
+            BodyPair(own[name], other[name], (placements or {}).get(name, IN_PLACE))
             for name in own
             if name in other
         ),

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from crosscheck.differences.alignment import Alignment, BodyPair, JointPair
-from crosscheck.differences.transfer import GROUND
-from newton_euler.reading.robot import JointKind, Robot
+from newton_euler.reading.robot import IN_PLACE, JointKind, Robot
 
 
 def pairs_by_name(first: Robot, second: Robot, flipped: tuple[str, ...] = ()) -> Alignment:
@@ -26,7 +25,7 @@ def pairs_by_name(first: Robot, second: Robot, flipped: tuple[str, ...] = ()) ->
         for robot in (first, second)
     ]
     # a fixed base may be at another place than a floating one
-    origin = one[shared[0][0][0]] @ two[shared[0][1][0]].inverse() if free[0] != free[1] else GROUND
+    origin = one[shared[0][0][0]] @ two[shared[0][1][0]].inverse() if free[0] != free[1] else IN_PLACE
     bodies = tuple(BodyPair(a, b, one[a[0]].inverse() @ origin @ two[b[0]]) for a, b in shared)
     joints = [
         {joint.name: (b, j) for b, body in enumerate(robot.bodies) for j, joint in enumerate(body.joints)}

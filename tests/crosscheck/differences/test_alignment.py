@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from disguised_robots import (
-    HERE,
+    IN_PLACE,
     Disguise,
     chained,
     disguise,
@@ -208,7 +208,7 @@ def quadruped(names: list[str]) -> Robot:
     """
     inertia = np.diag([0.1, 0.2, 0.25])
     free = FileJoint("root", JointKind.FREE, np.zeros(3), np.zeros(3))
-    bodies = [FileBody("trunk", -1, HERE, (free,), 8.0, np.array([0.02, 0.0, 0.01]), inertia)]
+    bodies = [FileBody("trunk", -1, IN_PLACE, (free,), 8.0, np.array([0.02, 0.0, 0.01]), inertia)]
     corners = [(0.2, 0.1), (0.2, -0.1), (-0.2, 0.1), (-0.2, -0.1)]
     axes = {"hip": [1.0, 0.0, 0.0], "thigh": [0.0, 1.0, 0.0], "shank": [0.0, 1.0, 0.0]}
     for leg, (x, y) in zip(names, corners, strict=True):

@@ -12,7 +12,7 @@ from test_motion import ARM, COUPLINGS, LOOP, PARALLELOGRAM, compared, in_other_
 
 from crosscheck.differences.difference import Difference, Quantity
 from crosscheck.differences.effects import effects
-from crosscheck.differences.motion import CommonStates, relative_changes
+from crosscheck.differences.motion import CommonStates, common_states, relative_changes
 from crosscheck.differences.rows import differences
 from crosscheck.differences.transfer import merged
 from newton_euler.reading.robot import FileCoupling, LoopKind, RobotFile
@@ -24,7 +24,7 @@ def effect_of(
     """Return the effect of each row, by element and quantity."""
     alignment = pairs_by_name(first.robot, second.robot, flipped)
     rows = differences(first, second, alignment, None)
-    found = effects(first, second, alignment, rows)
+    found = effects(common_states(first, second, alignment), rows)
     return {(row.element, row.quantity): effect for row, effect in zip(rows, found, strict=True)}
 
 
@@ -161,5 +161,5 @@ def test_rows_without_common_joints() -> None:
     robot = pendulum(1.0)
     alignment = replace(pairs_by_name(robot, robot), bodies=(), joints=())
     row = Difference("rod", "body", Quantity.MASS, 1.0, 2.0, "kg", 1.0)
-    assert effects(RobotFile(robot), RobotFile(robot), alignment, [row]) == [None]
+    assert effects(common_states(RobotFile(robot), RobotFile(robot), alignment), [row]) == [None]
     assert np.isfinite(row.size)

@@ -19,6 +19,7 @@ from crosscheck.differences.motion import (
     Likeness,
     Motion,
     Phase,
+    common_states,
     compare_motions,
 )
 from crosscheck.differences.vectors import rotation_matrix
@@ -53,7 +54,7 @@ def of_text(text: str) -> RobotFile:
 
 
 def compared(first: RobotFile, second: RobotFile, flipped: tuple[str, ...] = ()) -> Motion:
-    return compare_motions(first, second, pairs_by_name(first.robot, second.robot, flipped))
+    return compare_motions(common_states(first, second, pairs_by_name(first.robot, second.robot, flipped)))
 
 
 def in_other_frames(robot: Robot, seed: int, gear: int) -> Robot:
@@ -266,7 +267,7 @@ def test_ball_and_three_hinges(joints: tuple[str, str]) -> None:
     first, second = (of_text(SHOULDER.replace("JOINTS", each)) for each in joints)
     alignment = align(first.robot, second.robot, {})
     assert len(alignment.groups) == 1
-    found = compare_motions(first, second, alignment)
+    found = compare_motions(common_states(first, second, alignment))
     assert found.likeness is Likeness.EQUAL
     assert found.freedoms == (5, 5)
 
@@ -276,7 +277,7 @@ def test_joint_that_is_fixed_in_one_file_is_held() -> None:
     fixed = text.replace('<joint name="elbow" axis="0 1 0"/>', "")
     for files, where in (((text, fixed), "first"), ((fixed, text), "second")):
         first, second = (of_text(each) for each in files)
-        found = compare_motions(first, second, align(first.robot, second.robot, {}))
+        found = compare_motions(common_states(first, second, align(first.robot, second.robot, {})))
         assert found.likeness is Likeness.EQUAL
         assert found.notes == (f"Only in the {where} file, and held: elbow.",)
 
@@ -304,7 +305,7 @@ def test_loop_is_cut_at_another_joint() -> None:
     )
     for order in (1, -1):
         first, second = (of_text(text) for text in texts[::order])
-        found = compare_motions(first, second, align(first.robot, second.robot, {}))
+        found = compare_motions(common_states(first, second, align(first.robot, second.robot, {})))
         assert found.likeness is Likeness.EQUAL
         assert found.freedoms == (1, 1)
 
@@ -337,4 +338,4 @@ def test_digits_explain_small_changes() -> None:
 def test_robots_without_common_joints() -> None:
     first, second = RobotFile(pendulum(1.0)), RobotFile(replace(pendulum(1.0), bodies=()))
     nothing = replace(pairs_by_name(first.robot, first.robot), bodies=(), joints=())
-    assert compare_motions(first, second, nothing).likeness is Likeness.UNDECIDED
+    assert compare_motions(common_states(first, second, nothing)).likeness is Likeness.UNDECIDED
