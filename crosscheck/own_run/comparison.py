@@ -218,4 +218,4 @@ class Comparison:
 
     def until_end(self, run: Trajectory) -> Trajectory:
         """Return a run up to the time at which the comparison ends."""
-        return run if self.until is None else run.first(outputs_before(run.time, self.until))
+        return run.first(outputs_before(run.time, self.until))

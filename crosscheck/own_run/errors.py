@@ -173,7 +173,7 @@ class MechanismMotion:
 
     def outputs(self, times: Array) -> int:
         """Return the number of output times, s, at which the mechanism is compared."""
-        return len(times) if self.until is None else outputs_before(times, self.until)
+        return outputs_before(times, self.until)
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class MotionScale:
             centers, extent = reference.position[0, group], extents[group]
             # (k, k) distances between the outermost points of each two bodies
             gaps = np.linalg.norm(centers[:, None] - centers, axis=2) + extent[:, None] + extent
-            count = len(reference.time) if until is None else outputs_before(reference.time, until)
+            count = outputs_before(reference.time, until)
             motions.append(
                 MechanismMotion(
                     bodies=tuple(reference.body_names[body] for body in bodies),
@@ -248,8 +248,13 @@ class MotionScale:
         return min(motion.outputs(times) for motion in self.mechanisms)
 
 
-def outputs_before(times: Array, end: float) -> int:
-    """Return the number of output times, s, before an end, but at least 1, for the start."""
+def outputs_before(times: Array, end: float | None) -> int:
+    """Return the number of output times, s, before an end, but at least 1, for the start.
+
+    Without an end, that is, None, all count.
+    """
+    if end is None:
+        return len(times)
     return max(1, int(np.searchsorted(times, end - TIME_TOLERANCE)))
 
 
@@ -273,9 +278,7 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
     names, times = [run.body_names[k] for k in moving], run.time
     motions = [scale.by_body[name] for name in names]
     compared = np.arange(len(times))[:, None] < [motion.outputs(times) for motion in motions]
-    position, rotation = (
-        np.where(compared, errors[:, moving], 0.0) for errors in errors_over_time(run, reference)
-    )
+    position, rotation = (np.where(compared, errors[:, moving], 0.0) for errors in _distances(run, reference))
     lengths = [motion.length_scale for motion in motions]
     angles = [motion.angle_scale for motion in motions]
     # output and body of the largest errors relative to the motion
@@ -300,7 +303,11 @@ def errors_over_time(run: Trajectory, reference: Trajectory) -> tuple[Array, Arr
         run: run with the bodies and output times of the reference; it may end early.
         reference: reference solution.
     """
-    run, reference = common_outputs(run, reference)
+    return _distances(*common_outputs(run, reference))
+
+
+def _distances(run: Trajectory, reference: Trajectory) -> tuple[Array, Array]:
+    """Return the errors of `errors_over_time` of two runs with equal output times."""
     position = np.linalg.norm(run.position - reference.position, axis=2)
     return position, angle_between(run.quaternion, reference.quaternion)
 

@@ -110,8 +110,8 @@ def _first_growth(
         speed: difference of the velocities at both starts, sizes or rad per second.
     """
     # (n,) distance of the two runs, in sizes or rad
-    positions = np.linalg.norm((other.position - reference.position)[:, bodies], axis=2) / size
-    angles = angle_between(other.quaternion, reference.quaternion)[:, bodies]
+    positions = np.linalg.norm(other.position[:, bodies] - reference.position[:, bodies], axis=2) / size
+    angles = angle_between(other.quaternion[:, bodies], reference.quaternion[:, bodies])
     apart = np.max(np.maximum(positions, angles), axis=1)
     free: Array = apart[0] + speed * reference.time
     grown = np.flatnonzero(apart > MAX_ERROR_GROWTH * free)
