@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 from crosscheck.compare.tuning import tune_model, with_engine
 from crosscheck.loading.load import OptionValue, load_scene, option_texts, with_excitation
 from crosscheck.own_run.tune import SettingsSearch, Tried
-from crosscheck.report.page import rendered
-from crosscheck.report.render import terminal, wrapped
+from crosscheck.report.shown import Shown
 from crosscheck.report.table import Report
 from crosscheck.report.tuning import report
 from newton_euler.arguments import checked
@@ -26,8 +25,8 @@ if TYPE_CHECKING:
     from crosscheck.loading.load import Model
 
 
-@dataclass(frozen=True, eq=False)
-class Tuning:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tuning(Shown):
     """The cheapest settings with which the engine of a model reaches an error.
 
     Attributes:
@@ -66,16 +65,6 @@ class Tuning:
     def report(self) -> Report:
         """Table of settings with error and cost, notes, and the text to paste."""
         return report(self.model, self.search)
-
-    def __repr__(self) -> str:
-        return f"<{self.report.verdict}>"
-
-    def __str__(self) -> str:
-        head = f"{wrapped(self.report.title)}\n{wrapped(self.report.verdict)}"
-        return f"{head}\n\n{terminal(self.report.summary)}"
-
-    def _repr_html_(self) -> str:
-        return rendered("summary.html", report=self.report)
 
 
 @checked

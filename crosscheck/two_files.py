@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.difference import Difference
 from crosscheck.differences.motion import Motion
-from crosscheck.differences.result import FileComparison, compare_files
-from crosscheck.loading.robots import describe_model
+from crosscheck.differences.result import FileComparison, compare_models
 from crosscheck.report.diff import report
-from crosscheck.report.page import rendered
-from crosscheck.report.render import terminal, wrapped
+from crosscheck.report.shown import Shown
 from crosscheck.report.table import Report
 from newton_euler.arguments import checked
 from newton_euler.errors import OptionError
@@ -23,8 +21,8 @@ if TYPE_CHECKING:
     from crosscheck.loading.load import Model
 
 
-@dataclass(frozen=True, eq=False)
-class Diff:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diff(Shown):
     """Comparison of two model files.
 
     Attributes:
@@ -63,16 +61,6 @@ class Diff:
         """Table of differences, and notes."""
         return report(self.comparison)
 
-    def __repr__(self) -> str:
-        return f"<{self.report.verdict}>"
-
-    def __str__(self) -> str:
-        head = f"{wrapped(self.report.title)}\n{wrapped(self.report.verdict)}"
-        return f"{head}\n\n{terminal(self.report.summary)}"
-
-    def _repr_html_(self) -> str:
-        return rendered("summary.html", report=self.report)
-
 
 @checked
 def diff(
@@ -109,8 +97,5 @@ def diff(
     """
     if tolerance is not None and not 0.0 <= tolerance < 1.0:
         raise OptionError("tolerance", tolerance, "a number from 0 to below 1")
-    files = [
-        describe_model(model, options or {})
-        for model, options in ((first, first_options), (second, second_options))
-    ]
-    return Diff(compare_files(files[0], files[1], names or {}, tolerance, progress))
+    options = first_options or {}, second_options or {}
+    return Diff(compare_models((first, second), options, names or {}, tolerance, progress))

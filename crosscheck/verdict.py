@@ -26,9 +26,8 @@ from crosscheck.own_run.allowed import AllowedError, ErrorKind
 from crosscheck.own_run.errors import ACCURATE_BELOW
 from crosscheck.own_run.judge import Judgement
 from crosscheck.report.output import results_name, to_record, write
-from crosscheck.report.page import rendered
-from crosscheck.report.render import terminal, wrapped
 from crosscheck.report.run import report
+from crosscheck.report.shown import Shown
 from crosscheck.report.table import Report
 from crosscheck.support.files import check_writable, path_of
 from newton_euler.arguments import UNCHECKED, checked
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class Verdict(Shown):
     """Result of a crosscheck: outcome, checks, trajectories and report.
 
     Attributes:
@@ -112,13 +111,6 @@ class Verdict:
 
     def __repr__(self) -> str:
         return f"<{self.crosscheck.verdict}>"
-
-    def __str__(self) -> str:
-        head = f"{wrapped(self.report.title)}\n{wrapped(self.report.verdict)}"
-        return f"{head}\n\n{terminal(self.report.summary)}"
-
-    def _repr_html_(self) -> str:
-        return rendered("summary.html", report=self.report)
 
     @checked
     def assert_agrees(self, allow_reduced: bool = False) -> None:

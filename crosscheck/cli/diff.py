@@ -55,8 +55,7 @@ def diff_command(
 
     The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
     """
-    from crosscheck.differences.result import compare_files
-    from crosscheck.loading.robots import describe_model
+    from crosscheck.differences.result import compare_models
     from crosscheck.report.diff import report
     from crosscheck.report.output import check_no_other_results, results_name
     from crosscheck.support.files import check_no_source, check_writable, write_files
@@ -68,15 +67,8 @@ def diff_command(
         check_no_other_results(folder, [first, second], "comparison of files")
     check_writable(path)
     with progress_shown() as progress:
-        progress("reading the files")
-        files = [
-            describe_model(source, scene_options(settings, given_as))
-            for source, settings, given_as in (
-                (first, set_first, "--set-first"),
-                (second, set_second, "--set-second"),
-            )
-        ]
-        comparison = compare_files(files[0], files[1], _pairs(names), tolerance, progress)
+        options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
+        comparison = compare_models((first, second), options, _pairs(names), tolerance, progress)
     found = report(comparison)
     write_files({path: as_json(comparison.summary(), found)})
     show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.alignment import Alignment, align
@@ -13,7 +13,11 @@ from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
 from crosscheck.differences.motion import Likeness, Motion, common_states, compare_motions
 from crosscheck.differences.rows import differences
+from crosscheck.loading.robots import describe_model
 from newton_euler.reading.robot import RobotFile
+
+if TYPE_CHECKING:
+    from crosscheck.loading.load import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,28 @@ class FileComparison:
             "motion": asdict(self.motion),
             "renamed": [list(names) for names in self.alignment.renamed],
         }
+
+
+def compare_models(
+    models: tuple[Model, Model],
+    options: tuple[Mapping[str, str], Mapping[str, str]],
+    names: Mapping[str, str],
+    tolerance: float | None,
+    progress: Callable[[str], None],
+) -> FileComparison:
+    """Read two models of any kind, and compare them.
+
+    Args:
+        models: the models, see `crosscheck.loading.robots.describe_model`.
+        options: options of each model.
+        names, tolerance, progress: see `compare_files`.
+
+    Raises:
+        CrosscheckError, NewtonEulerError: for a model, a name or an option that cannot be used.
+    """
+    progress("reading the files")
+    first, second = (describe_model(*each) for each in zip(models, options, strict=True))
+    return compare_files(first, second, names, tolerance, progress)
 
 
 def compare_files(

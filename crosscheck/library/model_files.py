@@ -155,7 +155,7 @@ def read_model(
         CrosscheckError: for an unknown option or an invalid value.
         newton_euler.NewtonEulerError: for an invalid model; the message names the file and the element.
     """
-    path, known = _name_and_options(model)
+    path, known = name_and_options(model)
     given: dict[str, Any] = {}
     for name, value in options.items():
         if name not in known:
@@ -176,7 +176,7 @@ def read_model(
     return reading.scene, reading.report
 
 
-def _name_and_options(model: object) -> tuple[str, dict[str, Option]]:
+def name_and_options(model: object) -> tuple[str, dict[str, Option]]:
     """Return a model file's path, or the class name of a model in memory, and the options of such models.
 
     Raises:

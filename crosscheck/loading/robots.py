@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
-from crosscheck.library.model_files import is_urdf_file
+from crosscheck.library.model_files import PINOCCHIO_OPTIONS, URDF_OPTIONS, name_and_options
 from crosscheck.loading.load import is_scene, load_scene
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.robot import RobotFile
@@ -32,13 +32,17 @@ def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:
 
         scene, _ = load_scene(model, dict(options))
         return describe_scene(scene)
-    of_mujoco = type(model).__module__.startswith("mujoco")
-    if of_mujoco or (isinstance(model, str | os.PathLike) and not is_urdf_file(os.fspath(model))):
-        if options:
-            raise CrosscheckError(f"an MJCF has no option {next(iter(options))!r} in a comparison of files")
-        from mjcf.robot import describe
+    source: Any = os.fspath(model) if isinstance(model, os.PathLike) else model
+    name, known = name_and_options(source)
+    is_urdf = known is URDF_OPTIONS
+    for option in options:
+        if not (is_urdf and option == "loops"):
+            has = "; it has loops" if is_urdf else ""
+            raise CrosscheckError(f"{name} has no option {option!r} in a comparison of files{has}")
+    if is_urdf or known is PINOCCHIO_OPTIONS:
+        from urdf.robot import describe as describe_urdf
 
-        return describe(cast("Any", model))
-    from urdf.robot import describe as describe_urdf
+        return describe_urdf(source, **options)
+    from mjcf.robot import describe
 
-    return describe_urdf(cast("Any", model), **options)
+    return describe(source)

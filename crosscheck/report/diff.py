@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from crosscheck.differences.difference import Difference, Quantity, Standing, Va
 from crosscheck.differences.motion import ROUND_OFF, Likeness
 from crosscheck.differences.result import FileComparison
 from crosscheck.own_run.allowed import length
-from crosscheck.report.own_run import percent
+from crosscheck.report.own_run import angle, percent
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
 from newton_euler.reading.robot import RobotFile
 
@@ -95,7 +94,7 @@ def _motion_text(comparison: FileComparison) -> str:
                 )
             if open_gaps := [gap for gap in motion.gaps if gap.error > max(gap.uncertainty, ROUND_OFF)]:
                 gap = max(open_gaps, key=lambda gap: gap.error)
-                size = length(gap.error) if gap.unit == "m" else f"{math.degrees(gap.error):.2g} deg"
+                size = length(gap.error) if gap.unit == "m" else angle(gap.error)
                 return f"poses of the first do not fit the second: {gap.constraint!r} is off by {size}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
         case Likeness.EQUAL:
@@ -186,7 +185,7 @@ def size_text(row: Difference) -> str:
         return ""
     if row.quantity not in ABSOLUTE:
         return percent(row.size)
-    return length(row.size) if row.unit == "m" else f"{math.degrees(row.size):.2g} deg"
+    return length(row.size) if row.unit == "m" else angle(row.size)
 
 
 def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:

@@ -26,7 +26,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 import yaml
@@ -142,17 +142,25 @@ class ModelResult(BaseModel):
     own_run: OwnRunResult | None = None
 
 
-def read_list(path: Path) -> list[Repository]:
-    """Read the list of models from a YAML file.
+Entry = TypeVar("Entry", bound=BaseModel)
+
+
+def read_list(path: Path, name: str, entry: type[Entry]) -> list[Entry]:
+    """Read a list of public files from a YAML file.
+
+    Args:
+        path: path of the file.
+        name: name of the list in the file, such as "models".
+        entry: type of its entries.
 
     Raises:
-        CrosscheckError: for a file that is not a list of models.
+        CrosscheckError: for a file without such a list.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return [Repository.model_validate(each) for each in content["models"]]
+        return [entry.model_validate(each) for each in content[name]]
     except (OSError, yaml.YAMLError, ValidationError, TypeError, KeyError) as error:
-        raise CrosscheckError(f"{path} is no list of models: {error}") from error
+        raise CrosscheckError(f"{path} is no list of {name}: {error}") from error
 
 
 def run_model(
@@ -386,7 +394,7 @@ def main(
     """Run the files of the list MODELS, whose repositories are in FOLDER as OWNER/NAME."""
     try:
         # Results of earlier runs, which `--only` keeps
-        repositories = read_list(models)
+        repositories = read_list(models, "models", Repository)
         store = output / "models.json"
         found: dict[str, ModelResult] = {}
         if store.exists():

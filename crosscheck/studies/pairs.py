@@ -16,18 +16,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
-import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.motion import Likeness
-from crosscheck.differences.result import FileComparison, compare_files
-from crosscheck.loading.robots import describe_model
+from crosscheck.differences.result import FileComparison, compare_models
 from crosscheck.report.diff import sentence
 from crosscheck.report.own_run import percent
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
-from crosscheck.studies.models import REFUSED, write
+from crosscheck.studies.models import REFUSED, read_list, write
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
 
@@ -95,19 +93,6 @@ class PairResult(BaseModel):
     wall_time: float
 
 
-def read_list(path: Path) -> list[ListedPair]:
-    """Read the list of pairs from a YAML file.
-
-    Raises:
-        CrosscheckError: for a file that is not a list of pairs.
-    """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return [ListedPair.model_validate(each) for each in content["pairs"]]
-    except (OSError, yaml.YAMLError, ValidationError, TypeError, KeyError) as error:
-        raise CrosscheckError(f"{path} is no list of pairs: {error}") from error
-
-
 def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
     """Compare the files of a pair.
 
@@ -117,8 +102,8 @@ def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
     """
     start = time.perf_counter()
     try:
-        first, second = (describe_model(each.path(folder), {}) for each in (pair.first, pair.second))
-        comparison = compare_files(first, second, {}, None, lambda stage: None)
+        paths = pair.first.path(folder), pair.second.path(folder)
+        comparison = compare_models(paths, ({}, {}), {}, None, lambda stage: None)
     except (CrosscheckError, NewtonEulerError) as error:
         text = str(error).replace(f"{folder}/", "")
         return PairResult(verdict=REFUSED, text=text, motion="", wall_time=time.perf_counter() - start)
@@ -186,7 +171,7 @@ def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator
 def main(pairs: Path, folder: Path, only: str, target: Path | None) -> None:
     """Compare the pairs of the list PAIRS, whose repositories are in FOLDER as OWNER/NAME."""
     try:
-        listed = [pair for pair in read_list(pairs) if only in pair.name]
+        listed = [pair for pair in read_list(pairs, "pairs", ListedPair) if only in pair.name]
         found = {}
         for pair in listed:
             found[pair.name] = result = compare_pair(folder, pair)

@@ -20,9 +20,9 @@ import numpy as np
 from crosscheck.engines.engine import ENGINES, choose
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.report.output import results_name
-from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.run import moved_start_lines
+from crosscheck.report.shown import Shown
 from crosscheck.report.table import Report
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import path_of
@@ -90,7 +90,7 @@ def _quiet(stage: str) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Shown):
     """Result of a sweep.
 
     Attributes:
@@ -122,9 +122,6 @@ class Sweep:
 
     def __str__(self) -> str:
         return f"{self.report.title}\n{self.report.verdict}\n\n{terminal(self.report.summary)}"
-
-    def _repr_html_(self) -> str:
-        return rendered("summary.html", report=self.report)
 
     @property
     def dataset(self) -> Any:

@@ -11,6 +11,7 @@ from command_line import run
 
 import crosscheck
 from crosscheck.compare.outcome import Outcome
+from crosscheck.support.errors import CrosscheckError
 
 ROOT = Path(__file__).parents[3]
 
@@ -97,3 +98,13 @@ def test_results_of_other_files_are_not_overwritten(capsys, arm, tmp_path, monke
     other = tmp_path / "folder" / "first.xml"
     other.write_text(ARM.format(mass="2", gear="1"))
     assert run(capsys, "diff", str(other), first)[0] == 2
+
+
+def test_an_option_that_a_file_does_not_have_is_refused(capsys, arm, tmp_path):
+    urdf = tmp_path / "one.urdf"
+    urdf.write_text('<robot name="one"><link name="base"/></robot>')
+    for option in ("key=go", "base=free"):
+        assert run(capsys, "diff", urdf, arm("first"), "--set-first", option)[0] == 2
+        assert run(capsys, "diff", arm("first"), urdf, "--set-first", option)[0] == 2
+    with pytest.raises(CrosscheckError):
+        crosscheck.diff(urdf, arm("first"), first_options={"base": "free"})

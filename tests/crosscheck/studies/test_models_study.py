@@ -7,7 +7,16 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from crosscheck.studies.models import TABLE_BEGIN, TABLE_END, ModelResult, main, read_list, table, write
+from crosscheck.studies.models import (
+    TABLE_BEGIN,
+    TABLE_END,
+    ModelResult,
+    Repository,
+    main,
+    read_list,
+    table,
+    write,
+)
 from crosscheck.support.errors import CrosscheckError
 
 LIST = """models:
@@ -34,7 +43,7 @@ ARM = """<mujoco><worldbody><body><joint name="j" axis="0 1 0" range="-90 90"/>
 
 def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
     (tmp_path / "list.yaml").write_text(LIST)
-    repositories = read_list(tmp_path / "list.yaml")
+    repositories = read_list(tmp_path / "list.yaml", "models", Repository)
     fates = {"exactly": 5, "inactive": 2, "left out": 3}
     found = {
         "some/robots/arm.xml": ModelResult(
