@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from mujoco_robots import robot_of, to_mujoco
+from mujoco_robots import to_mujoco
 
 import mjcf
+import mjcf.robot
 from crosscheck.differences.dynamics import Dynamics, size_of
 from crosscheck.differences.vectors import rotation_matrix, rotation_vector
 from newton_euler import initial_state
@@ -32,7 +33,7 @@ from urdf.robot import describe
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 TREE = """
-<mujoco><option gravity="1 -2 -9"><flag contact="disable"/></option>
+<mujoco model="model"><option gravity="1 -2 -9"><flag contact="disable"/></option>
 <worldbody><body name="trunk" pos="0 0.1 1" euler="10 20 30"><freejoint name="free"/>
     <inertial pos=".1 .02 0" mass="2" diaginertia=".02 .03 .04" euler="20 30 10"/>
   <body name="arm" pos=".2 0 .1" euler="0 30 0">
@@ -80,7 +81,7 @@ def random_states(dynamics: Dynamics, count: int, seed: int) -> tuple[Array, Arr
 
 def test_tree_moves_as_in_mujoco() -> None:
     model = mujoco.MjModel.from_xml_string(TREE)
-    data, robot = mujoco.MjData(model), robot_of(model)
+    data, robot = mujoco.MjData(model), mjcf.robot.describe(model).robot
     dynamics = Dynamics([robot], size_of(robot))
     coordinates, velocities = random_states(dynamics, 5, 0)
     controls = np.random.default_rng(1).normal(size=(1, 5, 2))
@@ -105,7 +106,7 @@ def test_tree_moves_as_in_mujoco() -> None:
 
 def test_constrained_robot_moves_as_mujoco_with_rigid_constraints() -> None:
     model = mujoco.MjModel.from_xml_string(GRIPPER)
-    data, robot = mujoco.MjData(model), robot_of(model)
+    data, robot = mujoco.MjData(model), mjcf.robot.describe(model).robot
     dynamics = Dynamics([robot], size_of(robot))
     coordinates, velocities = random_states(dynamics, 4, 2)
     points = np.zeros((1, len(robot.bodies), 3))
@@ -134,7 +135,7 @@ def test_constrained_robot_moves_as_mujoco_with_rigid_constraints() -> None:
 
 def test_loop_and_coupling_move_as_in_newton_euler() -> None:
     """The imported scene has other frames, coordinates and equations, and starts at the same state."""
-    robot = robot_of(mujoco.MjModel.from_xml_string(GRIPPER))
+    robot = mjcf.robot.describe(mujoco.MjModel.from_xml_string(GRIPPER)).robot
     dynamics = Dynamics([robot], size_of(robot))
     coordinates, velocities = random_states(dynamics, 1, 2)
     qpos, qvel = (" ".join(map(repr, each[0, 0].tolist())) for each in (coordinates, velocities))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from mujoco_robots import robot_of, to_mujoco
+from mujoco_robots import to_mujoco
 from paired_robots import pairs_by_name
 from test_dynamics import TREE
 
@@ -23,6 +23,7 @@ from crosscheck.differences.motion import (
     compare_motions,
 )
 from crosscheck.differences.vectors import rotation_matrix
+from mjcf.robot import describe
 from newton_euler.reading.robot import FileBody, FileJoint, JointKind, Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 
@@ -50,7 +51,7 @@ ARM = """
 
 
 def of_text(text: str) -> RobotFile:
-    return RobotFile(robot_of(mujoco.MjModel.from_xml_string(text)), format="MJCF")
+    return describe(mujoco.MjModel.from_xml_string(text))
 
 
 def compared(first: RobotFile, second: RobotFile, flipped: tuple[str, ...] = ()) -> Motion:
