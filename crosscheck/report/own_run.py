@@ -149,7 +149,7 @@ def _motion(motion: MechanismMotion, scale: MotionScale) -> str:
     """Format how far a mechanism moves in the reference."""
     capped = ">" if motion.angle >= MAX_ANGLE_SCALE else ""
     extents = [length(motion.length)] if motion.length > NO_MOTION else []
-    extents += [f"{capped}{angle(motion.angle_scale)}"] if motion.angle > NO_MOTION else []
+    extents += [f"{capped}{angle(min(motion.angle, MAX_ANGLE_SCALE))}"] if motion.angle > NO_MOTION else []
     if len(scale.mechanisms) == 1:
         return f"bodies move {', '.join(extents)}" if extents else "nothing moves"
     moves = f"moves {', '.join(extents)}" if extents else "does not move"

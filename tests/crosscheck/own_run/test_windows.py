@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 import pytest
@@ -174,6 +176,16 @@ def test_the_smallest_scale_is_that_of_the_whole_mechanism(tmp_path):
     assert chain.length_scale == pytest.approx(0.01, rel=1e-9)
     assert line_of(found, "run").endswith("nothing moves")
     assert headline(found) == "ACCURATE, the same as the reference to round-off"
+
+
+SLOW = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint axis="0 1 0"/>
+  <geom size=".1" mass="1"/></body></worldbody><keyframe><key qvel="0.01"/></keyframe></mujoco>"""
+
+
+def test_a_motion_below_the_smallest_scale_is_shown_as_it_is(tmp_path):
+    """A ball turns by 0.01 rad/s for 0.2 s: 0.002 rad, a fifth of the smallest scale."""
+    found = judge(simulation_of(tmp_path, SLOW, duration=0.2))
+    assert line_of(found, "run").endswith(f"bodies move {math.degrees(0.002):.2g} deg")
 
 
 # an oscillator, a body on a torsion spring, and a falling body
