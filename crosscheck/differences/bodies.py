@@ -14,7 +14,7 @@ from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import MassProperties, Side, distance, matrix_distance, relative
 
 CLEAR_TURN = 0.01
-"""rad, turn of the axes of an inertia that is told beside other moments."""
+"""Smallest turn of the axes of an inertia, rad, that is reported in addition to other moments."""
 
 MAX_PARTS = 10
 """Largest number of parts of one body whose choices are tried."""

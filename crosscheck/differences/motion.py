@@ -454,7 +454,7 @@ def relative_changes(one: Array, others: Array) -> Array:
 
     Returns:
         (robots, phases, pairs) root mean square of the difference over the states of a phase, by the larger
-        root mean square of both. Bodies that hardly accelerate count as if they accelerated by a thousandth
+        root mean square of both. Bodies that barely accelerate count as if they accelerated by a thousandth
         of the robot's fastest body.
     """
 
