@@ -21,7 +21,6 @@ from crosscheck.logs.reading import ComparedLog, LogReading
 from crosscheck.own_run.errors import USABLE_BELOW, RunError, run_error
 from crosscheck.own_run.interpolation import at_outputs, without_energies
 from newton_euler.errors import NewtonEulerError, quoted
-from newton_euler.model.euler_parameters import angle_between
 
 MISTAKE_FACTOR = 10.0
 """Factor by which another reading of a log must reduce the error to be reported. Right readings of logs with
@@ -128,14 +127,11 @@ def find_mistakes(
 
 def _explains_motion(compared: ComparedLog) -> bool:
     """Return True if a reference moves much farther than the error of the log, and than round-off."""
-    reference, error = compared.reference, compared.error
-    moved = np.linalg.norm(reference.position - reference.position[0], axis=2)
-    start = np.broadcast_to(reference.quaternion[0], reference.quaternion.shape)
-    turned = angle_between(reference.quaternion, start)
-    size = compared.scene.mechanism.size
-    motion = np.max(moved) / size + np.max(turned)
+    error, size = compared.error, compared.scene.mechanism.size
+    mechanisms = compared.motion_scale.mechanisms
+    motion = max(each.length for each in mechanisms) / size + max(each.angle for each in mechanisms)
     error_of_log = error.largest_position / size + error.largest_rotation
-    return bool(motion > MISTAKE_FACTOR * max(error_of_log, MIN_MOTION))
+    return motion > MISTAKE_FACTOR * max(error_of_log, MIN_MOTION)
 
 
 def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> Iterator[OtherReading]:
