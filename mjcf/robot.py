@@ -108,7 +108,7 @@ def _describe_file(path: str) -> RobotFile:
         variants=tuple(variants),
         source=path,
         format="URDF" if path.lower().endswith(".urdf") else "MJCF",
-        lines=element_lines(path, next(iter(files.texts.values())), SourceError),
+        lines=element_lines(files.texts, SourceError),
         notes=(*_notes_of_meshes(essentials), *description.notes),
     )
 

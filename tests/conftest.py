@@ -38,6 +38,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 os.environ.pop("COLUMNS", None)
 os.unsetenv("COLUMNS")
 
+# in a workflow of GitHub, commands would print workflow commands below their output
+os.environ.pop("GITHUB_ACTIONS", None)
+
 
 EXTRAS = {
     "sweeps": ("sweep", ("distributed", "SALib", "xarray", "zarr")),

@@ -116,7 +116,7 @@ def describe(
         variants=tuple(variants),
         source=path,
         format="URDF",
-        lines=element_lines(path, text, SourceError),
+        lines=element_lines({path: text}, SourceError),
         notes=tuple(notes),
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -15,7 +17,7 @@ from crosscheck.cli.shared import (
     show,
     verbose_option,
 )
-from crosscheck.report.render import as_json
+from crosscheck.report.render import as_json, markdown
 from crosscheck.support.errors import CrosscheckError
 
 
@@ -51,27 +53,33 @@ def diff_command(
 
     FIRST and SECOND are MJCF, URDF or scene files, or names of scenes. Bodies and joints are paired by names
     and by structure. Each difference has one row with its effect on the motion. Differences within the
-    digits of the files are rounding.
+    digits of the files are rounding. In GitHub Actions, differences are annotations at the lines of the files.
 
     The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
     """
     from crosscheck.differences.result import compare_models
+    from crosscheck.report.annotations import sarif, workflow_commands
     from crosscheck.report.diff import report
     from crosscheck.report.output import check_no_other_results, results_name
     from crosscheck.support.files import check_no_source, check_writable, write_files
 
     folder = output or Path("output/diff") / f"{results_name(first)}_{results_name(second)}"
-    path = folder / "diff.json"
-    check_no_source([path], [first, second])
+    paths = [folder / name for name in ("diff.json", "summary.md", "diff.sarif")]
+    check_no_source(paths, [first, second])
     if output is None:
         check_no_other_results(folder, [first, second], "comparison of files")
-    check_writable(path)
+    check_writable(*paths)
     with progress_shown() as progress:
         options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
         comparison = compare_models((first, second), options, _pairs(names), tolerance, progress)
     found = report(comparison)
-    write_files({path: as_json(comparison.summary(), found)})
-    show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")
+    summary = markdown(replace(found, parts=found.summary)).encode()
+    contents = as_json(comparison.summary(), found), summary, sarif(comparison)
+    write_files(dict(zip(paths, contents, strict=True)))
+    show(found, f"wrote {', '.join(map(str, paths))}", f"more  {next_step('report', folder)}")
+    if os.environ.get("GITHUB_ACTIONS") == "true":
+        for command in workflow_commands(comparison):
+            click.echo(command)
     return comparison.outcome.exit_status()
 
 

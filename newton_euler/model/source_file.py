@@ -11,7 +11,7 @@ import csv
 import io
 import os
 import stat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, TypedDict, TypeGuard
@@ -309,16 +309,33 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
         raise error(path, f"not XML: line {failure.lineno}: {problem}") from failure
 
 
-def element_lines(path: str, text: str, error: type[SourceError]) -> dict[tuple[str, str], int]:
-    """Return the line of each element with a name in an XML text, by its tag and its name.
+class SourceLine(NamedTuple):
+    """Line of a text file.
 
-    For the arguments see `scan`. If several elements have the same tag and name, the first one counts.
+    Attributes:
+        path: path of the file.
+        line: number of the line, from 1.
     """
-    lines: dict[tuple[str, str], int] = {}
 
-    def store(tag: str, attributes: dict[str, str], line: int) -> None:
-        if "name" in attributes:
-            lines.setdefault((tag, attributes["name"]), line)
+    path: str
+    line: int
 
-    scan(path, text, None, store, error)
+
+def element_lines(texts: Mapping[str, str], error: type[SourceError]) -> dict[tuple[str, str], SourceLine]:
+    """Return the line of each element with a name in XML texts, by its tag and its name.
+
+    If several elements have the same tag and name, the first one counts.
+
+    Args:
+        texts: texts by the paths of their files.
+        error: class of the error to raise for a text that is not well-formed.
+    """
+    lines: dict[tuple[str, str], SourceLine] = {}
+    for path, text in texts.items():
+
+        def store(tag: str, attributes: dict[str, str], line: int, path: str = path) -> None:
+            if "name" in attributes:
+                lines.setdefault((tag, attributes["name"]), SourceLine(path, line))
+
+        scan(path, text, None, store, error)
     return lines

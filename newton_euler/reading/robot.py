@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.model.source_file import SourceLine
 from newton_euler.scalars import Array
 
 
@@ -238,7 +239,8 @@ class RobotFile:
             numbers are exact. Empty for a model without text, such as one in memory.
         source: path of the file; "" for a model in memory.
         format: "MJCF", "URDF", "scene file", or "Pinocchio" for its model in memory.
-        lines: line of an element in the file, by its tag and its name, such as ("joint", "knee").
+        lines: line of an element in the file, or in a file that it includes, by the tag and the name of the
+            element, such as ("joint", "knee").
         notes: what the file has and the description has not, one sentence each.
     """
 
@@ -246,5 +248,5 @@ class RobotFile:
     variants: tuple[Robot, ...] = ()
     source: str = ""
     format: str = ""
-    lines: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    lines: Mapping[tuple[str, str], SourceLine] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

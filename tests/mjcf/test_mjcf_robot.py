@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import mujoco
@@ -13,6 +14,7 @@ from robot_dynamics import Pose, mass_matrix, pose
 
 from mjcf.reading.source import SourceError
 from mjcf.robot import describe
+from newton_euler.model.source_file import SourceLine
 from newton_euler.reading.robot import JointKind, LoopKind, Robot, RobotFile
 
 ROOT = Path(__file__).parents[2]
@@ -183,7 +185,7 @@ def test_drives_have_the_numbers_of_the_file(arm: RobotFile) -> None:
 def test_lines_are_those_of_the_file(arm: RobotFile) -> None:
     lines = ARM.splitlines()
     for key, word in ((("body", "lower"), '<body name="lower"'), (("motor", "motor"), '<motor name="motor"')):
-        assert word in lines[arm.lines[key] - 1]
+        assert word in lines[arm.lines[key].line - 1]
 
 
 def test_defaults_includes_and_replicates_are_resolved(tmp_path: Path) -> None:
@@ -197,10 +199,12 @@ def test_defaults_includes_and_replicates_are_resolved(tmp_path: Path) -> None:
         '<include file="shapes.xml"/></body></replicate></worldbody></mujoco>'
     )
     (tmp_path / "parts/shapes.xml").write_text(
-        '<mujoco><joint name="j" axis="0 0 1"/><geom size="0.5" density="1"/></mujoco>'
+        '<mujoco>\n<joint name="j" axis="0 0 1"/><geom size="0.5" density="1"/></mujoco>'
     )
     (tmp_path / "parts/keys.xml").write_text('<mujoco><keyframe><key qpos="0 0 1"/></keyframe></mujoco>')
-    bodies = describe(tmp_path / "top.xml").robot.bodies
+    described = describe(tmp_path / "top.xml")
+    assert described.lines["joint", "j"] == SourceLine(os.path.realpath(tmp_path / "parts/shapes.xml"), 2)
+    bodies = described.robot.bodies
     assert [body.name for body in bodies] == ["link0", "link1", "link2"]
     assert [body.placement.position[0] for body in bodies] == [0.0, 0.25, 0.5]
     assert [body.mass for body in bodies] == pytest.approx([math.pi / 6.0] * 3, rel=1e-14)
