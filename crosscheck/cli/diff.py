@@ -53,7 +53,7 @@ def diff_command(
 
     FIRST and SECOND are MJCF, URDF or scene files, or names of scenes. Bodies and joints are paired by names
     and by structure. Each difference has one row with its effect on the motion. Differences within the
-    digits of the files are rounding. In GitHub Actions, differences are annotations at the lines of the files.
+    digits of the files are rounding. In GitHub Actions, differences are annotations at lines of the files.
 
     The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
     """
