@@ -2,28 +2,17 @@
 
 A `Scene` is a `Mechanism` of bodies and joints with forces, control laws, an initial state and a duration.
 `simulate` runs a scene and returns a `Trajectory`. Other functions compute poses, linear models, loads,
-sensitivities and identified parameters. This file exports the public names of the package. To read the
-source, start with `newton_euler.runs.simulate`.
+sensitivities and identified parameters. This file exports the public names of the package; those that
+compute are imported at their first use. To read the source, start with `newton_euler.runs.simulate`.
 
 Examples in docstrings, here and in the packages crosscheck, mjcf and urdf, assume these imports:
 `from newton_euler import *`, `from crosscheck.library import load`, `from crosscheck import *`,
 `from dataclasses import replace`, `import numpy as np` and `import mjcf, urdf`.
 """
 
-from newton_euler.analysis.identification.identify import Identification, identify
-from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
-from newton_euler.analysis.kinematics.branches import Branches, assembly_branches
-from newton_euler.analysis.kinematics.configurations import Axis
-from newton_euler.analysis.kinematics.poses import Poses, solve_poses
-from newton_euler.analysis.kinematics.workspace import Workspace, singular_poses, workspace
-from newton_euler.analysis.linear.linear_model import LinearModel, Modes
-from newton_euler.analysis.linear.linearization import linearize
-from newton_euler.analysis.linear.regulator import lqr
-from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
-from newton_euler.analysis.loads.equilibrium import equilibrium
-from newton_euler.analysis.loads.inverse_dynamics import Loads, inverse_dynamics
-from newton_euler.analysis.loads.statics import statics
-from newton_euler.analysis.sensitivity.sensitivities import Sensitivities, sensitivities
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from newton_euler.errors import (
     ArgumentError,
     IdentificationWarning,
@@ -60,11 +49,62 @@ from newton_euler.model.splines import Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
-from newton_euler.runs.assemble import assemble, initial_state
-from newton_euler.runs.batch import simulate_batch
-from newton_euler.runs.moving_base import base_motion_from_csv, on_moving_base
-from newton_euler.runs.simulate import compile_scene, simulate
-from newton_euler.runs.variation import start, with_parameters
+
+if TYPE_CHECKING:
+    from newton_euler.analysis.identification.identify import Identification, identify
+    from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
+    from newton_euler.analysis.kinematics.branches import Branches, assembly_branches
+    from newton_euler.analysis.kinematics.configurations import Axis
+    from newton_euler.analysis.kinematics.poses import Poses, solve_poses
+    from newton_euler.analysis.kinematics.workspace import Workspace, singular_poses, workspace
+    from newton_euler.analysis.linear.linear_model import LinearModel, Modes
+    from newton_euler.analysis.linear.linearization import linearize
+    from newton_euler.analysis.linear.regulator import lqr
+    from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
+    from newton_euler.analysis.loads.equilibrium import equilibrium
+    from newton_euler.analysis.loads.inverse_dynamics import Loads, inverse_dynamics
+    from newton_euler.analysis.loads.statics import statics
+    from newton_euler.analysis.sensitivity.sensitivities import Sensitivities, sensitivities
+    from newton_euler.runs.assemble import assemble, initial_state
+    from newton_euler.runs.batch import simulate_batch
+    from newton_euler.runs.moving_base import base_motion_from_csv, on_moving_base
+    from newton_euler.runs.simulate import compile_scene, simulate
+    from newton_euler.runs.variation import start, with_parameters
+else:
+    NAMES_OF_MODULES = {
+        "analysis.identification.identify": ("Identification", "identify"),
+        "analysis.identification.measurements": ("Measurements", "measurements_from_csv"),
+        "analysis.kinematics.branches": ("Branches", "assembly_branches"),
+        "analysis.kinematics.configurations": ("Axis",),
+        "analysis.kinematics.poses": ("Poses", "solve_poses"),
+        "analysis.kinematics.workspace": ("Workspace", "singular_poses", "workspace"),
+        "analysis.linear.linear_model": ("LinearModel", "Modes"),
+        "analysis.linear.linearization": ("linearize",),
+        "analysis.linear.regulator": ("lqr",),
+        "analysis.loads.envelope": ("LoadEnvelope", "LoadRange", "load_envelope", "rest_case"),
+        "analysis.loads.equilibrium": ("equilibrium",),
+        "analysis.loads.inverse_dynamics": ("Loads", "inverse_dynamics"),
+        "analysis.loads.statics": ("statics",),
+        "analysis.sensitivity.sensitivities": ("Sensitivities", "sensitivities"),
+        "runs.assemble": ("assemble", "initial_state"),
+        "runs.batch": ("simulate_batch",),
+        "runs.moving_base": ("base_motion_from_csv", "on_moving_base"),
+        "runs.simulate": ("compile_scene", "simulate"),
+        "runs.variation": ("start", "with_parameters"),
+    }
+    """Public names by module of this package, for modules that are imported at the first use of a name."""
+
+    def __getattr__(name: str) -> Any:
+        """Import a name whose module needs the equations and their compiler at its first use."""
+        for module, names in NAMES_OF_MODULES.items():
+            if name in names:
+                return getattr(import_module(f"newton_euler.{module}"), name)
+        raise AttributeError(f"module 'newton_euler' has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        """Return all names, for completion."""
+        return sorted({*globals(), *__all__})
+
 
 __all__ = [
     "PD",

@@ -14,8 +14,8 @@ from typing import TypeVar
 
 from crosscheck.differences.causes import LENGTHS
 from crosscheck.differences.difference import Difference, Quantity, Standing
+from crosscheck.differences.merged_robot import Merged, merged
 from crosscheck.differences.motion import CommonStates, relative_changes
-from crosscheck.differences.transfer import Merged, merged
 from newton_euler.reading.robot import FileBody, Robot
 from newton_euler.scalars import Array
 

@@ -178,3 +178,16 @@ def composite(parts: Sequence[tuple[float, Array, Array]], without_mass: Array) 
         arm = own_center - center
         inertia += own_inertia + own_mass * ((arm @ arm) * np.eye(3) - np.outer(arm, arm))
     return mass, center, inertia
+
+
+def mass_of_group(
+    robot: Robot, group: Sequence[int], world: Sequence[Placement]
+) -> tuple[float, Array, Array]:
+    """Return mass, center and inertia about the center of a rigid group, in the frame of its first body."""
+    parts = []
+    for index in group:
+        body = robot.bodies[index]
+        place, turn = world[group[0]].inverse() @ world[index]
+        parts.append((body.mass, place + turn @ body.center, turn @ body.inertia @ turn.T))
+    # without mass, the mean of the centers
+    return composite(parts, np.mean([center for _, center, _ in parts], axis=0))

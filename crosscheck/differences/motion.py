@@ -15,19 +15,13 @@ from enum import StrEnum
 import numpy as np
 
 from crosscheck.differences.alignment import Alignment, BodyPair
-from crosscheck.differences.dynamics import Accelerations, Dynamics, size_of
+from crosscheck.differences.common_part import Cut, cuts, paired_joints
+from crosscheck.differences.drive_pairs import control_of_second, drive_pairs
+from crosscheck.differences.dynamics import Accelerations, Dynamics
 from crosscheck.differences.frames import common_frames
-from crosscheck.differences.transfer import (
-    SCALAR,
-    Cut,
-    carry_over,
-    control_of_second,
-    cuts,
-    drive_pairs,
-    is_paired,
-    mass_of_group,
-    paired_joints,
-)
+from crosscheck.differences.joint_tree import SCALAR, size_of
+from crosscheck.differences.links import mass_of_group
+from crosscheck.differences.pose_transfer import carry_over, is_paired
 from newton_euler.reading.robot import Robot, RobotFile
 from newton_euler.scalars import Array
 

@@ -220,6 +220,10 @@ class Robot:
     drives: tuple[FileDrive, ...] = ()
     gravity: Array | None = None
 
+    def joint(self, key: tuple[int, int]) -> FileJoint:
+        """Return a joint by the index of its body and its own index in `FileBody.joints`."""
+        return self.bodies[key[0]].joints[key[1]]
+
     def placements(self) -> list[Placement]:
         """Return where the frame of each body is in the world, in the pose of the file."""
         found: list[Placement] = []

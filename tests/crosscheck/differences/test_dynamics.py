@@ -13,7 +13,8 @@ from mujoco_robots import to_mujoco
 
 import mjcf
 import mjcf.robot
-from crosscheck.differences.dynamics import Dynamics, size_of
+from crosscheck.differences.dynamics import Dynamics
+from crosscheck.differences.joint_tree import size_of
 from crosscheck.differences.vectors import rotation_matrix, rotation_vector
 from newton_euler import initial_state
 from newton_euler.equations.relative import Relative

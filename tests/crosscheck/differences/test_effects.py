@@ -12,9 +12,9 @@ from test_motion import ARM, COUPLINGS, LOOP, PARALLELOGRAM, compared, in_other_
 
 from crosscheck.differences.difference import Difference, Quantity
 from crosscheck.differences.effects import effects
+from crosscheck.differences.merged_robot import merged
 from crosscheck.differences.motion import CommonStates, common_states, relative_changes
 from crosscheck.differences.rows import differences
-from crosscheck.differences.transfer import merged
 from newton_euler.reading.robot import FileCoupling, LoopKind, RobotFile
 
 
