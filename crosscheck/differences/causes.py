@@ -211,10 +211,16 @@ def _with_one_factor(
 
 def _times(factor: float, units: Mapping[float, str]) -> str:
     """Return a factor in words, with the units that it is between."""
+    words = _units(factor, units)
+    return f"times {factor:.6g} ({words})" if words else f"times {factor:.6g}"
+
+
+def _units(factor: float, units: Mapping[float, str]) -> str:
+    """Return words for the units that a factor is between; "" for other factors."""
     for known, words in units.items():
         if math.isclose(factor, known, rel_tol=1e-3) or math.isclose(factor, 1.0 / known, rel_tol=1e-3):
-            return f"times {factor:.6g} ({words})"
-    return f"times {factor:.6g}"
+            return words
+    return ""
 
 
 def _lack(format: str, quantity: Quantity) -> str:
@@ -392,6 +398,9 @@ def _same_everywhere(rows: list[Difference]) -> Iterator[Hypothesis]:
     for group in groups.values():
         those = [rows[index] for index in group]
         same = f"the same at {len(those)} {_plural(those[0].element_kind)}"
+        factor = _factor(those[0])
+        if factor is not None and _units(factor, OTHER_UNITS):
+            same = f"{those[0].quantity} of {len(those)} {_plural(those[0].element_kind)} {_times(factor, OTHER_UNITS)}"
         cause = "; ".join(dict.fromkeys(row.cause for row in those if row.cause)) or same
         yield Hypothesis(frozenset(group), _merged(those, cause))
 

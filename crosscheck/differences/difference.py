@@ -46,6 +46,9 @@ class Quantity(StrEnum):
     CONTROL_LIMITS = "control limits"
     FORCE_LIMITS = "force limits"
     SETTING = "setting"
+    TRANSMISSION = "joint of the drive"
+    TIME_STEP = "time step"
+    INTEGRATOR = "integrator"
     COUPLING = "coupling"
     LOOP_POINT = "loop point"
     LOOP_AXIS = "loop axis"
@@ -129,6 +132,8 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             return f"{force}/{length}"
         case Quantity.SPEED:
             return f"{length}/s"
+        case Quantity.TIME_STEP:
+            return "s"
         case (
             Quantity.BASE
             | Quantity.PARENT
@@ -140,6 +145,8 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             | Quantity.CONTROL_LIMITS
             | Quantity.SETTING
             | Quantity.COUPLING
+            | Quantity.TRANSMISSION
+            | Quantity.INTEGRATOR
         ):
             return ""
         case _:

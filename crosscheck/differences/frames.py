@@ -25,6 +25,7 @@ from crosscheck.differences.stack import (
     absolute,
     angle,
     distance,
+    dot,
     matrix_distance,
     twist,
 )
@@ -246,6 +247,8 @@ class CommonFrames:
                 yield from self._joint_sizes(place, number)
             if number == place.child and place.alone and place.kind in (JointKind.HINGE, JointKind.SLIDE):
                 yield self._turn_size(place)
+            if number == place.child and place.alone and place.kind == JointKind.HINGE:
+                yield self._shift_size(place)
 
     def _turn_size(self, place: JointPlace) -> tuple[float, float]:
         """Return the angle, rad, between zeros of a hinge, or of a slide about its axis; its uncertainty."""
@@ -256,6 +259,20 @@ class CommonFrames:
         offset = place.pair.offset if place.kind == JointKind.HINGE else 0.0
         slack = 2.0 * (parent.slack_angle + child.slack_angle) + MIN_OFFSET
         return self.judge.compare(turns[0], turns[1] - place.pair.sense * offset, absolute, slack)
+
+    def _shift_size(self, place: JointPlace) -> tuple[float, float]:
+        """Return the shift, m, of a hinge's child along the axis, seen from the parent; its uncertainty."""
+        parent, child = self.frames.get(place.parent, self.frames[IN_WORLD]), self.frames[place.child]
+        inside = parent.first.inverse() @ child.first, parent.second.inverse() @ child.second
+        line, other = self.lines(place.pair, place.child)
+        point = line.point[0]
+        axis = inside[0].rotation[0] @ line.axis[0]
+        along = [
+            dot(frame.point(each.nearest(point)), axis[None])
+            for frame, each in zip(inside, (line, other), strict=True)
+        ]
+        slack = parent.slack_shift + child.slack_shift + MIN_OFFSET * self.judge.length
+        return self.judge.compare(along[0], along[1], absolute, slack)
 
     def _joint_sizes(self, place: JointPlace, number: int) -> Iterator[tuple[float, float]]:
         """Yield size and uncertainty of the differences of a joint's axis in a pair's common frame."""

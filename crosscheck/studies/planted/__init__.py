@@ -1,0 +1,1 @@
+"""Study of planted differences: change public model files in known ways, and judge what `diff` reports."""

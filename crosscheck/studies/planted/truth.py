@@ -1,0 +1,103 @@
+"""Change of motion by plain MuJoCo or plain Pinocchio, for models whose joints correspond one to one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from crosscheck.studies.planted.mjcf_text import MjcfText
+from crosscheck.studies.planted.model_text import ModelText
+from crosscheck.studies.planted.plant import Coordinate
+from newton_euler.scalars import Array
+
+STATES = 3
+"""Number of random states."""
+
+MIN_ACCELERATION = 1e-3
+"""Part of the largest acceleration; smaller ones count as this large."""
+
+
+def change_of_motion(first: ModelText, second: ModelText, coordinates: Mapping[str, Coordinate]) -> float:
+    """Return the largest relative change of a joint's acceleration at random states.
+
+    Args:
+        first, second: the file and the changed file.
+        coordinates: joints whose name, sign or zero is another one in the second file.
+    """
+    accelerations = _of_mujoco if isinstance(first, MjcfText) else _of_pinocchio
+    before, after = accelerations(first, {}), accelerations(second, coordinates)
+    common = sorted(before.keys() & after.keys())
+    one, other = (np.array([each[name] for name in common]) for each in (before, after))
+    scale = np.maximum(np.abs(one), MIN_ACCELERATION * np.abs(one).max())
+    return float((np.abs(other - one) / scale).max(initial=0.0))
+
+
+def _state(name: str) -> Array:
+    """Return random numbers in -1 to 1 for an element: the same ones in both files."""
+    seed = [ord(letter) for letter in name]
+    found: Array = np.random.default_rng(seed).uniform(-1.0, 1.0, (STATES, 3))
+    return found
+
+
+def _of_mujoco(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[str, Array]:
+    """Return the accelerations (STATES,) of hinges and slides, by the names of the first file."""
+    assert isinstance(file, MjcfText)
+    model = file.model
+    for flag in (mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_CONTACT):
+        model.opt.disableflags |= int(flag)
+    # limits of controls and forces do not act at these states
+    model.actuator_ctrllimited[:] = model.actuator_forcelimited[:] = model.jnt_actfrclimited[:] = 0
+    first_name = {each.name: name for name, each in coordinates.items()}
+    kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+    single = [k for k in range(model.njnt) if model.jnt_type[k] in kinds]
+    found: dict[str, list[float]] = {}
+    for state in range(STATES):
+        data = mujoco.MjData(model)
+        senses = {}
+        for k in single:
+            own = model.joint(k).name
+            name = first_name.get(own, own)
+            where = coordinates.get(name, Coordinate(own))
+            angle, rate, _ = 0.3 * _state(name)[state]
+            # a loop stays closed only in the pose of the file
+            q = model.qpos0[model.jnt_qposadr[k]] + where.offset * (not model.neq)
+            data.qpos[model.jnt_qposadr[k]] = q + (where.sense * angle if not model.neq else where.offset)
+            data.qvel[model.jnt_dofadr[k]] = where.sense * rate
+            senses[name] = (model.jnt_dofadr[k], where.sense)
+        for k in range(model.nu):
+            data.ctrl[k] = 0.5 * _state(model.actuator(k).name)[state, 2]
+        mujoco.mj_forward(model, data)
+        for name, (dof, sense) in senses.items():
+            found.setdefault(name, []).append(sense * float(data.qacc[dof]))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def _of_pinocchio(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[str, Array]:
+    """Return the accelerations (STATES,) of hinges and slides, by the names of the first file."""
+    import pinocchio
+
+    model = pinocchio.buildModelFromXML(file.text())
+    data = model.createData()
+    first_name = {each.name: name for name, each in coordinates.items()}
+    found: dict[str, list[float]] = {}
+    for state in range(STATES):
+        q, v, senses = pinocchio.neutral(model), np.zeros(model.nv), {}
+        for k in range(1, model.njoints):
+            joint = model.joints[k]
+            if joint.nv != 1:
+                continue
+            name = first_name.get(model.names[k], model.names[k])
+            where = coordinates.get(name, Coordinate(name))
+            angle, rate, _ = 0.3 * _state(name)[state]
+            angle = where.sense * angle + where.offset
+            values = [angle] if joint.nq == 1 else [np.cos(angle), np.sin(angle)]
+            q[joint.idx_q : joint.idx_q + joint.nq] = values
+            v[joint.idx_v] = where.sense * rate
+            senses[name] = (joint.idx_v, where.sense)
+        force = -model.damping * v - model.friction * np.sign(v)
+        acceleration = pinocchio.aba(model, data, q, v, force)
+        for name, (number, sense) in senses.items():
+            found.setdefault(name, []).append(sense * float(acceleration[number]))
+    return {name: np.array(values) for name, values in found.items()}
