@@ -225,6 +225,8 @@ class _Description:
             couplings=tuple(self._couplings),
             drives=tuple(self._drive(k) for k in range(model.nactuator)),
             gravity=np.zeros(3) if is_off("gravity") else model.opt.gravity.copy(),
+            time_step=float(model.opt.timestep),
+            integrator=mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_"),
         )
         self._note_rest(switched_off, len(equalities))
 

@@ -11,7 +11,7 @@ from crosscheck.differences.difference import Difference, Quantity, difference, 
 from crosscheck.differences.frames import CommonFrames
 from crosscheck.differences.inertias import axes_angle, inertia_cause, moments
 from crosscheck.differences.short_angles import is_turn_by_short_pi
-from crosscheck.differences.stack import MassProperties, Side, distance, matrix_distance, relative
+from crosscheck.differences.stack import MassProperties, Poses, Side, distance, matrix_distance, relative
 
 CLEAR_TURN = 0.01
 """Smallest turn of the axes of an inertia, rad, that is reported in addition to other moments."""
@@ -36,8 +36,7 @@ def body_rows(common: CommonFrames, number: int) -> list[Difference]:
     true_rows = [row for row in rows if row.size > row.uncertainty]
     if not true_rows:
         return rows
-    parts = _parts_in_one_file(common, number)
-    if parts:
+    if parts := _parts_in_one_file(common, number):
         return [replace(true_rows[0], cause=parts)]
     return _rows_of_parts(common, number) or rows
 
@@ -59,10 +58,25 @@ def _rows_of_parts(common: CommonFrames, number: int) -> list[Difference]:
             common,
             number,
             name,
-            _properties(common, number, common.first, (parts[name],)),
-            _properties(common, number, common.second, (others[name],)),
+            *_properties_of_parts(common, number, parts[name], others[name]),
         )
     ]
+
+
+def _properties_of_parts(
+    common: CommonFrames, number: int, part: int, other: int
+) -> tuple[MassProperties, MassProperties]:
+    """Return the mass properties of a part of a pair's bodies in both robots, in the frame of the first part.
+
+    In the second robot, this frame is at the same place in the common frame of the pair.
+    """
+    frame = common.frames[number]
+    inside = frame.first.inverse() @ common.first.world[part]
+    at_same_place = Poses(inside.rotation[:1], inside.position[:1])
+    return (
+        common.first.mass_properties((part,), frame.first @ at_same_place),
+        common.second.mass_properties((other,), frame.second @ at_same_place),
+    )
 
 
 def _properties(

@@ -331,7 +331,10 @@ def _is_rounded(fine: Array | None, coarse: Array | None, decimals: int) -> bool
     """Return whether numbers are other numbers with some decimals."""
     if fine is None or coarse is None or len(fine) != len(coarse):
         return False
-    return bool(np.abs(np.round(fine, decimals) - coarse).max() < 1e-3 * 10.0**-decimals)
+    unit = 10.0**-decimals
+    is_short = np.abs(np.round(coarse, decimals) - coarse).max() < 1e-3 * unit
+    # of two numbers that are as near, such as 0.01 and 0.02 for 0.015, tools choose either
+    return bool(is_short and np.abs(fine - coarse).max() < 0.501 * unit)
 
 
 def _exchanged(rows: list[Difference]) -> Iterator[Hypothesis]:
@@ -400,7 +403,8 @@ def _same_everywhere(rows: list[Difference]) -> Iterator[Hypothesis]:
         same = f"the same at {len(those)} {_plural(those[0].element_kind)}"
         factor = _factor(those[0])
         if factor is not None and _units(factor, OTHER_UNITS):
-            same = f"{those[0].quantity} of {len(those)} {_plural(those[0].element_kind)} {_times(factor, OTHER_UNITS)}"
+            elements = f"{len(those)} {_plural(those[0].element_kind)}"
+            same = f"{those[0].quantity} of {elements} {_times(factor, OTHER_UNITS)}"
         cause = "; ".join(dict.fromkeys(row.cause for row in those if row.cause)) or same
         yield Hypothesis(frozenset(group), _merged(those, cause))
 

@@ -300,6 +300,17 @@ def _drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Dif
         free.remove(rivals[0])
         yield from _paired_drive(common, index, rivals[0], by_second)
     others = [second.drives[other] for other in free]
+    for drive in list(alone):
+        namesake = next((other for other in others if other.name == drive.name and drive.name), None)
+        if namesake is not None:
+            alone.remove(drive)
+            others.remove(namesake)
+            joints_of_both = (
+                ", ".join(drive.gears),
+                ", ".join(first_name.get(name, name) for name in namesake.gears),
+            )
+            words = "the drive acts on another joint"
+            yield difference(drive.name, "drive", Quantity.TRANSMISSION, joints_of_both, (1.0, 0.0), words)
     for in_first, drives in ((True, alone), (False, others)):
         for drive in drives:
             name = drive.name or ", ".join(drive.gears)

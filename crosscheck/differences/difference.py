@@ -63,7 +63,8 @@ class Standing(StrEnum):
     ROUNDING = "rounding"
     """The numbers differ by no more than the digits of the files leave open."""
     CONVENTION = "convention"
-    """The files describe the same robot in other terms, such as another frame of a link."""
+    """The files describe the same robot in other terms, such as another frame of a link, or differ in what
+    does not change its motion, such as the mass of a fixed base."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ class Difference:
         elements: names of all elements with the same cause; `element` is the one with the largest size.
         effect: relative change of the robot's accelerations; None if not computed.
         cause: explanation in words; "" for a number that merely differs.
-        convention: whether the row only says that the files use other terms for the same robot.
+        convention: whether the row only says that the files use other terms for the same robot, or differ in
+            what does not change its motion.
     """
 
     element: str

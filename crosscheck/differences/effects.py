@@ -51,6 +51,7 @@ PLACEMENT_FIELDS: Fields = {
 
 DRIVE_FIELDS: Fields = {
     Quantity.PRESENCE: ("gears",),
+    Quantity.TRANSMISSION: ("gears",),
     Quantity.GEAR: ("gears",),
     Quantity.GAIN: ("gain",),
     Quantity.KP: ("stiffness", "gain", "constant"),
@@ -176,8 +177,23 @@ def _changed(terms: Merged, row: Difference, rows: Sequence[Difference]) -> Robo
         return _with_bodies(terms, {*LENGTHS, *MASS_FIELDS}, names, names)
     quantities = _quantities(row, rows)
     if row.element_kind == "body":
+        carriers = _carriers(robot, names)
+        if not carriers <= names and row.quantity in MASS_FIELDS:
+            # a part changes mass, center and inertia of all that it is fixed to
+            names, quantities = carriers, {*MASS_FIELDS}
         return _with_bodies(terms, quantities, names, set())
     return _with_bodies(terms, quantities, set(), names)
+
+
+def _carriers(robot: Robot, names: set[str]) -> set[str]:
+    """Return the names of the bodies that bodies with some names are fixed to; a body with a joint itself."""
+    found = set()
+    for index, body in enumerate(robot.bodies):
+        if body.name in names:
+            while not robot.bodies[index].joints and robot.bodies[index].parent >= 0:
+                index = robot.bodies[index].parent
+            found.add(robot.bodies[index].name)
+    return found
 
 
 def _names_of(robot: Robot, kind: str) -> set[str]:

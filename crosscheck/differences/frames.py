@@ -160,6 +160,20 @@ class CommonFrames:
             for side, body in ((self.first, pair.first[0]), (self.second, pair.second[0]))
         )
 
+    def stands_still(self, number: int) -> bool:
+        """Return whether both robots stand on a pair of bodies that is fixed to the ground.
+
+        A URDF does not tell a robot whose base floats from one that is fixed, unless its root is "world".
+        """
+        files = self.first.file, self.second.file
+        if not any(file.format != "URDF" or file.robot.bodies[0].name == "world" for file in files):
+            return False
+        pair = self.alignment.bodies[number]
+        return not any(
+            _has_joint_above(file.robot, body)
+            for file, body in zip(files, (pair.first[0], pair.second[0]), strict=True)
+        )
+
     def lines(self, pair: JointPair, number: int) -> tuple[Line, Line]:
         """Return the axis of a joint in both robots, in the common frame of a pair of bodies."""
         frame = self.frames[number]
@@ -331,6 +345,15 @@ def _children(robot: Robot) -> list[list[int]]:
         if body.parent >= 0:
             children[body.parent].append(index)
     return children
+
+
+def _has_joint_above(robot: Robot, body: int) -> bool:
+    """Return whether a joint is between a body and the ground."""
+    while body >= 0:
+        if robot.bodies[body].joints:
+            return True
+        body = robot.bodies[body].parent
+    return False
 
 
 def _above(robot: Robot, number_of: Mapping[int, int], body: int) -> int:

@@ -21,13 +21,16 @@ from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped
 from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import angle, distance
 from crosscheck.differences.vectors import rotation_vector
-from newton_euler.reading.robot import JointKind, RobotFile
+from newton_euler.reading.robot import JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
 
 __all__ = ["Difference", "Quantity", "Standing", "differences"]
 
 EARTH = (0.0, 0.0, -9.81)
 """m/s^2, gravity that engines take for a file without gravity."""
+
+MASS_QUANTITIES = (Quantity.MASS, Quantity.CENTER, Quantity.INERTIA, Quantity.INERTIA_AXES)
+"""Quantities of a body that have no effect if the body stands still."""
 
 MIN_TURN = 1e-6
 """rad, and fraction of the robot's length: smallest motion of a frame that is reported."""
@@ -58,7 +61,23 @@ def differences(
         *regrouped_rows(common),
         *connection_rows(common, zeros),
     ]
-    return with_causes(rows, first, second)
+    at_rest = {
+        first.robot.bodies[body].name
+        for number in range(len(alignment.bodies))
+        if common.stands_still(number)
+        for body in alignment.bodies[number].first
+    }
+    return [_without_effect(row, at_rest) for row in with_causes(rows, first, second)]
+
+
+def _without_effect(row: Difference, at_rest: set[str]) -> Difference:
+    """Return a row that is no true difference if it is about the mass of bodies that stand still."""
+    is_mass = row.element_kind == "body" and row.quantity in MASS_QUANTITIES
+    if row.standing is not Standing.DIFFERENT or not is_mass or not {*row.elements} <= at_rest:
+        return row
+    words = "the base is fixed: no effect on the motion"
+    cause = f"{row.cause}; {words}" if row.cause else words
+    return replace(row, cause=cause, effect=0.0, convention=True)
 
 
 def _presence_rows(common: CommonFrames) -> Iterator[Difference]:
@@ -112,8 +131,20 @@ def _model_rows(common: CommonFrames) -> Iterator[Difference]:
         held, _, other = common.alignment.base.partition(" in the first, ")
         values_of_base = held, other.removesuffix(" in the second")
         yield difference(name, "model", Quantity.BASE, values_of_base, (1.0, 0.0))
+    yield from _run_rows(name, *robots)
     yield from _world_row(common, gravities[0])
     yield from _frame_row(common)
+
+
+def _run_rows(name: str, first: Robot, second: Robot) -> Iterator[Difference]:
+    """Yield rows of the settings of runs, which do not change the robot; `name` is that of the model."""
+    words = "changes the run, not the robot"
+    if first.time_step and second.time_step and first.time_step != second.time_step:
+        values, size = (first.time_step, second.time_step), abs(second.time_step / first.time_step - 1.0)
+        yield difference(name, "model", Quantity.TIME_STEP, values, (size, 0.0), words, convention=True)
+    if first.integrator and second.integrator and first.integrator != second.integrator:
+        names = first.integrator, second.integrator
+        yield difference(name, "model", Quantity.INTEGRATOR, names, (1.0, 0.0), words, convention=True)
 
 
 def _world_row(common: CommonFrames, gravity: Array) -> Iterator[Difference]:

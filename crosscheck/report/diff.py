@@ -53,7 +53,7 @@ def report(comparison: FileComparison) -> Report:
     for standing, title in (
         (Standing.DIFFERENT, "differences"),
         (Standing.ROUNDING, "rounding: differences within the digits of the files"),
-        (Standing.CONVENTION, "conventions: the same robot in other terms"),
+        (Standing.CONVENTION, "no effect on the motion: other terms for the same robot, and settings"),
     ):
         if rows := comparison.of_standing(standing):
             parts.append(_table(title, comparison, rows))
@@ -69,8 +69,9 @@ def verdict(comparison: FileComparison) -> str:
     words = comparison.outcome.value
     match comparison.outcome:
         case Outcome.SAME:
-            terms = ", in other terms" if comparison.of_standing(Standing.CONVENTION) else ""
-            return f"{words}: all numbers and motions are equal{terms}"
+            if comparison.of_standing(Standing.CONVENTION):
+                return f"{words}: all motions are equal; what differs does not change them"
+            return f"{words}: all numbers and motions are equal"
         case Outcome.SAME_TO_ROUNDING:
             count = sum(len(row.elements) for row in rounded)
             effect = max((row.effect or 0.0 for row in rounded), default=motion.change)
@@ -203,7 +204,7 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     if conventions := comparison.of_standing(Standing.CONVENTION):
         texts = [sentence(row) for row in conventions[:MAX_CONVENTIONS]]
         others = len(conventions) - MAX_CONVENTIONS
-        yield f"in other terms: {'; '.join(texts)}{f' and {others} more' if others > 0 else ''}"
+        yield f"no effect on the motion: {'; '.join(texts)}{f' and {others} more' if others > 0 else ''}"
     rounded = comparison.of_standing(Standing.ROUNDING)
     if rounded and comparison.outcome is Outcome.DIFFERENT:
         count = sum(len(row.elements) for row in rounded)

@@ -211,6 +211,8 @@ class Robot:
         couplings: couplings of joint coordinates.
         drives: actuators.
         gravity: (3,) m/s^2; None if the format has none, as URDF.
+        time_step: s, of the runs that the file asks for; None if the format has none.
+        integrator: name of the integrator of such runs; "" if the format has none.
     """
 
     name: str
@@ -219,6 +221,8 @@ class Robot:
     couplings: tuple[FileCoupling, ...] = ()
     drives: tuple[FileDrive, ...] = ()
     gravity: Array | None = None
+    time_step: float | None = None
+    integrator: str = ""
 
     def joint(self, key: tuple[int, int]) -> FileJoint:
         """Return a joint by the index of its body and its own index in `FileBody.joints`."""

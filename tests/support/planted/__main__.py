@@ -1,6 +1,6 @@
 """Study of planted differences: change public model files in known ways, and judge what `diff` reports.
 
-    python -m crosscheck.studies.planted docs/results/planted.yaml FOLDER --write docs/results/planted.md
+    python -m tests.support.planted docs/results/planted.yaml FOLDER --write docs/results/planted.md
 
 The YAML file lists model files. FOLDER contains clones of their repositories, see `crosscheck.studies.pairs`.
 Each file is changed in every way that it allows, one, two and three ways at once. The change of the motion
@@ -25,14 +25,14 @@ from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
 from crosscheck.studies.models import read_list, write
 from crosscheck.studies.pairs import ListedFile
-from crosscheck.studies.planted.format_changes import changes, rounded
-from crosscheck.studies.planted.mjcf_text import MjcfText
-from crosscheck.studies.planted.model_text import ModelText
-from crosscheck.studies.planted.plant import NotApplicable, Plant, mistakes
-from crosscheck.studies.planted.truth import change_of_motion
-from crosscheck.studies.planted.urdf_text import UrdfText
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
+from tests.support.planted.format_changes import changes, rounded
+from tests.support.planted.mjcf_text import MjcfText
+from tests.support.planted.model_text import ModelText
+from tests.support.planted.plant import NotApplicable, Plant, mistakes
+from tests.support.planted.truth import change_of_motion
+from tests.support.planted.urdf_text import UrdfText
 
 DIGITS = (6, 7, 8)
 """Significant digits to which all numbers of a file are rounded."""
@@ -149,9 +149,7 @@ class PlantedModel:
             comparison = compare_models((self.path, self._target), ({}, {}), {}, None, lambda stage: None)
         except (CrosscheckError, NewtonEulerError) as error:
             return Case(self.name, kinds, (f"refused: {error}",), change, is_missed=False)
-        is_missed = (
-            change is not None and change > MIN_CHANGE and comparison.outcome is not Outcome.DIFFERENT
-        )
+        is_missed = change is not None and change > MIN_CHANGE and comparison.outcome is not Outcome.DIFFERENT
         return Case(self.name, kinds, tuple(mistakes(comparison, plants)), change, is_missed)
 
 
@@ -162,8 +160,9 @@ def table(cases: Sequence[Case]) -> Iterator[str]:
     models = {case.model for case in cases}
     missed = sum(case.is_missed for case in cases)
     yield (
-        f"{len(cases)} changed files of {len(models)} models, {len(kinds)} kinds of changes: {right} are named "
-        f"right ({100.0 * right / max(len(cases), 1):.1f} %), {missed} changes of the motion are missed."
+        f"{len(cases)} changed files of {len(models)} models, {len(kinds)} kinds of changes: "
+        f"{right} are named right ({100.0 * right / max(len(cases), 1):.1f} %), "
+        f"{missed} changes of the motion are missed."
     )
     yield ""
     by_kind: dict[str, list[Case]] = defaultdict(list)

@@ -7,10 +7,10 @@ from math import asin, atan2, inf
 
 import numpy as np
 
-from crosscheck.studies.planted.model_text import Inertial, ModelText
-from crosscheck.studies.planted.plant import NotApplicable, numbers, text, turn
 from newton_euler.reading.robot import Placement
 from newton_euler.scalars import Array
+from tests.support.planted.model_text import Inertial, ModelText
+from tests.support.planted.plant import NotApplicable, numbers, text, turn
 
 NUMBERS = {
     "damping": ("dynamics", "damping"),

@@ -12,8 +12,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from crosscheck.differences.difference import Quantity
-from crosscheck.studies.planted.model_text import Inertial, ModelText
-from crosscheck.studies.planted.plant import (
+from newton_euler.reading.robot import Placement
+from newton_euler.scalars import Array
+from tests.support.planted.model_text import Inertial, ModelText
+from tests.support.planted.plant import (
     Coordinate,
     Expected,
     NotApplicable,
@@ -22,8 +24,6 @@ from crosscheck.studies.planted.plant import (
     point_mass_inertia,
     turn,
 )
-from newton_euler.reading.robot import Placement
-from newton_euler.scalars import Array
 
 Change = Callable[[ModelText, np.random.Generator], Plant]
 """Function that changes a file."""
@@ -60,9 +60,13 @@ def one(element: str, quantity: Quantity, size: float | None = None, cause: str 
 
 def _heavy(file: ModelText) -> list[str]:
     """Return the moving bodies that are not tiny parts."""
-    masses = {body: file.inertial(body).mass for body in file.moving_bodies()}
-    largest = max(masses.values(), default=0.0)
-    return [body for body, mass in masses.items() if mass > 1e-3 * largest]
+    own = {body: file.inertial(body) for body in file.moving_bodies()}
+    largest = max((each.mass for each in own.values()), default=0.0)
+    return [
+        body
+        for body, each in own.items()
+        if each.mass > 1e-3 * largest and np.linalg.eigvalsh(each.inertia)[0] > 0.0
+    ]
 
 
 def _stretched(file: ModelText) -> list[str]:
@@ -182,7 +186,8 @@ def orientation_of_inertia_lost(file: ModelText, random: np.random.Generator) ->
 
 def _of_inertia(body: str, cause: str) -> Plant:
     """Return a plant whose row is about the inertia or its axes, with a cause."""
-    return Plant((Expected(body, Quantity.INERTIA, None, cause),), touched=frozenset([body]))
+    row = Expected(body, Quantity.INERTIA, None, cause, (Quantity.INERTIA_AXES,))
+    return Plant((row,), touched=frozenset([body]))
 
 
 @common
@@ -203,7 +208,10 @@ def part_added(file: ModelText, random: np.random.Generator) -> Plant:
     body = chosen(random, _heavy(file))
     own = file.inertial(body)
     file.add_fixed(
-        body, "planted_part", np.array([0.02, 0.01, 0.0]), Inertial(0.1 * own.mass, np.zeros(3), 0.1 * own.inertia)
+        body,
+        "planted_part",
+        np.array([0.02, 0.01, 0.0]),
+        Inertial(0.1 * own.mass, np.zeros(3), 0.1 * own.inertia),
     )
     cause = "planted_part"
     return Plant((Expected("", Quantity.MASS, None, cause),), touched=frozenset([body, cause]))
@@ -404,7 +412,9 @@ def frame_moved(file: ModelText, random: np.random.Generator) -> Plant:
     return Plant(conventions=(Quantity.FRAME,), touched=frozenset([body, joint]))
 
 
-def _number(file: ModelText, random: np.random.Generator, name: str, quantity: Quantity, size: float) -> Plant:
+def _number(
+    file: ModelText, random: np.random.Generator, name: str, quantity: Quantity, size: float
+) -> Plant:
     """Make a number of a joint larger by half, or give it a size if it is zero or infinite."""
     joint = chosen(random, _with_child(file))
     value = file.number(joint, name)
@@ -472,7 +482,10 @@ def damping_in_degrees(file: ModelText, random: np.random.Generator) -> Plant:
 def masses_rounded(file: ModelText, random: np.random.Generator) -> Plant:
     """Write all masses with two decimals."""
     masses = {body: file.inertial(body).mass for body in file.bodies() if file.has_inertial(body)}
-    if sum(abs(round(mass, 2) - mass) > 1e-3 * mass for mass in masses.values()) < 3 or min(masses.values()) < 0.01:
+    if (
+        sum(abs(round(mass, 2) - mass) > 1e-3 * mass for mass in masses.values()) < 3
+        or min(masses.values()) < 0.01
+    ):
         raise NotApplicable("fewer than three masses have more decimals")
     for body, mass in masses.items():
         file.set_mass(body, round(mass, 2))
@@ -494,7 +507,7 @@ def masses_in_grams(file: ModelText, random: np.random.Generator) -> Plant:
 @common
 def lengths_in_millimeters(file: ModelText, random: np.random.Generator) -> Plant:
     """Multiply all lengths with 1000, and inertias with their square."""
-    if not all(file.has_inertial(body) for body in file.moving_bodies()):
+    if not file.moving_bodies():
         raise NotApplicable("the file does not state all masses")
     for body in file.bodies():
         if file.parent(body) is not None:
@@ -517,7 +530,9 @@ def left_and_right_exchanged(file: ModelText, random: np.random.Generator) -> Pl
     for left in names:
         for word, other in (("left", "right"), ("L", "R"), ("l", "r")):
             if left.startswith(word) or left.endswith(word):
-                right = left.replace(word, other, 1) if left.startswith(word) else left.removesuffix(word) + other
+                right = (
+                    left.replace(word, other, 1) if left.startswith(word) else left.removesuffix(word) + other
+                )
                 if right in names and not _is_alike(file.inertial(left), file.inertial(right)):
                     pairs[left] = right
     left = chosen(random, sorted(pairs))

@@ -10,10 +10,10 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from crosscheck.studies.planted.model_text import Inertial, ModelText
-from crosscheck.studies.planted.plant import NotApplicable, text
 from newton_euler.reading.robot import Placement
 from newton_euler.scalars import Array
+from tests.support.planted.model_text import Inertial, ModelText
+from tests.support.planted.plant import NotApplicable, text
 
 ORIENTATIONS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
 """Attributes of which an element has at most one."""
@@ -64,8 +64,10 @@ class MjcfText(ModelText):
                     body.remove(geom)
         if not any(geom.get("mesh") for geom in root.iter("geom")):
             for section in root.findall("asset"):
-                for mesh in section.findall("mesh"):
-                    section.remove(mesh)
+                for asset in [*section.findall("mesh"), *section.findall("texture")]:
+                    section.remove(asset)
+        for material in root.iter("material"):
+            material.attrib.pop("texture", None)
         return ET.tostring(root, encoding="unicode")
 
     @cached_property

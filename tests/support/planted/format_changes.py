@@ -1,6 +1,6 @@
-"""Changes that only one format has: drives, springs, loops, gravity and base of an MJCF, mimic joints of a URDF.
+"""Changes that only one format has: drives, springs, loops and base of an MJCF, mimic joints of a URDF.
 
-Also changes of the text of any file: fewer digits. See `crosscheck.studies.planted.changes`.
+Also changes of the text of any file: fewer digits. See `tests.support.planted.changes`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 
 from crosscheck.differences.difference import Quantity
-from crosscheck.studies.planted.changes import COMMON, Change, chosen, one
-from crosscheck.studies.planted.mjcf_text import MjcfText
-from crosscheck.studies.planted.model_text import ModelText
-from crosscheck.studies.planted.plant import Coordinate, Expected, NotApplicable, Plant, numbers, text, turn
-from crosscheck.studies.planted.urdf_text import UrdfText
 from newton_euler.reading.robot import Placement
+from tests.support.planted.changes import COMMON, Change, chosen, one
+from tests.support.planted.mjcf_text import MjcfText
+from tests.support.planted.model_text import ModelText
+from tests.support.planted.plant import Expected, NotApplicable, Plant, numbers, text, turn
+from tests.support.planted.urdf_text import UrdfText
 
 MjcfChange = Callable[[MjcfText, np.random.Generator], Plant]
 UrdfChange = Callable[[UrdfText, np.random.Generator], Plant]
@@ -136,7 +136,9 @@ def force_limits(file: MjcfText, random: np.random.Generator) -> Plant:
     is_limited = bool(own.forcelimited[0])
     low, high = own.forcerange if is_limited else (-20.0, 20.0)
     file.set(
-        _drives(file)[name], forcerange=text(*(np.array([low, high]) * (0.5 if is_limited else 1.0))), forcelimited="true"
+        _drives(file)[name],
+        forcerange=text(*(np.array([low, high]) * (0.5 if is_limited else 1.0))),
+        forcelimited="true",
     )
     return one(name, Quantity.FORCE_LIMITS, 0.5 if is_limited else 1.0)
 
@@ -354,16 +356,17 @@ def size_of_shape(file: MjcfText, random: np.random.Generator) -> Plant:
         if each.get("size") and file.is_moving(body)
     }
     body = chosen(random, shapes)
-    before = file.inertial(body).mass
+    before = file.inertial(body)
     sizes = numbers(shapes[body].get("size"), "0")
     file.set(shapes[body], size=text(1.1 * sizes[0], *sizes[1:]))
-    change = file.inertial(body).mass / before - 1.0
-    if change == 0.0:
-        raise NotApplicable("the shape has a mass of its own")
-    return Plant(
-        (Expected(body, Quantity.MASS, change), *(Expected(body, each) for each in (Quantity.INERTIA, Quantity.CENTER))),
-        touched=frozenset([body]),
-    )
+    after = file.inertial(body)
+    rows = [Expected(body, Quantity.INERTIA)]
+    if after.mass != before.mass:
+        rows.append(Expected(body, Quantity.MASS, after.mass / before.mass - 1.0))
+    shift = math.dist(after.center, before.center)
+    if shift > 1e-6:
+        rows.append(Expected(body, Quantity.CENTER, shift))
+    return Plant(tuple(rows), touched=frozenset([body]))
 
 
 # URDF
@@ -378,13 +381,19 @@ def speed_limit(file: UrdfText, random: np.random.Generator) -> Plant:
     return one(joint, Quantity.SPEED, 0.5)
 
 
+def _mimic(file: UrdfText, random: np.random.Generator) -> tuple[str, ET.Element]:
+    """Return the name of a joint that mimics another one, and its <mimic>."""
+    joints = {
+        name: each.findall("mimic") for name, each in file.joints.items() if each.get("type") != "fixed"
+    }
+    joint = chosen(random, (name for name, each in joints.items() if each))
+    return joint, joints[joint][0]
+
+
 @of_urdf
 def mimic_factor(file: UrdfText, random: np.random.Generator) -> Plant:
     """Make the factor of a mimic joint larger by 0.1."""
-    joints = {name: each.find("mimic") for name, each in file.joints.items() if each.find("mimic") is not None}
-    joint = chosen(random, joints)
-    mimic = joints[joint]
-    assert mimic is not None
+    joint, mimic = _mimic(file, random)
     mimic.set("multiplier", text(float(mimic.get("multiplier", "1")) + 0.1))
     return Plant((Expected(joint, Quantity.COUPLING, 0.1),), touched=frozenset([joint]), has_truth=False)
 
@@ -392,10 +401,7 @@ def mimic_factor(file: UrdfText, random: np.random.Generator) -> Plant:
 @of_urdf
 def mimic_dropped(file: UrdfText, random: np.random.Generator) -> Plant:
     """Remove the coupling of a mimic joint."""
-    joints = [name for name, each in file.joints.items() if each.find("mimic") is not None]
-    joint = chosen(random, joints)
-    mimic = file.joints[joint].find("mimic")
-    assert mimic is not None
+    joint, mimic = _mimic(file, random)
     file.joints[joint].remove(mimic)
     return Plant((Expected(joint, Quantity.PRESENCE),), touched=frozenset([joint]), has_truth=False)
 
@@ -407,7 +413,9 @@ def joint_fixed(file: UrdfText, random: np.random.Generator) -> Plant:
     joint = chosen(random, ends)
     file.reverse_drives(joint)  # refuses couplings
     file.joints[joint].set("type", "fixed")
-    return Plant((Expected(joint, Quantity.PRESENCE),), touched=frozenset([joint, ends[joint]]), has_truth=False)
+    return Plant(
+        (Expected(joint, Quantity.PRESENCE),), touched=frozenset([joint, ends[joint]]), has_truth=False
+    )
 
 
 @of_urdf

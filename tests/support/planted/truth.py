@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from crosscheck.studies.planted.mjcf_text import MjcfText
-from crosscheck.studies.planted.model_text import ModelText
-from crosscheck.studies.planted.plant import Coordinate
 from newton_euler.scalars import Array
+from tests.support.planted.mjcf_text import MjcfText
+from tests.support.planted.model_text import ModelText
+from tests.support.planted.plant import Coordinate
 
 STATES = 3
 """Number of random states."""
@@ -45,7 +45,9 @@ def _of_mujoco(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[s
     """Return the accelerations (STATES,) of hinges and slides, by the names of the first file."""
     assert isinstance(file, MjcfText)
     model = file.model
-    for flag in (mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_CONTACT):
+    # with REFSAFE, soft loops depend on the time step
+    off = mujoco.mjtDisableBit
+    for flag in (off.mjDSBL_LIMIT, off.mjDSBL_CONTACT, off.mjDSBL_REFSAFE):
         model.opt.disableflags |= int(flag)
     # limits of controls and forces do not act at these states
     model.actuator_ctrllimited[:] = model.actuator_forcelimited[:] = model.jnt_actfrclimited[:] = 0

@@ -29,16 +29,18 @@ class Expected:
         quantity: what was changed.
         size: of the change, as `Difference.size` counts; None if only the element and the quantity count.
         cause: words that the cause should contain.
+        others: quantities that the row may have instead, such as another length where all lengths change.
     """
 
     element: str
     quantity: Quantity
     size: float | None = None
     cause: str = ""
+    others: tuple[Quantity, ...] = ()
 
     def is_named_by(self, row: Difference) -> bool:
         """Return whether a row names quantity, element, size and cause."""
-        if row.quantity is not self.quantity or self.cause not in row.cause:
+        if row.quantity not in (self.quantity, *self.others) or self.cause not in row.cause:
             return False
         if self.element and self.element not in (row.element, *row.elements):
             return False
@@ -48,7 +50,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Where a joint's coordinate of the changed file is, from that of the file: sense * q + offset."""
+    """Joint of the changed file: its coordinate is sense * q + offset for the coordinate q of the file."""
 
     name: str
     sense: float = 1.0
@@ -82,7 +84,8 @@ def mistakes(comparison: FileComparison, plants: list[Plant]) -> list[str]:
     surplus = [row for row in found if not any(each.is_named_by(row) for each in expected)]
     wrong = [f"missing: {each.quantity} of {each.element or 'the model'}" for each in missing]
     wrong += [
-        f"not planted: {row.quantity} of {row.element} ({row.size:.4g}) {row.cause}".rstrip() for row in surplus
+        f"not planted: {row.quantity} of {row.element} ({row.size:.4g}) {row.cause}".rstrip()
+        for row in surplus
     ]
     conventions = {row.quantity for row in comparison.of_standing(Standing.CONVENTION)}
     for plant in plants:
