@@ -45,9 +45,9 @@ def _of_mujoco(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[s
     """Return the accelerations (STATES,) of hinges and slides, by the names of the first file."""
     assert isinstance(file, MjcfText)
     model = file.model
-    # with REFSAFE, soft loops depend on the time step
+    # with REFSAFE, soft loops depend on the time step; soft dry friction depends on the zeros of the joints
     off = mujoco.mjtDisableBit
-    for flag in (off.mjDSBL_LIMIT, off.mjDSBL_CONTACT, off.mjDSBL_REFSAFE):
+    for flag in (off.mjDSBL_LIMIT, off.mjDSBL_CONTACT, off.mjDSBL_REFSAFE, off.mjDSBL_FRICTIONLOSS):
         model.opt.disableflags |= int(flag)
     # limits of controls and forces do not act at these states
     model.actuator_ctrllimited[:] = model.actuator_forcelimited[:] = model.jnt_actfrclimited[:] = 0
