@@ -202,7 +202,7 @@ class _AxisJoint:
         lines, words = self.at_child, ""
         sizes = self._at_child(lines[0].axis, lines[1].axis, angle)
         at_parent = self._at_parent(self.at_parent[0].axis, self.at_parent[1].axis, angle)
-        if not sizes[0] or (at_parent[0] > at_parent[1] and sizes[0] <= sizes[1]):
+        if not sizes[0] or (at_parent[0] > at_parent[1] and _is_hidden(sizes, at_parent)):
             lines, sizes = self.at_parent, at_parent
             words = f"the link is turned at its parent by {math.degrees(sizes[0]):.4g} degrees"
         if is_turn_by_short_pi(*sizes):
@@ -216,7 +216,7 @@ class _AxisJoint:
         points, sizes = at_parent, self._at_parent(at_parent[0], at_parent[1], distance)
         sizes_at_child = self._at_child(at_child[0], at_child[1], distance)
         words = ""
-        if sizes_at_child[0] > sizes_at_child[1] and sizes[0] <= sizes[1]:
+        if sizes_at_child[0] > sizes_at_child[1] and _is_hidden(sizes, sizes_at_child):
             points, sizes, words = at_child, sizes_at_child, "in the frame of the moved link"
         if sizes[0]:
             yield self._row(
@@ -267,6 +267,16 @@ class _AxisJoint:
     ) -> Difference:
         """Return a row of the joint."""
         return difference(self.name, "joint", quantity, values, sizes, cause, self.slide, convention)
+
+
+def _is_hidden(sizes: tuple[float, float], others: tuple[float, float]) -> bool:
+    """Return whether a difference of an axis is rounding, or a thousandth of the difference at another body.
+
+    Args:
+        sizes: difference in the frame of one body, and its uncertainty.
+        others: difference in the frame of the other body that the joint connects, and its uncertainty.
+    """
+    return sizes[0] <= max(sizes[1], 1e-3 * others[0])
 
 
 def _ball_rows(common: CommonFrames, place: JointPlace, name: str) -> Iterator[Difference]:

@@ -328,6 +328,10 @@ class _Comparison:
         if len(one) > 1:
             yield fitted(np.array(one), np.array(two), axes=())
             yield fitted(np.array(one), np.array(two), axes=axes)
+        branches = len(self._likely)
+        if branches > 1 and len(one) > branches:
+            # the mass may differ, and the joints may be where they were
+            yield fitted(np.array(one[:branches]), np.array(two[:branches]), axes=axes)
 
     def _angle(self, axis: Array, first: Array, second: Array, scale: float) -> float | None:
         """Return the angle about an axis from a vector to another one; None if one is along the axis."""

@@ -445,6 +445,35 @@ def test_a_base_that_stands_elsewhere_in_the_world():
     assert [k.offset for k in alignment.joints] == [0.0] * 5
 
 
+def test_a_base_with_other_mass_in_another_frame():
+    """Four fingers on a fixed palm tell its frame, whatever its mass and its center of mass are."""
+    rng = np.random.default_rng(2)
+    bodies = [arm(2).bodies[0]]
+    for k in range(4):
+        start = len(bodies)
+        axis = rng.normal(size=3)
+        rotation = turned(axis / np.linalg.norm(axis), rng.uniform(0.5, 2.0))
+        place = Placement(rng.uniform(-0.1, 0.1, 3), rotation)
+        first, second = named(arm(3), [f"finger{k}_{part}" for part in ("base", "link", "tip")]).bodies[1:]
+        bodies += [
+            replace(first, name=f"finger{k}", parent=0, placement=place),
+            replace(second, name=f"tip{k}", parent=start),
+        ]
+    robot = Robot("hand", tuple(bodies))
+    frame = Placement(np.array([0.03, -0.02, 0.05]), turned(np.array([0.6, 0.8, 0.0]), np.pi / 2))
+    palm = replace(robot.bodies[0], mass=0.3, center=np.array([0.08, -0.05, 0.02]), inertia=1e-3 * np.eye(3))
+    # the palm stays in the world, its fingers are given in the other frame
+    fingers = [
+        replace(body, placement=frame.inverse() @ body.placement) if body.parent == 0 else body
+        for body in robot.bodies[1:]
+    ]
+    alignment = align(robot, replace(robot, bodies=(palm, *fingers)), {})
+    (pair,) = (pair for pair in alignment.bodies if pair.first == (0,))
+    np.testing.assert_allclose(pair.placement.rotation, frame.rotation, atol=EXACT)
+    np.testing.assert_allclose(pair.placement.position, frame.position, atol=EXACT)
+    assert [k.offset for k in alignment.joints] == pytest.approx([0.0] * 8, abs=EXACT)
+
+
 def test_two_equal_arms_on_the_ground():
     """The arms face each other: half a turn of the world takes each one to the other."""
     one = arm(4)

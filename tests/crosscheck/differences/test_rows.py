@@ -656,6 +656,19 @@ def test_a_moved_zero_without_moved_limits_is_one_difference():
     assert row.cause == "the joint counts from another zero, limits not moved"
 
 
+def test_a_link_that_is_turned_at_its_parent_is_not_hidden_by_the_last_digit_of_its_axis():
+    """The axis in the frame of the link differs by 1e-7 rad, as an axis of "0 1 1e-7" does."""
+    first = arm()
+    fore = body_of(first, "fore")
+    turned = Placement(fore.placement.position, fore.placement.rotation @ turn("x", 0.5))
+    second = with_body(first, "fore", placement=turned)
+    second = with_joint(second, "lift", axis=np.array([0.0, 1.0, 1e-7]))
+    (axis,) = (row for row in rows_of(first, second) if row.quantity is Quantity.JOINT_AXIS)
+    # the sum of both turns, the small one within its size
+    assert axis.size == pytest.approx(0.5, abs=2e-7)
+    assert axis.cause == "the link is turned at its parent by 28.65 degrees"
+
+
 def test_values_are_in_the_frame_zero_and_sign_of_the_first_file():
     first = arm()
     second = with_zero(with_sign(with_frame(first, "fore", TURNED), "lift"), "lift", 0.4)
