@@ -89,13 +89,13 @@ def _describe_file(path: str) -> RobotFile:
     variants = []
     with collected_warnings():
         try:
-            model = _compiled(essentials.texts, is_variant=False)
+            model = compiled(essentials.texts, is_variant=False)
         except (ValueError, mujoco.FatalError) as error:
             raise SourceError(path, f"MuJoCo refuses it: {' '.join(str(error).split()):.500}") from error
         for _ in range(VARIANTS):
             texts = {name: each.variant(random) for name, each in numbers.items()}
             with suppress(ValueError, mujoco.FatalError):  # for example of limits that change places
-                variant = _compiled(texts, is_variant=True)
+                variant = compiled(texts, is_variant=True)
                 if essentials.loaded:
                     _copy_masses(model, variant)
                 variants.append(_Description(variant).robot)
@@ -134,7 +134,7 @@ def _is_number(attribute: str) -> bool:
     return attribute not in FREE_TEXT
 
 
-def _compiled(texts: Mapping[str, str], is_variant: bool) -> mujoco.MjModel:
+def compiled(texts: Mapping[str, str], is_variant: bool) -> mujoco.MjModel:
     """Compile the texts of files.
 
     Args:

@@ -67,6 +67,28 @@ class Standing(StrEnum):
     does not change its motion, such as the mass of a fixed base."""
 
 
+class Side(StrEnum):
+    """File that evidence speaks for."""
+
+    FIRST = "first"
+    SECOND = "second"
+    NEITHER = "neither"
+    """Both values are wrong by the same evidence."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Observation that helps to decide which of two values is right. It proves nothing.
+
+    Attributes:
+        speaks_for: the file whose value fits to the observation.
+        text: the observation.
+    """
+
+    speaks_for: Side
+    text: str
+
+
 @dataclass(frozen=True)
 class Difference:
     """One difference of two model files.
@@ -85,6 +107,7 @@ class Difference:
         cause: explanation in words; "" for a number that merely differs.
         convention: whether the row only says that the files use other terms for the same robot, or differ in
             what does not change its motion.
+        evidence: which of the values may be right.
     """
 
     element: str
@@ -99,6 +122,7 @@ class Difference:
     effect: float | None = None
     cause: str = ""
     convention: bool = False
+    evidence: tuple[Evidence, ...] = ()
 
     @property
     def standing(self) -> Standing:

@@ -11,6 +11,7 @@ from crosscheck.differences.alignment import Alignment, align
 from crosscheck.differences.causes import LACKING
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
+from crosscheck.differences.evidence import with_evidence
 from crosscheck.differences.motion import Likeness, Motion, common_states, compare_motions
 from crosscheck.differences.rows import differences
 from crosscheck.loading.robots import describe_model
@@ -130,6 +131,7 @@ def compare_files(
         # a loop of one file and couplings of the other that allow the same motion
         rows = [replace(row, convention=row.convention or _is_constraint(row)) for row in rows]
     rows = [replace(row, convention=row.convention or _is_unsaid(row, formats)) for row in rows]
+    rows = with_evidence(rows, (first, second), alignment)
     rank = list(Standing)
     # rows without a known effect, such as limits, after those with one
     rows.sort(key=lambda row: (rank.index(row.standing), 1.0 if row.effect is None else -row.effect))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome, Verdict
-from crosscheck.differences.difference import Difference, Quantity, Standing, Value
+from crosscheck.differences.difference import Difference, Quantity, Side, Standing, Value
 from crosscheck.differences.motion import ROUND_OFF, Likeness
 from crosscheck.differences.result import FileComparison
 from crosscheck.own_run.allowed import length
@@ -48,8 +48,11 @@ def report(comparison: FileComparison) -> Report:
     if different:
         columns = [*number_columns("motion", "difference"), Column("what differs")]
         short.append(Table("", columns, [_short_row(row) for row in different[:MAX_LISTED]]))
+    evidence = [evidence_text(row) for row in different if row.evidence]
+    if evidence:
+        short.append(Lines("evidence", evidence[:MAX_LISTED]))
     short.append(Lines("", list(_notes(comparison, len(different) - MAX_LISTED))))
-    parts: list[Part] = []
+    parts: list[Part] = [Lines("evidence", evidence)] if evidence else []
     for standing, title in (
         (Standing.DIFFERENT, "differences"),
         (Standing.ROUNDING, "rounding: differences within the digits of the files"),
@@ -146,6 +149,13 @@ def sentence(row: Difference) -> str:
         between = unit if row.second is None else ""  # the unit is that of the number before
         text += f": {values[0]}{between} against {values[1]}{'' if row.second is None else unit}"
     return f"{text}; {row.cause}" if row.cause else text
+
+
+def evidence_text(row: Difference) -> str:
+    """Tell the evidence on which value of a difference is right."""
+    files = {Side.FIRST: "the first file", Side.SECOND: "the second file", Side.NEITHER: "neither file"}
+    texts = [f"speaks for {files[each.speaks_for]}: {each.text}" for each in row.evidence]
+    return f"{_what(row)} {'; '.join(texts)}"
 
 
 def _row(row: Difference) -> list[str | Cell]:

@@ -46,8 +46,13 @@ class Essentials(NamedTuple):
     missing: tuple[str, ...]
 
 
-def essential_texts(files: XmlTexts) -> Essentials:
-    """Reduce the texts of a file and of the files that it includes."""
+def essential_texts(files: XmlTexts, shapes_of: frozenset[str] = frozenset()) -> Essentials:
+    """Reduce the texts of a file and of the files that it includes.
+
+    Args:
+        files: the texts.
+        shapes_of: names of bodies that keep their shapes although they have an `<inertial>`.
+    """
     roots = {path: ET.fromstring(text) for path, text in files.texts.items()}
     elements = [(path, each) for path, root in roots.items() for each in root.iter()]
     keeps_all = any(each.get("inertiafromgeom") == "true" for _, each in elements)
@@ -60,8 +65,8 @@ def essential_texts(files: XmlTexts) -> Essentials:
     _write_meshes(list(roots.values()))
     for number, root in enumerate(roots.values()):
         # shapes of the world have no mass; those of an attached model's world may belong to a body
-        _reduce(root, False, world_has_mass=number > 0, keeps_all=keeps_all, wrapped=wrapped)
-    loaded, missing = _reduce_assets(list(roots.values()), files.find_asset)
+        _reduce(root, False, number > 0, keeps_all, wrapped, shapes_of)
+    loaded, missing = _reduce_assets(list(roots.values()), files.find_asset, shapes_of)
     _remove_empty({name_of[path]: root for path, root in roots.items()})
     texts = {name_of[path]: ET.tostring(root, encoding="unicode") for path, root in roots.items()}
     return Essentials(texts, tuple(loaded), tuple(missing))
@@ -111,7 +116,12 @@ def _remove_empty(roots: dict[str, ET.Element]) -> None:
 
 
 def _reduce(
-    element: ET.Element, removes_shapes: bool, world_has_mass: bool, keeps_all: bool, wrapped: set[str]
+    element: ET.Element,
+    removes_shapes: bool,
+    world_has_mass: bool,
+    keeps_all: bool,
+    wrapped: set[str],
+    shapes_of: frozenset[str],
 ) -> None:
     """Remove from an element what masses, joints, loops and drives do not depend on.
 
@@ -121,6 +131,7 @@ def _reduce(
         world_has_mass: True if the shapes of the world matter.
         keeps_all: True if all shapes matter, even those of bodies with an inertia.
         wrapped: names of shapes that stay.
+        shapes_of: names of bodies whose shapes stay.
     """
     for child in list(element):
         if child.tag in UNUSED or (
@@ -130,20 +141,26 @@ def _reduce(
             continue
         removes = removes_shapes
         if child.tag in ("body", "link"):
-            removes = child.find("inertial") is not None and not keeps_all
+            keeps = keeps_all or child.get("name") in shapes_of
+            removes = child.find("inertial") is not None and not keeps
         elif child.tag == "worldbody":
             removes = not world_has_mass and not keeps_all
         elif child.tag == "material":
             child.attrib.pop("texture", None)
             child[:] = ()
         if child.tag not in TEMPLATES:
-            _reduce(child, removes, world_has_mass, keeps_all, wrapped)
+            _reduce(child, removes, world_has_mass, keeps_all, wrapped, shapes_of)
 
 
 def _reduce_assets(
-    roots: list[ET.Element], find_asset: Callable[[str, str], str | None]
+    roots: list[ET.Element], find_asset: Callable[[str, str], str | None], shapes_of: frozenset[str]
 ) -> tuple[list[str], list[str]]:
     """Remove the assets that no shape needs, and shapes whose assets are missing.
+
+    Args:
+        roots: root elements of the files.
+        find_asset: as in `XmlTexts`.
+        shapes_of: names of bodies whose shapes stay although they have an inertia.
 
     Returns:
         Names of bodies whose mass depends on assets that exist, and that are missing.
@@ -173,16 +190,20 @@ def _reduce_assets(
         compiler.attrib.pop("strippath", None)
     # bodies whose shapes are meshes
     loaded_bodies, missing_bodies = [], []
-    for body in (each for root in roots for each in root.iter("body") if each.find("inertial") is None):
+    for body in (each for root in roots for each in root.iter("body")):
+        has_inertia = body.find("inertial") is not None
+        if has_inertia and body.get("name") not in shapes_of:
+            continue
         own_shapes = list(_own_shapes(body))
         meshes = {str(geom.get("mesh")) for _, geom in own_shapes if "mesh" in geom.attrib}
         if meshes & missing:
-            missing_bodies.append(body.get("name", ""))
             for parent, geom in own_shapes:
                 if geom.get("mesh") in missing:
                     parent.remove(geom)
-            ET.SubElement(body, "inertial", NO_MASS)
-        elif meshes:
+            if not has_inertia:
+                missing_bodies.append(body.get("name", ""))
+                ET.SubElement(body, "inertial", NO_MASS)
+        elif meshes and not has_inertia:
             loaded_bodies.append(body.get("name", ""))
     return loaded_bodies, missing_bodies
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -107,6 +108,45 @@ def with_visuals(
         )
         for k, body in enumerate(tree.bodies)
     ]
+
+
+def link_shapes(path: str, root: ET.Element, links: Collection[str]) -> dict[str, list[Shape | Mesh]]:
+    """Return the shapes of links in the frames of the links: visual ones, or else those for collisions.
+
+    Args:
+        path: path of the URDF.
+        root: root element of the URDF.
+        links: names of the links; a link with other shapes that cannot be read is left out.
+    """
+    candidates: dict[str, list[list[tuple[_Visual, Shape | None]]]] = {}
+    files: dict[int, tuple[Path, Array]] = {}  # of meshes, by identity of the element
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        for tag in ("visual", "collision") if name in links else ():
+            of_tag = []
+            with suppress(_Unusable, NewtonEulerError):
+                for element in link.findall(tag):
+                    visual = _Visual(0, name, element, origin(element.find("origin")), None)
+                    of_tag.append((visual, _primitive(visual)))
+                    if of_tag[-1][1] is None:
+                        files[id(element)] = _mesh_file(Path(path), visual)
+                candidates.setdefault(name, []).append(of_tag)
+    meshes = _load_meshes(list(dict.fromkeys(file for file, _ in files.values())))
+    found: dict[str, list[Shape | Mesh]] = {}
+    for name, alternatives in candidates.items():
+        for of_tag in alternatives:
+            shapes: list[Shape | Mesh] = []
+            for visual, shape in of_tag:
+                if shape is None:
+                    file, scale = files[id(visual.element)]
+                    mesh = meshes[file]
+                    if mesh is not None:
+                        shapes.append(_placed(visual, mesh, scale))
+                else:
+                    shapes.append(shape)
+            if name not in found and len(shapes) == len(of_tag) > 0:
+                found[name] = shapes
+    return found
 
 
 def _visuals(root: ET.Element, start: RobotAtStart, tree: Tree) -> list[_Visual]:
