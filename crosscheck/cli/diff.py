@@ -11,7 +11,6 @@ import click
 from crosscheck.cli.shared import (
     cli,
     folder_option,
-    next_step,
     progress_shown,
     scene_options,
     show,
@@ -61,6 +60,7 @@ def diff_command(
     from crosscheck.report.annotations import sarif, workflow_commands
     from crosscheck.report.diff import report
     from crosscheck.report.output import check_no_other_results, results_name
+    from crosscheck.report.page import PAGE, write_report
     from crosscheck.support.files import check_no_source, check_writable, write_files
 
     folder = output or Path("output/diff") / f"{results_name(first)}_{results_name(second)}"
@@ -68,7 +68,7 @@ def diff_command(
     check_no_source(paths, [first, second])
     if output is None:
         check_no_other_results(folder, [first, second], "comparison of files")
-    check_writable(*paths)
+    check_writable(*paths, folder / PAGE)
     with progress_shown() as progress:
         options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
         comparison = compare_models((first, second), options, _pairs(names), tolerance, progress)
@@ -76,7 +76,8 @@ def diff_command(
     summary = markdown(replace(found, parts=found.summary)).encode()
     contents = as_json(comparison.summary(), found), summary, sarif(comparison)
     write_files(dict(zip(paths, contents, strict=True)))
-    show(found, f"wrote {', '.join(map(str, paths))}", f"more  {next_step('report', folder)}")
+    page = write_report(folder, lambda _: None)
+    show(found, f"wrote {', '.join(map(str, [page, *paths]))}")
     if os.environ.get("GITHUB_ACTIONS") == "true":
         for command in workflow_commands(comparison):
             click.echo(command)

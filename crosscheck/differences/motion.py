@@ -22,7 +22,7 @@ from crosscheck.differences.frames import common_frames
 from crosscheck.differences.joint_tree import SCALAR, size_of
 from crosscheck.differences.links import mass_of_group
 from crosscheck.differences.pose_transfer import carry_over, is_paired
-from newton_euler.reading.robot import Robot, RobotFile
+from newton_euler.reading.robot import Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 
 STANDARD_GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -240,6 +240,24 @@ class CommonStates:
             coordinates, _ = self.two.closed(coordinates, alone)
             velocities = self.two.admissible(coordinates, velocities, alone)
         return coordinates, velocities
+
+    def poses(self) -> tuple[list[Placement], list[Placement]]:
+        """Return where the frames of all bodies of both robots are, in the pose of the first file."""
+        coordinates = self.one.zero[:1]
+        at_rest = np.zeros(coordinates.shape)
+        of_second, _ = self._in_second(coordinates, at_rest)
+        moving = (
+            self.one.kinematics(coordinates, at_rest),
+            self.two.kinematics(of_second, np.zeros(of_second.shape)),
+        )
+        first, second = (
+            [
+                Placement(each.position[0, 0, k], each.rotation[0, 0, k])
+                for k in range(each.position.shape[2] - 1)  # the last one is the ground
+            ]
+            for each in moving
+        )
+        return first, second
 
     def of_first(self, robots: Sequence[Robot]) -> Array:
         """Return accelerations of pairs of bodies of robots that have the structure of the first.

@@ -12,8 +12,9 @@ from crosscheck.differences.causes import LACKING
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
 from crosscheck.differences.evidence import with_evidence
-from crosscheck.differences.motion import Likeness, Motion, common_states, compare_motions
+from crosscheck.differences.motion import CommonStates, Likeness, Motion, common_states, compare_motions
 from crosscheck.differences.rows import differences
+from crosscheck.differences.shapes import shapes
 from crosscheck.loading.robots import describe_model
 from newton_euler.reading.robot import RobotFile
 
@@ -31,6 +32,7 @@ class FileComparison:
         rows: what differs: true differences, the largest effect on motion first, then rounding, then
             conventions.
         motion: whether the robots move alike.
+        states: common states of both robots; None for robots without joints in common.
         tolerance: relative difference that counts as rounding; None for the digits of the files.
     """
 
@@ -39,6 +41,7 @@ class FileComparison:
     alignment: Alignment
     rows: tuple[Difference, ...]
     motion: Motion
+    states: CommonStates | None
     tolerance: float | None = None
 
     def of_standing(self, standing: Standing) -> tuple[Difference, ...]:
@@ -72,6 +75,9 @@ class FileComparison:
             "models": files,
             "differences": [asdict(row) | {"standing": row.standing.value} for row in self.rows],
             "motion": asdict(self.motion),
+            "shapes": asdict(
+                shapes((self.first, self.second), self.alignment, self.states, self.differences)
+            ),
             "renamed": [list(names) for names in self.alignment.renamed],
         }
 
@@ -135,7 +141,7 @@ def compare_files(
     rank = list(Standing)
     # rows without a known effect, such as limits, after those with one
     rows.sort(key=lambda row: (rank.index(row.standing), 1.0 if row.effect is None else -row.effect))
-    return FileComparison(first, second, alignment, tuple(rows), motion, tolerance)
+    return FileComparison(first, second, alignment, tuple(rows), motion, states, tolerance)
 
 
 def _is_constraint(row: Difference) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome, Verdict
@@ -11,7 +12,17 @@ from crosscheck.differences.motion import ROUND_OFF, Likeness
 from crosscheck.differences.result import FileComparison
 from crosscheck.own_run.allowed import length
 from crosscheck.report.own_run import angle, percent
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, number_columns
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    number_columns,
+    text_columns,
+)
 from newton_euler.reading.robot import RobotFile
 
 MAX_LISTED = 30
@@ -53,13 +64,8 @@ def report(comparison: FileComparison) -> Report:
         short.append(Lines("evidence", evidence[:MAX_LISTED]))
     short.append(Lines("", list(_notes(comparison, len(different) - MAX_LISTED))))
     parts: list[Part] = [Lines("evidence", evidence)] if evidence else []
-    for standing, title in (
-        (Standing.DIFFERENT, "differences"),
-        (Standing.ROUNDING, "rounding: differences within the digits of the files"),
-        (Standing.CONVENTION, "no effect on the motion: other terms for the same robot, and settings"),
-    ):
-        if rows := comparison.of_standing(standing):
-            parts.append(_table(title, comparison, rows))
+    if comparison.rows:
+        parts.append(_table(comparison))
     first, second = (_title(file) for file in (comparison.first, comparison.second))
     judged = Cell(outcome.value, outcome.judged)
     return Report(f"{first} and {second}", verdict(comparison), judged, parts, summary=short)
@@ -76,9 +82,9 @@ def verdict(comparison: FileComparison) -> str:
                 return f"{words}: all motions are equal; what differs does not change them"
             return f"{words}: all numbers and motions are equal"
         case Outcome.SAME_TO_ROUNDING:
-            count = sum(len(row.elements) for row in rounded)
+            total = sum(len(row.elements) for row in rounded)
             effect = max((row.effect or 0.0 for row in rounded), default=motion.change)
-            numbers = f"{count} numbers differ" if count else "numbers differ"
+            numbers = f"{total} numbers differ" if total else "numbers differ"
             return (
                 f"{words}: {numbers} within their digits; accelerations change by at most {percent(effect)}"
             )
@@ -115,18 +121,27 @@ def _title(file: RobotFile) -> str:
     return f"{name} ({file.format})" if file.format else name
 
 
-def _table(title: str, comparison: FileComparison, rows: tuple[Difference, ...]) -> Table:
-    """Make a table of differences."""
+def _table(comparison: FileComparison) -> Table:
+    """Make the table of all rows, which numbers the true differences."""
     files = comparison.first, comparison.second
     # the shortest names that tell the files apart
     names = ["first", "second"]
     for candidates in ([file.format for file in files], [Path(file.source).stem for file in files]):
         if all(candidates) and candidates[0] != candidates[1]:
             names = candidates
-    columns = [Column("what differs"), *(Column(name) for name in names)]
+    columns = [*text_columns("", "element"), Column("quantity", choice=True), *text_columns(*names)]
     columns += number_columns("difference", "motion")
-    found: Rows = [_row(row) for row in rows]
-    return Table(title, columns, found)
+    found: Rows = []
+    for standing, title in (
+        (Standing.DIFFERENT, "different: by more than the digits of the files leave open"),
+        (Standing.ROUNDING, "rounding: within the digits of the files"),
+        (Standing.CONVENTION, "no effect on the motion: other terms for the same robot, and settings"),
+    ):
+        if rows := comparison.of_standing(standing):
+            found.append(title)
+            numbers = (str(number) if standing is Standing.DIFFERENT else "" for number in count(1))
+            found.extend(_row(number, row) for number, row in zip(numbers, rows, strict=False))
+    return Table("differences", columns, found)
 
 
 def _short_row(row: Difference) -> list[str | Cell]:
@@ -136,7 +151,7 @@ def _short_row(row: Difference) -> list[str | Cell]:
 
 def sentence(row: Difference) -> str:
     """Tell a difference with its values and its cause; of several numbers, such as a position, no values."""
-    text = _what(row)
+    text = what_differs(row)
     values = [value_text(value) for value in (row.first, row.second)]
     if row.quantity is Quantity.PRESENCE:
         text += f" only in the {'second' if row.first is None else 'first'} file"
@@ -155,22 +170,29 @@ def evidence_text(row: Difference) -> str:
     """Tell the evidence on which value of a difference is right."""
     files = {Side.FIRST: "the first file", Side.SECOND: "the second file", Side.NEITHER: "neither file"}
     texts = [f"speaks for {files[each.speaks_for]}: {each.text}" for each in row.evidence]
-    return f"{_what(row)} {'; '.join(texts)}"
+    return f"{what_differs(row)} {'; '.join(texts)}"
 
 
-def _row(row: Difference) -> list[str | Cell]:
-    """Make the cells of a difference for a page: what, both values, size and effect."""
-    what = _what(row) + (f", {row.unit}" if row.unit else "") + (f"\n{row.cause}" if row.cause else "")
+def _row(number: str, row: Difference) -> list[str | Cell]:
+    """Make the cells of a difference for a page: number, element, what, both values, size and effect."""
+    element = _element(row) + (f"\n{row.cause}" if row.cause else "")
     judged: Verdict = "fails" if row.standing is Standing.DIFFERENT else ""
-    values = [value_text(value) for value in (row.first, row.second)]
-    return [Cell(what, about=row.element), *values, Cell(size_text(row), judged), effect_text(row)]
+    values = [_with_unit(value, row.unit) for value in (row.first, row.second)]
+    sizes = Cell(size_text(row), judged), effect_text(row)
+    about = ", ".join(row.elements or (row.element,))
+    return [number, Cell(element, about=about), row.quantity.value, *values, *sizes]
 
 
-def _what(row: Difference) -> str:
+def what_differs(row: Difference) -> str:
     """Name the quantity and the element of a difference, and the number of others with the same cause."""
-    others = len(row.elements) - 1
     what = row.element_kind if row.quantity is Quantity.PRESENCE else f"{row.quantity.value} of"
-    return f"{what} {row.element}" + (f" and {others} more" if others > 0 else "")
+    return f"{what} {_element(row)}"
+
+
+def _element(row: Difference) -> str:
+    """Name the element of a difference, and the number of others with the same cause."""
+    others = len(row.elements) - 1
+    return row.element + (f" and {others} more" if others > 0 else "")
 
 
 def effect_text(row: Difference) -> str:
@@ -188,6 +210,12 @@ def value_text(value: Value) -> str:
         return value
     numbers = value if isinstance(value, tuple) else (value,)
     return " ".join(f"{number:.6g}" for number in numbers)
+
+
+def _with_unit(value: Value, unit: str) -> str:
+    """Format a value with its unit; words have none."""
+    text = value_text(value)
+    return text if value is None or isinstance(value, str) else f"{text} {unit}".strip()
 
 
 def size_text(row: Difference) -> str:
@@ -217,8 +245,8 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
         yield f"no effect on the motion: {'; '.join(texts)}{f' and {others} more' if others > 0 else ''}"
     rounded = comparison.of_standing(Standing.ROUNDING)
     if rounded and comparison.outcome is Outcome.DIFFERENT:
-        count = sum(len(row.elements) for row in rounded)
-        yield f"{count} more numbers differ within the digits of the files"
+        total = sum(len(row.elements) for row in rounded)
+        yield f"{total} more numbers differ within the digits of the files"
     for file in (comparison.first, comparison.second):
         for note in file.notes:
             yield f"note: {_title(file)}: {note}"

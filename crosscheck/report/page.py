@@ -9,7 +9,7 @@ module by jinja2, which escapes all texts.
 from __future__ import annotations
 
 import base64
-import math
+import hashlib
 import os
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,12 +18,15 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from pydantic import BaseModel, field_validator, model_validator
+from markupsafe import Markup
 
 from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report import plots
+from crosscheck.report.diff_page import BarChart, bar_charts
 from crosscheck.report.render import printable
-from crosscheck.report.table import Part, Report
+from crosscheck.report.result_files import CrosscheckFile, DiffFile, ResultFile
+from crosscheck.report.robot_view import RobotView, robot_views
+from crosscheck.report.table import Lines, Part, Report, Table
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import check_writable, write_files
 from crosscheck.support.results import digest, read_json
@@ -34,11 +37,11 @@ from newton_euler.scalars import Array
 PAGE = "report.html"
 """Name of the page."""
 
-CROSSCHECK_RESULT = "summary.json"
-"""Name of the result file of `crosscheck run`, whose page has more than those of other commands."""
+RESULT_KINDS: dict[str, type[ResultFile]] = {"summary.json": CrosscheckFile, "diff.json": DiffFile}
+"""Result files whose pages have more than those of other commands, and the fields that they need."""
 
 RESULTS = (
-    CROSSCHECK_RESULT,
+    "summary.json",
     "regress.json",
     "faults.json",
     "stress.json",
@@ -66,106 +69,6 @@ Progress = Callable[[str], None]
 """Function that shows a message to the user."""
 
 
-class EngineCost(BaseModel):
-    """Run time and error of an engine's run.
-
-    Attributes:
-        wall_time: run time, s; None if the engine did not run.
-        error: error of the run, the larger number of m and rad; None if unknown.
-    """
-
-    wall_time: float | None = None
-    error: float | None = None
-
-
-class CheckTolerance(BaseModel):
-    """Tolerance of a check.
-
-    Attributes:
-        quantity: compared quantity, with its unit.
-        between: one or two names of engines.
-        tolerance: in the unit of the quantity.
-    """
-
-    quantity: str
-    between: list[str]
-    tolerance: float | None
-
-
-class ResultFile(BaseModel):
-    """The fields of a result file that a page needs.
-
-    Attributes:
-        report: tables and sentences.
-        files: SHA-256, by name, of the runs (.npz), recordings (.rrd) and pictures (.png) in the same folder.
-        sha256: SHA-256 of all other fields.
-    """
-
-    report: Report
-    files: dict[str, str]
-    sha256: str
-
-    @field_validator("report")
-    @classmethod
-    def _check_wall_time(cls, report: Report) -> Report:
-        """Raise `ValueError` for a wall time that is negative or not finite."""
-        if report.wall_time is not None and not 0.0 <= report.wall_time < math.inf:
-            raise ValueError("wall_time is no time in seconds")
-        return report
-
-    @field_validator("files")
-    @classmethod
-    def _check_names(cls, files: dict[str, str]) -> dict[str, str]:
-        """Raise `ValueError` for a name that is a path to another folder."""
-        for name in files:
-            if name != Path(name).name or "\0" in name:
-                raise ValueError(f"{name!r:.100} is no name of a file")
-        return files
-
-
-class ErrorOverTime(BaseModel):
-    """Errors of a run over time, largest over the bodies.
-
-    Attributes:
-        time: output times, s.
-        position: errors of the centers of mass, m.
-        rotation: errors of the orientations, rad.
-    """
-
-    time: list[float]
-    position: list[float]
-    rotation: list[float]
-
-    @model_validator(mode="after")
-    def _check_lengths(self) -> ErrorOverTime:
-        """Raise `ValueError` unless all lists have a number for each time."""
-        if {len(self.position), len(self.rotation)} != {len(self.time)}:
-            raise ValueError("time, position and rotation are not equally long")
-        return self
-
-
-class JudgedRun(BaseModel):
-    """The fields that a page needs of the judgement of a run: with the settings of a model file, or a log."""
-
-    error_over_time: ErrorOverTime
-
-
-class CrosscheckFile(ResultFile):
-    """The fields of a crosscheck's result file that a page needs.
-
-    Attributes:
-        engines: run time and error by engine.
-        checks: checks whose tolerances are drawn in the plots.
-        own_run: error of the run with the settings of the file, if it was judged.
-        logs: errors of logs by name.
-    """
-
-    engines: dict[str, EngineCost] = {}
-    checks: list[CheckTolerance] = []
-    own_run: JudgedRun | None = None
-    logs: dict[str, JudgedRun] = {}
-
-
 @dataclass(frozen=True)
 class Picture:
     """A picture (PNG) with its caption."""
@@ -189,6 +92,8 @@ class PageEntry:
         views: pictures of the 3-D recordings.
         speed: bar charts of run times.
         pictures: plots over time, and pictures that the command wrote.
+        robots: pictures of two robots that are compared.
+        bars: bar charts.
         remarks: sentences on pictures that could not be made.
     """
 
@@ -197,17 +102,32 @@ class PageEntry:
     views: list[Picture] = field(default_factory=list)
     speed: list[Picture] = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
+    robots: list[RobotView] = field(default_factory=list)
+    bars: list[BarChart] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
     @property
     def open(self) -> list[Part]:
-        """Parts that are always shown: the summary, or the parts that are not folded if there is none."""
+        """Parts that are always shown: the summary, or the parts that are not folded if there is none.
+
+        Tables with filters replace the short tables of the summary.
+        """
+        filtered = [part for part in self.report.parts if isinstance(part, Table) and part.has_filters]
+        if filtered:
+            return [*filtered, *(part for part in self.report.summary if isinstance(part, Lines))]
         return self.report.summary or [part for part in self.report.parts if not part.folded]
 
     @property
     def folded(self) -> list[Part]:
         """Parts that are shown on demand: all parts that `open` does not have."""
-        return self.report.parts if self.report.summary else [p for p in self.report.parts if p.folded]
+        shown = self.open
+        folded = self.report.parts if self.report.summary else [p for p in self.report.parts if p.folded]
+        return [part for part in folded if part not in shown]
+
+    @property
+    def has_filters(self) -> bool:
+        """Whether a table has filters, which need the script."""
+        return any(isinstance(part, Table) and part.has_filters for part in self.open)
 
     @property
     def took(self) -> str:
@@ -256,8 +176,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
 
     # read them
     contents = {
-        file: read_json(file, CrosscheckFile if file.name == CROSSCHECK_RESULT else ResultFile)
-        for file in in_folder or in_subfolders
+        file: read_json(file, RESULT_KINDS.get(file.name, ResultFile)) for file in in_folder or in_subfolders
     }
     parents = list(dict.fromkeys(file.parent for file in contents))
     # make the list of verdicts, and an entry with pictures for each file unless there are too many folders
@@ -290,6 +209,10 @@ def rendered(template: str, **content: object) -> str:
         finalize=lambda value: printable(value) if type(value) is str else value,
         keep_trailing_newline=True,
     )
+    # the only script that a page allows, which it recognizes by the checksum
+    script = (Path(__file__).parent / "filter.js").read_text(encoding="utf-8")
+    checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    environment.globals |= {"script": Markup(script), "script_checksum": f"sha256-{checksum}"}
     return environment.get_template(template).render(**content)
 
 
@@ -350,6 +273,9 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
             errors = run.error_over_time
             drawn = plots.run_errors(errors.time, errors.position, errors.rotation, name)
             entry.pictures.extend(Picture(content, caption) for content, caption in drawn)
+    if isinstance(results, DiffFile):
+        entry.robots.extend(robot_views(results.shapes))
+        entry.bars.extend(bar_charts(results.differences, results.motion))
     if runs:
         progress("plots")
         costs, tolerances = {}, {}

@@ -38,12 +38,14 @@ class Column:
         unit: unit of all numbers in the column.
         numeric: whether the column has numbers, which are aligned at the right and never wrapped.
         below: for the last column: whether pages move it below the other columns on narrow screens.
+        choice: whether pages let the user choose the rows with one of the texts in the column.
     """
 
     name: str
     unit: str = ""
     numeric: bool = False
     below: bool = False
+    choice: bool = False
 
     @property
     def heading(self) -> str:
@@ -70,6 +72,11 @@ class Table:
     columns: list[Column]
     rows: Rows
     folded: bool = False
+
+    @property
+    def has_filters(self) -> bool:
+        """Whether pages have filters for the rows."""
+        return any(column.choice for column in self.columns)
 
     def sections(self) -> Iterator[tuple[str, list[Cell]]]:
         """Yield the rows of cells, each with the heading that it stands below."""
