@@ -126,7 +126,7 @@ class PageEntry:
 
     @property
     def has_filters(self) -> bool:
-        """Whether a table has filters, which need the script."""
+        """True if a table has filters, which need the script."""
         return any(isinstance(part, Table) and part.has_filters for part in self.open)
 
     @property

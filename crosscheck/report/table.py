@@ -75,7 +75,7 @@ class Table:
 
     @property
     def has_filters(self) -> bool:
-        """Whether pages have filters for the rows."""
+        """True if pages have filters for the rows."""
         return any(column.choice for column in self.columns)
 
     def sections(self) -> Iterator[tuple[str, list[Cell]]]:
