@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -155,6 +156,8 @@ class CommonStates:
         agreeing: pairs of bodies and joints, with the frames in which most numbers agree.
         alignment: pairs of bodies and joints, with frames in which the centers of mass agree better.
         pairs: pairs of bodies that move.
+        spreads: center of mass of each of these pairs in the first robot's body frame, and radius of
+            gyration, m.
         one, two: equations of both robots.
         cuts: what both robots lose.
         gravity: (3,) m/s^2, for a robot without gravity of its own.
@@ -196,7 +199,7 @@ class CommonStates:
             for pair in alignment.bodies
             if self.one.moves[pair.first[0]].any() or self.two.moves[pair.second[0]].any()
         ]
-        self._spreads = [_spread(one, pair.first, length) for pair in self.pairs]
+        self.spreads = [_spread(one, pair.first, length) for pair in self.pairs]
         self._driven = np.array([phase is Phase.DRIVEN for phase in PHASES], float)
         random = np.random.default_rng(0)
         self.coordinates, self.is_closed = _closed_states(self.one, random)
@@ -259,6 +262,27 @@ class CommonStates:
         )
         return first, second
 
+    @cached_property
+    def variants(self) -> tuple[list[Robot], list[Robot]]:
+        """The common part of each robot with other last digits."""
+        first, second = (
+            [cut.of(robot, self.gravity) for robot in file.variants]
+            for cut, file in zip(self.cuts, self.files, strict=True)
+        )
+        return first, second
+
+    def points(self) -> tuple[Array, Array]:
+        """Return (bodies, 3) m, in the frames of each robot's bodies: the first one's centers of mass.
+
+        Bodies that are in no pair have the origin of their frame.
+        """
+        first, second = (np.zeros((len(each.robot.bodies), 3)) for each in (self.one, self.two))
+        for pair, (center, _) in zip(self.pairs, self.spreads, strict=True):
+            back = pair.placement.inverse()
+            first[pair.first[0]] = center
+            second[pair.second[0]] = back.position + back.rotation @ center
+        return first, second
+
     def of_first(self, robots: Sequence[Robot]) -> Array:
         """Return accelerations of pairs of bodies of robots that have the structure of the first.
 
@@ -272,15 +296,13 @@ class CommonStates:
         """
         robot = Dynamics(robots, self.one.length)
         controls = self.controls[..., : len(robot.robot.drives)]
-        points = np.zeros((1, len(robot.robot.bodies), 3))
-        for pair, (center, _) in zip(self.pairs, self._spreads, strict=True):
-            points[0, pair.first[0]] = center
+        points = self.points()[0][None]
         found = self._accelerations(robot, self.coordinates, self.velocities, controls, points)
         parts = [
             np.concatenate(
                 [found.linear[:, :, pair.first[0]], radius * found.angular[:, :, pair.first[0]]], -1
             )
-            for pair, (_, radius) in zip(self.pairs, self._spreads, strict=True)
+            for pair, (_, radius) in zip(self.pairs, self.spreads, strict=True)
         ]
         return np.stack(parts, axis=2)
 
@@ -291,15 +313,12 @@ class CommonStates:
             as for `of_first`, of the same points and in the same frames.
         """
         robot = Dynamics(robots, self.one.length)
-        points = np.zeros((1, len(robot.robot.bodies), 3))
-        for pair, (center, _) in zip(self.pairs, self._spreads, strict=True):
-            back = pair.placement.inverse()
-            points[0, pair.second[0]] = back.position + back.rotation @ center
+        points = self.points()[1][None]
         found = self._accelerations(
             robot, self.coordinates_of_second, self.velocities_of_second, self.controls_of_second, points
         )
         parts = []
-        for pair, (_, radius) in zip(self.pairs, self._spreads, strict=True):
+        for pair, (_, radius) in zip(self.pairs, self.spreads, strict=True):
             each = [found.linear[:, :, pair.second[0]], radius * found.angular[:, :, pair.second[0]]]
             parts.append(np.concatenate([part @ pair.placement.rotation.T for part in each], axis=-1))
         return np.stack(parts, axis=2)
@@ -382,12 +401,8 @@ def compare_motions(states: CommonStates | None) -> Motion:
         return Motion(Likeness.UNDECIDED, notes=("The robots have no joints in common.",))
     if not states.is_closed:
         return Motion(Likeness.UNDECIDED, notes=(*states.notes, "The first robot's loops cannot be closed."))
-    variants = [
-        [cut.of(robot, states.gravity) for robot in file.variants]
-        for cut, file in zip(states.cuts, states.files, strict=True)
-    ]
-    one = states.of_first([states.one.robot, *variants[0]])
-    two = states.of_second([states.two.robot, *variants[1]])
+    one = states.of_first([states.one.robot, *states.variants[0]])
+    two = states.of_second([states.two.robot, *states.variants[1]])
     changes = relative_changes(one[:1], two[:1])[0]
     uncertainties = np.zeros(changes.shape)
     for each in (one, two):
@@ -400,7 +415,7 @@ def compare_motions(states: CommonStates | None) -> Motion:
         bodies.append(
             BodyChange(name, float(changes[worst, k]), float(uncertainties[worst, k]), list(Phase)[worst])
         )
-    gaps = states.gaps(*variants)
+    gaps = states.gaps(*states.variants)
     freedoms = states.freedoms()
     body = bodies[
         _worst(np.array([each.change for each in bodies]), np.array([each.uncertainty for each in bodies]))

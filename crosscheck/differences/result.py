@@ -14,6 +14,7 @@ from crosscheck.differences.effects import effects
 from crosscheck.differences.evidence import with_evidence
 from crosscheck.differences.motion import CommonStates, Likeness, Motion, common_states, compare_motions
 from crosscheck.differences.rows import differences
+from crosscheck.differences.run import Run, run_both
 from crosscheck.differences.shapes import shapes
 from crosscheck.loading.robots import describe_model
 from newton_euler.reading.robot import RobotFile
@@ -33,6 +34,8 @@ class FileComparison:
             conventions.
         motion: whether the robots move alike.
         states: common states of both robots; None for robots without joints in common.
+        run: how far apart their bodies get from the same start; None for robots that cannot be in the same
+            state.
         tolerance: relative difference that counts as rounding; None for the digits of the files.
     """
 
@@ -42,6 +45,7 @@ class FileComparison:
     rows: tuple[Difference, ...]
     motion: Motion
     states: CommonStates | None
+    run: Run | None
     tolerance: float | None = None
 
     def of_standing(self, standing: Standing) -> tuple[Difference, ...]:
@@ -78,6 +82,7 @@ class FileComparison:
             "shapes": asdict(
                 shapes((self.first, self.second), self.alignment, self.states, self.differences)
             ),
+            "run": asdict(self.run) if self.run else None,
             "renamed": [list(names) for names in self.alignment.renamed],
         }
 
@@ -130,6 +135,7 @@ def compare_files(
     progress("comparing motions")
     states = common_states(first, second, alignment)
     motion = compare_motions(states)
+    run = run_both(states, motion)
     formats = first.format, second.format
     found = effects(states, rows)
     rows = [replace(row, effect=effect) for row, effect in zip(rows, found, strict=True)]
@@ -141,7 +147,7 @@ def compare_files(
     rank = list(Standing)
     # rows without a known effect, such as limits, after those with one
     rows.sort(key=lambda row: (rank.index(row.standing), 1.0 if row.effect is None else -row.effect))
-    return FileComparison(first, second, alignment, tuple(rows), motion, states, tolerance)
+    return FileComparison(first, second, alignment, tuple(rows), motion, states, run, tolerance)
 
 
 def _is_constraint(row: Difference) -> bool:

@@ -1,0 +1,232 @@
+"""One run of two robots from the same start: how far apart their bodies get.
+
+In: the `CommonStates` of two robots. Out: a `Run`. Both robots start at the same state, with the same
+controls, and move for the time in which a body falls by the length of the robot: about its own length, and
+too short for chaos to grow. One integration has both robots and their variants with other last digits, so
+that all of them have the same steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crosscheck.differences.dynamics import Dynamics
+from crosscheck.differences.motion import (
+    DIGITS_FACTOR,
+    PHASES,
+    ROUND_OFF,
+    CommonStates,
+    Likeness,
+    Motion,
+    Phase,
+)
+from crosscheck.differences.vectors import apply, cross, rotation_matrix, rotation_vector
+from newton_euler.compiled.rates import integrate_rates
+from newton_euler.integrators.options import Options
+from newton_euler.reading.robot import JointKind, Robot
+from newton_euler.scalars import Array
+
+TOLERANCES = Options(rtol=1e-6, atol=1e-8)
+"""Tolerances of a step."""
+
+MAX_STEPS = 8
+"""Steps of 12 evaluations after which a run ends. Robots without stiff drives or dampers need about six."""
+
+INTEGRATION_ERROR = 1e-6
+"""Error of a run in lengths of the robot: ten times the relative tolerance of a step."""
+
+SMALL_ANGLE = 1e-3
+"""rad, below which the first term of a series replaces a quotient of small numbers, to a part in 1e8."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """How far apart the bodies of two robots get in a run from the same start.
+
+    A distance is the root mean square over the mass of a body; places at the start are laid on each other.
+
+    Attributes:
+        duration: s, that the run has reached.
+        wanted: s, duration that was wanted. Stiff drives or dampers need steps that are too short for it.
+        body: name, in the first file, of the body with the largest distance in excess of its uncertainty.
+        distance: of this body, m, the largest one of the run.
+        time: s, at which it occurs.
+        uncertainty: of the distance, m, by the digits of both files and the error of the integration.
+    """
+
+    duration: float
+    wanted: float
+    body: str
+    distance: float
+    time: float
+    uncertainty: float
+
+
+def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
+    """Run two robots from their first driven state; None for robots that cannot be in the same state.
+
+    Args:
+        states: states of both robots; None for robots without joints in common.
+        motion: comparison of their accelerations.
+    """
+    has_gap = any(gap.error > max(gap.uncertainty, ROUND_OFF) for gap in motion.gaps)
+    can_differ = motion.freedoms[0] != motion.freedoms[1]
+    if states is None or motion.likeness is Likeness.UNDECIDED or has_gap or can_differ:
+        return None
+    length = states.one.length
+    at = PHASES.index(Phase.DRIVEN)
+    sides = [
+        _Side([each.robot, *variants], length, *(part[:, at : at + 1] for part in start))
+        for each, variants, start in (
+            (states.one, states.variants[0], _start_of_first(states)),
+            (
+                states.two,
+                states.variants[1],
+                (states.coordinates_of_second, states.velocities_of_second, states.controls_of_second),
+            ),
+        )
+    ]
+    first, second = sides
+    size = len(first.start)
+
+    def rates(state: Array) -> Array:
+        """Return the rates of both robots with all variants."""
+        return np.concatenate([first.rates(state[:size]), second.rates(state[size:])])
+
+    start = np.concatenate([first.start, second.start])
+    wanted = float(np.sqrt(2.0 * length / max(float(np.linalg.norm(states.gravity)), 1.0)))
+    times, found = integrate_rates(rates, start, wanted, TOLERANCES, MAX_STEPS)
+    centers = states.points()
+    radii = np.array([radius for _, radius in states.spreads])
+    one = first.poses(found[:, :size], [pair.first[0] for pair in states.pairs], centers[0])
+    turns = np.array([pair.placement.rotation for pair in states.pairs])
+    two = second.poses(found[:, size:], [pair.second[0] for pair in states.pairs], centers[1])
+    two = apply(turns, two[0]), turns @ two[1] @ np.swapaxes(turns, -1, -2)
+    distances = _distance(_nominal(one), _nominal(two), radii)[0]
+    uncertainties = np.full(distances.shape, INTEGRATION_ERROR * length)
+    for each in (one, two):
+        if len(each[0]) > 1:
+            uncertainties += DIGITS_FACTOR * _distance(each, _nominal(each), radii).max(axis=0)
+    excess = distances - uncertainties
+    worst = int(np.argmax(excess.max(axis=0) if excess.max() > 0.0 else distances.max(axis=0)))
+    step = int(np.argmax(distances[:, worst]))
+    return Run(
+        float(times[-1]),
+        wanted,
+        states.files[0].robot.bodies[states.pairs[worst].first[0]].name,
+        float(distances[step, worst]),
+        float(times[step]),
+        float(uncertainties[step, worst]),
+    )
+
+
+def _start_of_first(states: CommonStates) -> tuple[Array, Array, Array]:
+    """Return coordinates, velocities and controls of the first robot."""
+    controls = states.controls[..., : len(states.one.robot.drives)]
+    return states.coordinates, states.velocities, controls
+
+
+def _nominal(poses: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the poses of the robot as it is written, without the variants."""
+    return poses[0][:1], poses[1][:1]
+
+
+def _distance(one: tuple[Array, Array], two: tuple[Array, Array], radii: Array) -> Array:
+    """Return (robots, steps, pairs) m, root mean square distance of the masses of bodies at two poses.
+
+    Args:
+        one, two: displacements and rotation matrices.
+        radii: (pairs,) m, of gyration.
+    """
+    places = np.linalg.norm(two[0] - one[0], axis=-1)
+    angles = np.linalg.norm(rotation_vector(np.swapaxes(one[1], -1, -2) @ two[1]), axis=-1)
+    return np.asarray(np.hypot(places, radii * angles))
+
+
+class _Side:
+    """A robot and its variants, as first-order differential equations.
+
+    The state consists of coordinates and velocities, both (robots, coordinates) in one row. Balls and free
+    joints have the rotation vector from the start, and the displacement along the axes at the start.
+
+    Attributes:
+        start: state at the start.
+    """
+
+    def __init__(
+        self, robots: list[Robot], length: float, coordinates: Array, velocities: Array, controls: Array
+    ) -> None:
+        """Close the loops of all variants at the start.
+
+        Args:
+            robots: the robot and its variants.
+            length: m, unit of lengths in constraint equations.
+            coordinates, velocities, controls: (1, 1, n) at the start.
+        """
+        self._robot = robot = Dynamics(robots, length)
+        self._controls = controls
+        start, _ = robot.closed(coordinates)
+        velocities = robot.admissible(start, velocities)
+        joints = [(robot.robot.bodies[body].joints[k].kind, at) for (body, k), at in robot.at.items()]
+        self._turns = [
+            (slice(at.stop - 3, at.stop), slice(at.start, at.stop - 3))
+            for kind, at in joints
+            if kind in (JointKind.BALL, JointKind.FREE)
+        ]
+        # where the coordinates of balls and free joints begin; others count from their own zero
+        self._base = np.zeros(start.shape)
+        for turn, place in self._turns:
+            self._base[..., turn], self._base[..., place] = start[..., turn], start[..., place]
+        self.start = np.concatenate([start - self._base, velocities]).ravel()
+
+    def _split(self, state: Array) -> tuple[Array, Array]:
+        """Return (robots, states, coordinates): changes of coordinates and velocities, of states (..., n)."""
+        parts = state.reshape(-1, 2, len(self._base), self._base.shape[-1])
+        return np.swapaxes(parts[:, 0], 0, 1), np.swapaxes(parts[:, 1], 0, 1)
+
+    def rates(self, state: Array) -> Array:
+        """Return the rates (n,) of a state (n,)."""
+        change, velocities = self._split(state)
+        coordinates = self._robot.moved(self._base, change)
+        points = np.zeros((1, len(self._robot.robot.bodies), 3))
+        found = self._robot.accelerations(coordinates, velocities, self._controls, np.ones(1), points)
+        rates = velocities.copy()
+        for turn, place in self._turns:
+            rates[..., turn] = _rotation_rate(change[..., turn], velocities[..., turn])
+            if place.stop > place.start:  # a free joint
+                rates[..., place] = apply(rotation_matrix(change[..., turn]), velocities[..., place])
+        return np.concatenate([rates, found.coordinates]).ravel()
+
+    def poses(self, state: Array, bodies: list[int], points: Array) -> tuple[Array, Array]:
+        """Return how bodies have moved since the start, along the axes of each body at the start.
+
+        Args:
+            state: (steps, n).
+            bodies: indices of bodies.
+            points: (all bodies, 3) m, point of each body.
+
+        Returns:
+            (robots, steps, bodies, 3) m, displacement of the point, and (robots, steps, bodies, 3, 3)
+            rotation.
+        """
+        change, velocities = self._split(state)
+        moving = self._robot.kinematics(self._robot.moved(self._base, change), velocities)
+        rotation = moving.rotation[..., bodies, :, :]
+        place = moving.position[..., bodies, :] + apply(rotation, points[bodies])
+        back = np.swapaxes(rotation[:, :1], -1, -2)
+        return apply(back, place - place[:, :1]), back @ rotation
+
+
+def _rotation_rate(vector: Array, velocity: Array) -> Array:
+    """Return the rate of a rotation vector (..., 3), from the angular velocity along the turned axes, rad/s.
+
+    J. Sola and others, A micro Lie theory for state estimation in robotics, 2018, equation (144): the inverse
+    of the right Jacobian.
+    """
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    half = np.maximum(angle, SMALL_ANGLE) / 2.0
+    factor = np.where(angle > SMALL_ANGLE, (1.0 - half / np.tan(half)) / (4.0 * half**2), 1.0 / 12.0)
+    turn = cross(vector, velocity)
+    return np.asarray(velocity + turn / 2.0 + factor * cross(vector, turn))
