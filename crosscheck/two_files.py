@@ -11,6 +11,7 @@ from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.difference import Difference
 from crosscheck.differences.motion import Motion
 from crosscheck.differences.result import FileComparison, compare_models
+from crosscheck.differences.run import Run
 from crosscheck.report.diff import report
 from crosscheck.report.shown import Shown
 from crosscheck.report.table import Report
@@ -55,6 +56,11 @@ class Diff(Shown):
     def motion(self) -> Motion:
         """Comparison of the motions: the largest difference of accelerations, with body and uncertainty."""
         return self.comparison.motion
+
+    @property
+    def run(self) -> Run | None:
+        """How far apart bodies get from the same start; None for robots that cannot be in the same state."""
+        return self.comparison.run
 
     @cached_property
     def report(self) -> Report:

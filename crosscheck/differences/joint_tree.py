@@ -9,7 +9,7 @@ one has length 1 where all robots have the same values.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from crosscheck.differences.vectors import (
     rotation_vector,
     stacked,
 )
-from newton_euler.reading.robot import FileJoint, JointKind, Robot
+from newton_euler.reading.robot import JointKind, Robot
 from newton_euler.scalars import Array
 
 WIDTHS = {JointKind.HINGE: 1, JointKind.SLIDE: 1, JointKind.BALL: 3, JointKind.FREE: 6}
@@ -86,11 +86,14 @@ class JointTree:
         owner: list[int] = []
         is_length: list[bool] = []
         self.moves = np.zeros((len(bodies) + 1, sum(WIDTHS[j.kind] for b in bodies for j in b.joints)), bool)
+        # whether a coordinate, column, moves the body before another coordinate, row, does
+        self._before = np.zeros((self.moves.shape[1], self.moves.shape[1]))
         for index, body in enumerate(bodies):
             self.moves[index] = self.moves[body.parent]
             for number, joint in enumerate(body.joints):
                 width = WIDTHS[joint.kind]
                 self.at[index, number] = slice(self.size, self.size + width)
+                self._before[self.at[index, number]] = self.moves[index]
                 self.moves[index, self.size : self.size + width] = True
                 self.size += width
                 owner += [index] * width
@@ -128,46 +131,59 @@ class JointTree:
         rotation = np.zeros((robots, states, bodies + 1, 3, 3))
         rotation[..., -1, :, :] = np.eye(3)
         columns = np.zeros((robots, states, self.size, 6))
-        twist = np.zeros((robots, states, bodies + 1, 6))
-        bias = np.zeros((robots, states, bodies + 1, 6))
         displacement = coordinates - self.zero
+        turns = self._hinge_turns(displacement)
         for index, body in enumerate(self.robot.bodies):
             above = body.parent
             origin = position[..., above, :] + apply(rotation[..., above, :, :], self._offset[:, :, index])
             turn = rotation[..., above, :, :] @ self._turn[:, :, index]
-            motion, rate = twist[..., above, :], bias[..., above, :]
-            for number, joint in enumerate(body.joints):
+            for number in range(len(body.joints)):
                 at = self.at[index, number]
                 origin, turn, columns[..., at, :] = self._after_joint(
-                    joint, (index, number), displacement[..., at], origin, turn
+                    (index, number), displacement[..., at], turns, origin, turn
                 )
-                relative = np.einsum("...jk,...j->...k", columns[..., at, :], velocities[..., at])
-                rate = rate + cross_motion(motion, relative)
-                motion = motion + relative
             position[..., index, :], rotation[..., index, :, :] = origin, turn
-            twist[..., index, :], bias[..., index, :] = motion, rate
-        return Kinematics(position, rotation, columns, twist, bias)
+        # twists of each coordinate add up along the tree; each is carried by those before it
+        relative = columns * velocities[..., None]
+        carried = cross_motion(self._before @ relative, relative)
+        moves = self.moves.astype(float)
+        return Kinematics(position, rotation, columns, moves @ relative, moves @ carried)
+
+    def _hinge_turns(self, displacement: Array) -> dict[int, Array]:
+        """Return (robots, states, 3, 3) the rotation by each hinge, by the index of its coordinate."""
+        keys = [key for key in self.at if self.robot.joint(key).kind is JointKind.HINGE]
+        if not keys:
+            return {}
+        axes = np.stack([self._axis[key] for key in keys], axis=-2)
+        indices = [self.at[key].start for key in keys]
+        turns = rotation_matrix(axes * displacement[..., indices, None])
+        return {index: turns[..., number, :, :] for number, index in enumerate(indices)}
 
     def _after_joint(
-        self, joint: FileJoint, key: tuple[int, int], displacement: Array, origin: Array, turn: Array
+        self,
+        key: tuple[int, int],
+        displacement: Array,
+        hinge_turns: Mapping[int, Array],
+        origin: Array,
+        turn: Array,
     ) -> tuple[Array, Array, Array]:
         """Move a body by one of its joints.
 
         Args:
-            joint: the joint.
             key: indices of its body and of the joint.
             displacement: (robots, states, coordinates of the joint) from the pose of the file.
+            hinge_turns: rotations by the hinges, by the index of their coordinate.
             origin, turn: pose of the body before.
 
         Returns:
             the pose of the body, and (robots, states, coordinates of the joint, 6) twists by unit velocities.
         """
-        axis, point = self._axis[key], self._point[key]
-        if joint.kind is JointKind.SLIDE:
+        axis, point, kind = self._axis[key], self._point[key], self.robot.joint(key).kind
+        if kind is JointKind.SLIDE:
             direction = apply(turn, axis)
             column = np.concatenate([np.zeros(direction.shape), direction], axis=-1)
             return origin + direction * displacement, turn, column[..., None, :]
-        if joint.kind is JointKind.FREE:
+        if kind is JointKind.FREE:
             origin = origin + apply(turn, displacement[..., :3])
             turn = turn @ rotation_matrix(displacement[..., 3:])
             axes = np.swapaxes(turn, -1, -2)
@@ -175,8 +191,9 @@ class JointTree:
             turns = np.concatenate([axes, cross(origin[..., None, :], axes)], axis=-1)
             return origin, turn, np.concatenate([translations, turns], axis=-2)
         anchor = origin + apply(turn, point)
-        turn = turn @ rotation_matrix(axis * displacement if joint.kind is JointKind.HINGE else displacement)
-        axes = apply(turn, axis)[..., None, :] if joint.kind is JointKind.HINGE else np.swapaxes(turn, -1, -2)
+        is_hinge = kind is JointKind.HINGE
+        turn = turn @ (hinge_turns[self.at[key].start] if is_hinge else rotation_matrix(displacement))
+        axes = apply(turn, axis)[..., None, :] if is_hinge else np.swapaxes(turn, -1, -2)
         column = np.concatenate([axes, cross(anchor[..., None, :], axes)], axis=-1)
         return anchor - apply(turn, point), turn, column
 

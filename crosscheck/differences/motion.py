@@ -283,6 +283,18 @@ class CommonStates:
             second[pair.second[0]] = back.position + back.rotation @ center
         return first, second
 
+    def states_of_first(self, drives: int) -> tuple[Array, Array, Array]:
+        """Return coordinates, velocities and controls (1, states, n) of the first robot.
+
+        Args:
+            drives: number of drives, which may be followed by those that only the second robot has.
+        """
+        return self.coordinates, self.velocities, self.controls[..., :drives]
+
+    def states_of_second(self) -> tuple[Array, Array, Array]:
+        """Return coordinates, velocities and controls (1, states, n) of the second robot."""
+        return self.coordinates_of_second, self.velocities_of_second, self.controls_of_second
+
     def of_first(self, robots: Sequence[Robot]) -> Array:
         """Return accelerations of pairs of bodies of robots that have the structure of the first.
 
@@ -295,9 +307,7 @@ class CommonStates:
             squares is about the root mean square of the acceleration over the mass of the body.
         """
         robot = Dynamics(robots, self.one.length)
-        controls = self.controls[..., : len(robot.robot.drives)]
-        points = self.points()[0][None]
-        found = self._accelerations(robot, self.coordinates, self.velocities, controls, points)
+        found = self._accelerations(robot, *self.states_of_first(len(robot.robot.drives)), self.points()[0])
         parts = [
             np.concatenate(
                 [found.linear[:, :, pair.first[0]], radius * found.angular[:, :, pair.first[0]]], -1
@@ -313,10 +323,7 @@ class CommonStates:
             as for `of_first`, of the same points and in the same frames.
         """
         robot = Dynamics(robots, self.one.length)
-        points = self.points()[1][None]
-        found = self._accelerations(
-            robot, self.coordinates_of_second, self.velocities_of_second, self.controls_of_second, points
-        )
+        found = self._accelerations(robot, *self.states_of_second(), self.points()[1])
         parts = []
         for pair, (_, radius) in zip(self.pairs, self.spreads, strict=True):
             each = [found.linear[:, :, pair.second[0]], radius * found.angular[:, :, pair.second[0]]]
@@ -328,7 +335,7 @@ class CommonStates:
     ) -> Accelerations:
         """Return accelerations in the states nearest to the given ones that the constraints allow."""
         coordinates, _ = robot.closed(coordinates)
-        return robot.accelerations(coordinates, velocities, controls, self._driven, points)
+        return robot.accelerations(coordinates, velocities, controls, self._driven, points[None])
 
     def gaps(self, first_variants: Sequence[Robot], second_variants: Sequence[Robot]) -> tuple[Gap, ...]:
         """Return the errors of the second robot's constraints in the poses of the first robot.

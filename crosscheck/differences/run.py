@@ -2,7 +2,7 @@
 
 In: the `CommonStates` of two robots. Out: a `Run`. Both robots start at the same state, with the same
 controls, and move for the time in which a body falls by the length of the robot: about its own length, and
-too short for chaos to grow. One integration has both robots and their variants with other last digits, so
+too short for chaos. One integration has both robots and their variants with other last digits, so
 that all of them have the same steps.
 """
 
@@ -31,8 +31,9 @@ from newton_euler.scalars import Array
 TOLERANCES = Options(rtol=1e-6, atol=1e-8)
 """Tolerances of a step."""
 
-MAX_STEPS = 8
-"""Steps of 12 evaluations after which a run ends. Robots without stiff drives or dampers need about six."""
+MAX_STEPS = 16
+"""Steps of 12 evaluations after which a run ends, so that the largest robots take less than a second. Robots
+of a few joints without stiff drives or dampers need about six."""
 
 INTEGRATION_ERROR = 1e-6
 """Error of a run in lengths of the robot: ten times the relative tolerance of a step."""
@@ -48,8 +49,7 @@ class Run:
     A distance is the root mean square over the mass of a body; places at the start are laid on each other.
 
     Attributes:
-        duration: s, that the run has reached.
-        wanted: s, duration that was wanted. Stiff drives or dampers need steps that are too short for it.
+        duration: s, that the run has reached. Stiff drives or dampers, and fast motion, need short steps.
         body: name, in the first file, of the body with the largest distance in excess of its uncertainty.
         distance: of this body, m, the largest one of the run.
         time: s, at which it occurs.
@@ -57,7 +57,6 @@ class Run:
     """
 
     duration: float
-    wanted: float
     body: str
     distance: float
     time: float
@@ -65,30 +64,24 @@ class Run:
 
 
 def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
-    """Run two robots from their first driven state; None for robots that cannot be in the same state.
+    """Run two robots from their first driven state; None if they cannot be in the same states.
 
     Args:
         states: states of both robots; None for robots without joints in common.
         motion: comparison of their accelerations.
     """
     has_gap = any(gap.error > max(gap.uncertainty, ROUND_OFF) for gap in motion.gaps)
-    can_differ = motion.freedoms[0] != motion.freedoms[1]
-    if states is None or motion.likeness is Likeness.UNDECIDED or has_gap or can_differ:
+    is_freer = motion.freedoms[0] != motion.freedoms[1]
+    if states is None or motion.likeness is Likeness.UNDECIDED or has_gap or is_freer:
         return None
     length = states.one.length
     at = PHASES.index(Phase.DRIVEN)
-    sides = [
-        _Side([each.robot, *variants], length, *(part[:, at : at + 1] for part in start))
-        for each, variants, start in (
-            (states.one, states.variants[0], _start_of_first(states)),
-            (
-                states.two,
-                states.variants[1],
-                (states.coordinates_of_second, states.velocities_of_second, states.controls_of_second),
-            ),
-        )
-    ]
-    first, second = sides
+    one, two = states.one.robot, states.two.robot
+    starts = states.states_of_first(len(one.drives)), states.states_of_second()
+    first, second = (
+        _Side([robot, *variants], length, *(part[:, at : at + 1] for part in start))
+        for robot, variants, start in zip((one, two), states.variants, starts, strict=True)
+    )
     size = len(first.start)
 
     def rates(state: Array) -> Array:
@@ -96,17 +89,17 @@ def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
         return np.concatenate([first.rates(state[:size]), second.rates(state[size:])])
 
     start = np.concatenate([first.start, second.start])
-    wanted = float(np.sqrt(2.0 * length / max(float(np.linalg.norm(states.gravity)), 1.0)))
-    times, found = integrate_rates(rates, start, wanted, TOLERANCES, MAX_STEPS)
+    duration = float(np.sqrt(2.0 * length / max(float(np.linalg.norm(states.gravity)), 1.0)))
+    times, found = integrate_rates(rates, start, duration, TOLERANCES, MAX_STEPS)
     centers = states.points()
     radii = np.array([radius for _, radius in states.spreads])
-    one = first.poses(found[:, :size], [pair.first[0] for pair in states.pairs], centers[0])
+    poses = first.poses(found[:, :size], [pair.first[0] for pair in states.pairs], centers[0])
     turns = np.array([pair.placement.rotation for pair in states.pairs])
-    two = second.poses(found[:, size:], [pair.second[0] for pair in states.pairs], centers[1])
-    two = apply(turns, two[0]), turns @ two[1] @ np.swapaxes(turns, -1, -2)
-    distances = _distance(_nominal(one), _nominal(two), radii)[0]
+    others = second.poses(found[:, size:], [pair.second[0] for pair in states.pairs], centers[1])
+    others = apply(turns, others[0]), turns @ others[1] @ np.swapaxes(turns, -1, -2)
+    distances = _distance(_nominal(poses), _nominal(others), radii)[0]
     uncertainties = np.full(distances.shape, INTEGRATION_ERROR * length)
-    for each in (one, two):
+    for each in (poses, others):
         if len(each[0]) > 1:
             uncertainties += DIGITS_FACTOR * _distance(each, _nominal(each), radii).max(axis=0)
     excess = distances - uncertainties
@@ -114,18 +107,11 @@ def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
     step = int(np.argmax(distances[:, worst]))
     return Run(
         float(times[-1]),
-        wanted,
         states.files[0].robot.bodies[states.pairs[worst].first[0]].name,
         float(distances[step, worst]),
         float(times[step]),
         float(uncertainties[step, worst]),
     )
-
-
-def _start_of_first(states: CommonStates) -> tuple[Array, Array, Array]:
-    """Return coordinates, velocities and controls of the first robot."""
-    controls = states.controls[..., : len(states.one.robot.drives)]
-    return states.coordinates, states.velocities, controls
 
 
 def _nominal(poses: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -176,7 +162,7 @@ class _Side:
             if kind in (JointKind.BALL, JointKind.FREE)
         ]
         # where the coordinates of balls and free joints begin; others count from their own zero
-        self._base = np.zeros(start.shape)
+        self._base: Array = np.zeros(start.shape)
         for turn, place in self._turns:
             self._base[..., turn], self._base[..., place] = start[..., turn], start[..., place]
         self.start = np.concatenate([start - self._base, velocities]).ravel()

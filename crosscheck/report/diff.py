@@ -10,6 +10,7 @@ from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.differences.difference import Difference, Quantity, Side, Standing, Value
 from crosscheck.differences.motion import ROUND_OFF, Likeness
 from crosscheck.differences.result import FileComparison
+from crosscheck.differences.run import Run
 from crosscheck.own_run.allowed import length
 from crosscheck.report.own_run import angle, percent
 from crosscheck.report.table import (
@@ -113,6 +114,15 @@ def _motion_text(comparison: FileComparison) -> str:
             return "both move alike, within the digits of the files"
         case Likeness.UNDECIDED:
             return "motions were not compared"
+
+
+def run_text(run: Run) -> str:
+    """Tell how far apart the robots get in a run from the same start."""
+    found = f"run for {run.duration:.2g} s from the same start:"
+    if run.distance <= run.uncertainty:
+        return f"{found} bodies are less than {length(run.uncertainty, 2)} apart, the uncertainty of the run"
+    certain = f"{length(run.distance)} apart at {run.time:.2g} s"
+    return f"{found} {run.body} is {certain}, with an uncertainty of {length(run.uncertainty, 2)}"
 
 
 def _title(file: RobotFile) -> str:
@@ -239,6 +249,8 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
         more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""
         yield f"paired by structure, as names differ: {', '.join(pairs)}{more}"
     yield from comparison.motion.notes
+    if comparison.run:
+        yield run_text(comparison.run)
     if conventions := comparison.of_standing(Standing.CONVENTION):
         texts = [sentence(row) for row in conventions[:MAX_CONVENTIONS]]
         others = len(conventions) - MAX_CONVENTIONS

@@ -47,7 +47,7 @@ def integrate_rates(
 
     # `on` is native code's bit mask of active runs, not needed for a single run
     def evaluate(x: int, y: int, on: int) -> None:
-        """Write the rates of the state at address x to address y, and the pivot ratio of regular equations."""
+        """Write the rates of the state at address x to address y, followed by the pivot ratio 1."""
         vector_at(y, n + 1)[:] = np.append(rates(vector_at(x, n).copy()), 1.0)
 
     def failed(y: int, on: int) -> None:

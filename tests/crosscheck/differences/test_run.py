@@ -1,0 +1,130 @@
+"""How far apart two robots get from the same start: closed forms, and MuJoCo's own runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco_robots import to_mujoco
+from paired_robots import pairs_by_name
+from test_dynamics import TREE
+
+from crosscheck.differences.motion import PHASES, CommonStates, Phase, compare_motions
+from crosscheck.differences.run import INTEGRATION_ERROR, Run, run_both
+from mjcf.robot import describe
+from newton_euler.reading.robot import RobotFile
+from newton_euler.scalars import Array
+
+SLIDER = """
+<mujoco><worldbody><body name="block"><joint name="lift" type="slide" axis="0 0 1" armature="0"/>
+  <inertial pos="0 0 .5" mass="2" diaginertia=".1 .1 .1"/></body></worldbody></mujoco>"""
+
+STIFF = SLIDER.replace("armature", 'damping="1e7" armature')
+
+HALVES = """
+<mujoco><worldbody><body name="a"><joint name="ja" axis="0 1 0"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>
+  <body name="b" pos=".3 0 0"><joint name="jb" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/></body></body></worldbody>
+<equality>EQUALITY</equality></mujoco>"""
+
+
+def of_text(text: str) -> RobotFile:
+    return describe(mujoco.MjModel.from_xml_string(text))
+
+
+def run_of(first: RobotFile, second: RobotFile) -> tuple[CommonStates, Run | None]:
+    states = CommonStates(first, second, pairs_by_name(first.robot, second.robot))
+    return states, run_both(states, compare_motions(states))
+
+
+def test_falling_blocks_have_the_closed_form() -> None:
+    """With armature J the block of mass m falls with m g / (m + J), from the same height and velocity."""
+    first, second = of_text(SLIDER), of_text(SLIDER.replace('armature="0"', 'armature=".5"'))
+    _, run = run_of(first, second)
+    assert run is not None
+    # the block is as long as its center is high; it falls by this length
+    assert run.duration == pytest.approx(np.sqrt(2 * 0.5 / 9.81), rel=1e-12)
+    assert (run.body, run.time) == ("block", run.duration)
+    # 9.81 (1 - 2 / 2.5) t^2 / 2 with t^2 = 2 * 0.5 / 9.81; polynomials of degree 2 have no integration error
+    assert run.distance == pytest.approx(0.5 * (1 - 2 / 2.5), rel=1e-12)
+    assert run.uncertainty == pytest.approx(INTEGRATION_ERROR * 0.5, rel=1e-12)
+
+
+def places_by_mujoco(
+    text: str, file: RobotFile, states: CommonStates, duration: float
+) -> tuple[Array, Array]:
+    """Return centers of mass (2, bodies, 3) and rotations (2, bodies, 3, 3) at the start and at the end."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.integrator, steps = mujoco.mjtIntegrator.mjINT_RK4, 2000
+    model.opt.timestep = duration / steps
+    data = mujoco.MjData(model)
+    at = PHASES.index(Phase.DRIVEN)
+    start = states.coordinates[0, at], states.velocities[0, at]
+    data.qpos, data.qvel = to_mujoco(model, file.robot, *start)
+    data.ctrl = states.controls[0, at]
+    mujoco.mj_forward(model, data)
+    found = [(data.xipos[1:].copy(), data.xmat[1:].reshape(-1, 3, 3).copy())]
+    mujoco.mj_step(model, data, steps)
+    mujoco.mj_forward(model, data)
+    found.append((data.xipos[1:].copy(), data.xmat[1:].reshape(-1, 3, 3).copy()))
+    return np.array([place for place, _ in found]), np.array([turn for _, turn in found])
+
+
+def test_distance_is_that_of_runs_by_mujoco() -> None:
+    """A floating robot with a ball, springs and drives; the leg of the second one has more mass."""
+    texts = TREE, TREE.replace('mass=".3"', 'mass=".33"')
+    files = of_text(texts[0]), of_text(texts[1])
+    states, run = run_of(*files)
+    assert run is not None
+    runs = [places_by_mujoco(*each, states, run.duration) for each in zip(texts, files, strict=True)]
+    distances = {}
+    for number, body in enumerate(files[0].robot.bodies):
+        moved, turned = [], []
+        for place, turn in runs:
+            back = turn[0, number].T
+            moved.append(back @ (place[1, number] - place[0, number]))
+            turned.append(back @ turn[1, number])
+        cosine = (np.trace(turned[0].T @ turned[1]) - 1) / 2
+        radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
+        distances[body.name] = np.hypot(np.linalg.norm(moved[0] - moved[1]), radius * np.arccos(cosine))
+    farthest = max(distances, key=lambda name: distances[name])
+    assert (run.body, run.time) == (farthest, run.duration)
+    # below the tolerance of a step; MuJoCo's own error at these steps is about 1e-9
+    assert run.distance == pytest.approx(distances[farthest], rel=1e-5)
+
+
+def test_digits_make_the_uncertainty() -> None:
+    """The same robot, and a variant with another armature: twice what the variant changes."""
+    first, variant = of_text(SLIDER), of_text(SLIDER.replace('armature="0"', 'armature="1e-3"'))
+    _, run = run_of(replace(first, variants=(variant.robot,)), first)
+    assert run is not None
+    assert run.distance == 0.0
+    # at the start both are in one place; the body is named by its distance, and its uncertainty counts there
+    _, apart = run_of(replace(first, variants=(variant.robot,)), variant)
+    assert apart is not None
+    assert apart.distance == pytest.approx(0.5 * (1 - 2 / 2.001), rel=1e-9)
+    assert apart.uncertainty == pytest.approx(2 * apart.distance + INTEGRATION_ERROR * 0.5, rel=1e-9)
+
+
+def test_stiff_robots_run_for_a_shorter_time() -> None:
+    """At 1e7 N s/m on 2 kg, explicit steps cannot be much longer than 1e-6 s."""
+    _, run = run_of(of_text(STIFF), of_text(STIFF.replace('mass="2"', 'mass="3"')))
+    assert run is not None
+    assert 0.0 < run.duration < 1e-3
+
+
+@pytest.mark.parametrize(
+    "equality", ['<joint joint1="jb" joint2="ja" polycoef="0 -1 0 0 0"/>', '<joint joint1="jb"/>']
+)
+def test_no_run_of_robots_of_other_freedom(equality: str) -> None:
+    first = of_text(HALVES.replace("EQUALITY", ""))
+    second = of_text(HALVES.replace("EQUALITY", equality))
+    assert run_of(first, second)[1] is None
+    assert run_of(second, first)[1] is None
+
+
+def test_no_run_without_states() -> None:
+    assert run_both(None, compare_motions(None)) is None
