@@ -59,7 +59,7 @@ class Diff(Shown):
 
     @property
     def run(self) -> Run | None:
-        """How far apart bodies get from the same start; None for robots that cannot be in the same state."""
+        """Largest distance of a body in a run from the same start; None without common states."""
         return self.comparison.run
 
     @cached_property

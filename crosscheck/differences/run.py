@@ -44,7 +44,7 @@ SMALL_ANGLE = 1e-3
 
 @dataclass(frozen=True)
 class Run:
-    """How far apart the bodies of two robots get in a run from the same start.
+    """Distance of the bodies of two robots in a run from the same start.
 
     A distance is the root mean square over the mass of a body; places at the start are laid on each other.
 
