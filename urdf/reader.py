@@ -494,27 +494,27 @@ def _report_joints(
     """Report dry friction, limits, rotors and safety controllers of joints, which scenes do not simulate.
 
     The watches test, after a run, whether a limit or friction would have acted. An element whose action
-    neither the file nor a run can show is not `examined`. `numbers` are the values in the file, SI units.
+    neither the file nor a run can show is not `examined`.
     """
     for joint in joints:
         element, key = f"joint {joint.name!r}", tree.coordinate_keys.get(joint.name)
         if joint.friction:
             why = f"its dry friction {joint.friction:g}"
             resting = [FrictionWatch((key,))] if key else []
-            report.left_out(element, why, topic=FRICTION, watches=resting, numbers=[joint.friction])
+            report.left_out(element, why, topic=FRICTION, watches=resting)
         if joint.limits:
             low, high, speed = joint.limits
             why = f"its limits {low:.4g} to {high:.4g}: limits are one-sided and not simulated"
             watches = _limit_watches(start, joint, key) if key else []
-            report.left_out(element, why, topic=LIMITS, watches=watches, numbers=[low, high])
+            report.left_out(element, why, topic=LIMITS, watches=watches)
             if math.isfinite(speed):
                 why = f"its limit of velocity, {speed:.4g} {joint.unit}/s"
                 watches = _speed_watches(joint, key) if key else []
-                report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches, numbers=[speed])
+                report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches)
         if joint.rotor:
             why = f"its rotor, rotorInertia times rotorGearRatio^2 of {joint.rotor:g}"
             remedy = "Pinocchio's dynamics use model.armature only; add the inertia there"
-            report.left_out(element, f"{why}: {remedy}", topic="rotor", numbers=[joint.rotor])
+            report.left_out(element, f"{why}: {remedy}", topic="rotor")
         if joint.has_safety:
             why = "its safety controller, a program outside of the model"
             report.left_out(element, why, topic="safety controller", examined=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,6 +57,26 @@ def diff_command(
 
     The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
     """
+    options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
+    return compare_files((first, second), options, output, _pairs(names), tolerance)
+
+
+def compare_files(
+    models: tuple[str, str],
+    options: tuple[Mapping[str, str], Mapping[str, str]],
+    output: Path | None,
+    names: Mapping[str, str] = {},
+    tolerance: float | None = None,
+) -> int:
+    """Compare two model files, write and print the results, and return the exit status.
+
+    Args:
+        models: names or files of the models.
+        options: options of each model.
+        output: folder for the results; None for the default.
+        names: names of bodies or joints of the first file, and of their partners in the second.
+        tolerance: relative difference that counts as rounding; None for the digits of the files.
+    """
     from crosscheck.differences.result import compare_models
     from crosscheck.report.annotations import sarif, workflow_commands
     from crosscheck.report.diff import report
@@ -63,15 +84,14 @@ def diff_command(
     from crosscheck.report.page import PAGE, write_report
     from crosscheck.support.files import check_no_source, check_writable, write_files
 
-    folder = output or Path("output/diff") / f"{results_name(first)}_{results_name(second)}"
+    folder = output or Path("output/diff") / "_".join(map(results_name, models))
     paths = [folder / name for name in ("diff.json", "summary.md", "diff.sarif")]
-    check_no_source(paths, [first, second])
+    check_no_source(paths, models)
     if output is None:
-        check_no_other_results(folder, [first, second], "comparison of files")
+        check_no_other_results(folder, models, "comparison of files")
     check_writable(*paths, folder / PAGE)
     with progress_shown() as progress:
-        options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
-        comparison = compare_models((first, second), options, _pairs(names), tolerance, progress)
+        comparison = compare_models(models, options, names, tolerance, progress)
     found = report(comparison)
     summary = markdown(replace(found, parts=found.summary)).encode()
     contents = as_json(comparison.summary(), found), summary, sarif(comparison)

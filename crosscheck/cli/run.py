@@ -1,13 +1,9 @@
-"""`crosscheck run`: simulate a model in all engines and compare the results, or compare two models.
-
-`run_command` parses the options and chooses a comparison. `_run` then carries out the comparison, in the same
-steps for both kinds: check the output files, compute, write, print.
-"""
+"""`crosscheck run`: simulate a model in all engines and compare the results."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.abc import MetaPathFinder
@@ -35,9 +31,6 @@ from crosscheck.support.errors import CrosscheckError
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from crosscheck.compare.comparison import ComparisonResult
-    from crosscheck.compare.crosscheck import Progress
-    from crosscheck.compare.two_models.unsimulated import Model
     from crosscheck.logs.judge import Log
 
 OUTPUT = Path("output")
@@ -52,7 +45,7 @@ OUTPUT = Path("output")
 @click.option(
     "--against",
     metavar="MODEL",
-    help="Compare SCENE with another model instead, both simulated by newton_euler.",
+    help="Compare the files SCENE and MODEL instead, as `crosscheck diff SCENE MODEL`, which replaces it.",
 )
 @click.option(
     "--against-set",
@@ -115,8 +108,6 @@ OUTPUT = Path("output")
 def run_command(**options: Any) -> int:
     """Simulate a model in all engines and compare the results.
 
-    With --against, compare two models instead.
-
     SCENE is the name of a library scene (default: tracker), a scene file (YAML, JSON), an MJCF file or a
     URDF file. `crosscheck list` prints the scenes and their options.
     """
@@ -124,12 +115,9 @@ def run_command(**options: Any) -> int:
     asked.check()
     if asked.library:
         return _run_library(asked.engines, asked.output)
-    if asked.against is None:
-        comparison = _engine_comparison(asked)
-    else:
-        models = _load_two_models((asked.model, asked.settings), (asked.against, asked.against_settings))
-        comparison = _model_comparison(models, asked.output)
-    return _run(comparison, asked.save, asked.allow_reduced)
+    if asked.against is not None:
+        return _diff(asked, asked.against)
+    return _run(asked)
 
 
 @dataclass(frozen=True)
@@ -168,8 +156,9 @@ class _Options:
             "--log": self.logs,
             "--allow-reduced": self.allow_reduced,
             "--max-error": self.max_errors,
+            "--save": self.save,
         }
-        alone = {"SCENE": self.scene, "--against": self.against, "--set": self.settings, "--save": self.save}
+        alone = {"SCENE": self.scene, "--against": self.against, "--set": self.settings}
         if self.library:
             for name, value in {**alone, **of_one_model}.items():
                 if value and name != "--engines":
@@ -210,83 +199,35 @@ def _run_library(engines: list[str] | None, output: Path | None) -> int:
     return AGREE if all(outcome.agrees or outcome.left_out for outcome in outcomes) else DISAGREE
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """A comparison to carry out: of one model in several engines, or of two models.
+def _diff(asked: _Options, other: str) -> int:
+    """Compare two model files as `crosscheck diff` does, and return its exit status."""
+    from crosscheck.cli.diff import compare_files
 
-    Attributes:
-        name: name of the results; the recording is NAME.rrd by default.
-        runs: names of the runs, of engines or models; each run is written to RUN.npz.
-        folder: folder for the results.
-        sources: names or files of the models, and paths of logs, which results must not overwrite.
-        compute: carries out the comparison; its argument shows a message to the user.
-    """
-
-    name: str
-    runs: Sequence[str]
-    folder: Path
-    sources: Sequence[str]
-    compute: Callable[[Progress], ComparisonResult]
+    settings = [word for text in asked.settings for word in ("--set-first", text)]
+    settings += [word for text in asked.against_settings for word in ("--set-second", text)]
+    options = scene_options(asked.settings), scene_options(asked.against_settings, "--against-set")
+    status = compare_files((asked.model, other), options, asked.output)
+    say(f"run --against goes with the next release; use {next_step('diff', asked.model, other, *settings)}")
+    return status
 
 
-def _run(comparison: _Comparison, save: Path | None, allow_reduced: bool) -> int:
-    """Carry out a comparison, write its results, print its report, and return the exit status.
-
-    Args:
-        comparison: the comparison.
-        save: path of the recording; None for the default.
-        allow_reduced: whether agreement on a reduced model counts as agreement.
-    """
-    from crosscheck.compare.result import EngineComparison
-    from crosscheck.loading.load import non_default_options
-    from crosscheck.recording.mesh_budget import meshes_left_out
-    from crosscheck.report.output import SUMMARY, TEST_CASES, write
-    from crosscheck.report.run import report
-    from crosscheck.support.files import check_no_source, check_writable
-
-    # check the output files before the long computation
-    folder = comparison.folder
-    recording = save or folder / f"{comparison.name}.rrd"
-    texts = [folder / SUMMARY, folder / TEST_CASES]
-    check_no_source(texts, comparison.sources)
-    check_writable(*(folder / f"{run}.npz" for run in comparison.runs), *texts, recording)
-
-    # compute, write
-    with progress_shown() as progress:
-        result = comparison.compute(progress)
-        progress("writing")
-        found = report(result)
-        with _pandas_hidden():
-            write(result, found, folder, recording, comparison.name, allow_reduced)
-
-    # print, with commands for further steps
-    look = f"look  {next_step('view', recording)}"
-    more = ["-v", next_step("report", folder)]
-    if isinstance(result, EngineComparison):
-        if without_meshes := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
-            look = f"{without_meshes}\n{look}"
-        options = non_default_options(result.options)
-        settings = [word for key, value in options.items() for word in ("--set", f"{key}={value}")]
-        next_command = "tune" if result.own_run and result.own_run.remedies else "bench"
-        more.append(next_step(next_command, result.source, *settings))
-    show(found, look, f"more  {'; '.join(more)}")
-    return result.outcome.exit_status(allow_reduced)
-
-
-def _engine_comparison(asked: _Options) -> _Comparison:
-    """Load a model, and prepare its comparison in several engines."""
+def _run(asked: _Options) -> int:
+    """Compare a model in several engines, write and print the results, and return the exit status."""
     from crosscheck.compare.crosscheck import crosscheck
     from crosscheck.compare.logs import judge_logs
     from crosscheck.engines.engine import ENGINES, choose
-    from crosscheck.loading.load import load_scene, with_excitation
+    from crosscheck.loading.load import load_scene, non_default_options, with_excitation
     from crosscheck.own_run.allowed import AllowedError
-    from crosscheck.report.output import results_name, usual_folder
+    from crosscheck.recording.mesh_budget import meshes_left_out
+    from crosscheck.report.output import SUMMARY, TEST_CASES, results_name, usual_folder, write
+    from crosscheck.report.run import report
+    from crosscheck.support.files import check_no_source, check_writable
 
+    # load the model
     engines = choose(asked.engines or list(ENGINES))
     allowed = [AllowedError.parse(text) for text in asked.max_errors]
     folder = asked.output or usual_folder(OUTPUT, asked.model, "crosscheck")
     logs = _logs(asked.logs, asked.log_settings, asked.log_columns)
-    sources = [asked.model, *(str(log.table) for log in logs.values())]
     options = with_excitation(asked.model, scene_options(asked.settings))
     # not verified here: the comparison has checks of the import, and reports all that fail
     scene, import_report = load_scene(asked.model, options, verified=False)
@@ -296,13 +237,33 @@ def _engine_comparison(asked: _Options) -> _Comparison:
             f"--max-error: {asked.model} has no run of its own; needed: an MJCF or URDF file, or --log"
         )
 
-    def compute(progress: Progress) -> ComparisonResult:
-        judged = judge_logs(asked.model, scene_options(asked.settings), logs, progress)
-        found = crosscheck(scene, engines, progress, asked.model, options, import_report, asked.advice)
-        return replace(found, logs=judged).with_allowed_errors(allowed)
+    # check the output files before the long computation
+    name = results_name(asked.model)
+    recording = asked.save or folder / f"{name}.rrd"
+    texts = [folder / SUMMARY, folder / TEST_CASES]
+    check_no_source(texts, [asked.model, *(str(log.table) for log in logs.values())])
+    check_writable(*(folder / f"{engine.name}.npz" for engine in engines), *texts, recording)
 
-    names = [engine.name for engine in engines]
-    return _Comparison(results_name(asked.model), names, folder, sources, compute)
+    # compute, write
+    with progress_shown() as progress:
+        judged = judge_logs(asked.model, scene_options(asked.settings), logs, progress)
+        compared = crosscheck(scene, engines, progress, asked.model, options, import_report, asked.advice)
+        result = replace(compared, logs=judged).with_allowed_errors(allowed)
+        progress("writing")
+        found = report(result)
+        with _pandas_hidden():
+            write(result, found, folder, recording, name, asked.allow_reduced)
+
+    # print, with commands for further steps
+    look = f"look  {next_step('view', recording)}"
+    if without_meshes := meshes_left_out(result.scene.mechanism, list(result.trajectories)):
+        look = f"{without_meshes}\n{look}"
+    changed = non_default_options(result.options)
+    settings = [word for key, value in changed.items() for word in ("--set", f"{key}={value}")]
+    next_command = "tune" if result.own_run and result.own_run.remedies else "bench"
+    more = ["-v", next_step("report", folder), next_step(next_command, result.source, *settings)]
+    show(found, look, f"more  {'; '.join(more)}")
+    return result.outcome.exit_status(asked.allow_reduced)
 
 
 def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]) -> dict[str, Log]:
@@ -323,49 +284,6 @@ def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]
     )
     names = [path.stem if [p.stem for p in files].count(path.stem) == 1 else str(path) for path in files]
     return {name: Log(str(path), options) for name, path in zip(names, files, strict=True)}
-
-
-def _model_comparison(models: tuple[Model, Model], output: Path | None) -> _Comparison:
-    """Prepare the comparison of two models; `output` is the folder for the results, None for the default."""
-    from crosscheck.compare.two_models.compare import compare_models, pair_name
-    from crosscheck.report.output import check_no_other_results
-
-    def compute(progress: Progress) -> ComparisonResult:
-        return compare_models(*models, progress)
-
-    name = pair_name(models)
-    folder = output or OUTPUT / name
-    sources = [model.source for model in models]
-    if output is None:
-        check_no_other_results(folder, sources)
-    return _Comparison(name, [model.name for model in models], folder, sources, compute)
-
-
-def _load_two_models(*sources: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
-    """Load two models, each given by its name or file and its settings, and give them different names."""
-    from crosscheck.compare.two_models.unsimulated import Model
-    from crosscheck.loading.load import load_scene
-    from newton_euler.reading.import_report import unique_name
-
-    paths = [Path(source) for source, _ in sources]
-    names = [_distinct_name(*paths), _distinct_name(*reversed(paths))]
-    found: list[Model] = []
-    for name, given_as, (source, settings) in zip(names, ("--set", "--against-set"), sources, strict=True):
-        options = scene_options(settings, given_as)
-        for option in ("duration", "output_period"):
-            if found and option in options:
-                raise CrosscheckError(f"{given_as} {option}: both models have the first's, see --set")
-        unique = unique_name(name, "model", [model.name for model in found])
-        found.append(Model(unique, source, options, *load_scene(source, options)))
-    first, second = found
-    return first, second
-
-
-def _distinct_name(path: Path, other: Path) -> str:
-    """Return the part of a path that differs from another path: the stem, the name, or folder and name."""
-    if path.name == other.name and path.parent.name:
-        return f"{path.parent.name}_{path.name}"
-    return path.name if path.stem == other.stem else path.stem
 
 
 @contextmanager

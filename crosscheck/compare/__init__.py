@@ -2,6 +2,5 @@
 
 In: a scene (and the import report of a model file) and the engines. Out: a `Crosscheck` (`result.py`) with
 all checks (`check.py`), the outlier (`diagnosis.py`), the elements that the motion tests (`coverage.py`) and
-advice. `two_models/` compares two models of one mechanism. Start reading at `crosscheck` in
-`crosscheck.py`, then `levels.py` and `runs.py`.
+advice. Start reading at `crosscheck` in `crosscheck.py`, then `levels.py` and `runs.py`.
 """

@@ -43,12 +43,6 @@ POSES = ("positions, m", "orientations, rad")
 CONSTRAINT_VIOLATION = "constraint violation, m or rad"
 """Quantity at the level "drift": largest residual of the joint constraints in a run."""
 
-START = "start"
-"""Level after "model" if two models are compared, since each model has its own initial state."""
-
-LEVELS_WITH_START = (LEVELS_OF_EQUATIONS[0], START, *LEVELS_OF_EQUATIONS[1:], *LEVELS_OF_RUNS)
-"""Levels that compare engines or two models, in their order."""
-
 ERROR_PER_CHANGE = 4.0
 """Bound on the error of a run, divided by the change between the run and a refined run.
 
@@ -89,7 +83,7 @@ class Check:
     """A compared value, its tolerance, and the place of the largest difference.
 
     Attributes:
-        level: one of `LEVELS`, `START` or `REFERENCE`.
+        level: one of `LEVELS` or `REFERENCE`.
         quantity: compared quantity, with its unit.
         between: one or two names of engines or systems (formulations of an engine), or an engine and `FILE`.
         value, tolerance: value, and the largest value that passes.
@@ -130,10 +124,10 @@ class Check:
 
 
 def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str) -> str:
-    """Format the values of two engines or models, with enough digits to show the difference.
+    """Format the values of two engines, with enough digits to show the difference.
 
     Args:
-        pair: names of the two engines or models.
+        pair: names of the two engines.
         one, two: their values: numbers, vectors or matrices. For matrices, only the row with the largest
             difference is shown.
         unit: unit of the values.
@@ -148,21 +142,6 @@ def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str
         if texts[0] != texts[1]:
             break
     return f"{pair[0]} {texts[0]}, {pair[1]} {texts[1]} {unit}".rstrip()
-
-
-def worst_check(
-    level: str, quantity: str, between: tuple[str, ...], gap: Array, tolerance: float, names: Sequence[str]
-) -> Check:
-    """Make the check of the largest difference.
-
-    Args:
-        level, quantity, between, tolerance: attributes of the check.
-        gap: (n,) differences of n elements (bodies, joints), or (m, n) at m states.
-        names: n names of the elements.
-    """
-    largest = gap.max(axis=0) if gap.ndim == 2 else gap
-    worst = int(np.argmax(largest))
-    return Check(level, quantity, between, float(largest[worst]), tolerance, names[worst])
 
 
 def chain_despite_errors(parts: Iterable[Iterator[Check]]) -> Iterator[Check]:
@@ -193,7 +172,7 @@ def not_compared(checks: Sequence[Check]) -> Iterator[str]:
     """Yield a line for each level at which pairs of engines differ: a pair that differs is not compared at
     later levels."""
     # Group the pairs by the last level at which they differ
-    levels = LEVELS_WITH_START
+    levels = LEVELS[1:]  # the first one compares engines with the model file
     pairs = (check.between for check in checks if len(check.between) == 2 and FILE not in check.between)
     pairs_by_level: dict[str, list[Sequence[str]]] = {}
     for pair in dict.fromkeys(pairs):

@@ -61,10 +61,10 @@ def dynamics_checks(pair: tuple[str, str], first: Samples, second: Samples) -> I
 def motion_checks(
     pair: tuple[str, str], first: Samples, second: Samples, cause: CauseFinder
 ) -> Iterator[Check]:
-    """Compare energies, effective inertia and effective force of two engines, or of two models.
+    """Compare energies, effective inertia and effective force of two engines.
 
     Args:
-        pair: names of the two engines or models.
+        pair: names of the two engines.
         first, second: their equations at the same states.
         cause: called if a check fails, to find the body, joint or gravity that it is attributed to.
     """

@@ -1,9 +1,9 @@
 """Outcomes of commands, such as AGREE or DISAGREE, with the word, the color and the exit status of each.
 
-A crosscheck simulates one model in several engines and compares them, or compares two models. A regression
-test compares results with stored baselines. "Reduced model": some elements of the model file, such as
-contacts, would have acted in the run but are not simulated. A report prints its result in one line, the
-verdict, which begins with the outcome.
+A crosscheck simulates one model in several engines and compares them. A comparison of files compares two
+models, and a regression test compares results with stored baselines. "Reduced model": some elements of the
+model file, such as contacts, would have acted in the run but are not simulated. A report prints its result in
+one line, the verdict, which begins with the outcome.
 """
 
 from __future__ import annotations

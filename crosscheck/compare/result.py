@@ -11,6 +11,7 @@ step and the solver settings of the file, and is judged separately, by its error
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -18,11 +19,11 @@ from typing import Any, Self
 
 from crosscheck.compare.advice import Advice
 from crosscheck.compare.check import READING, Check
-from crosscheck.compare.comparison import ComparisonResult, ModelFile
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.diagnosis import Diagnosis, diagnose
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.reference_values import ReferenceCheck
+from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.compare.singularity import SingularConfigurations
 from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop
@@ -31,8 +32,10 @@ from crosscheck.loading.load import non_default_options
 from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import OWN_RUN, AllowedError
 from crosscheck.own_run.judge import Judgement
+from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
 
 JUDGING = "judging the file's own run"
@@ -40,10 +43,19 @@ JUDGING = "judging the file's own run"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class EngineComparison(ComparisonResult):
+class EngineComparison(ABC):
     """Result of a comparison of engines; `crosscheck.compare.crosscheck.Crosscheck` adds the verdict.
 
     Attributes:
+        source: name or file that the scene was loaded from; empty if it was made in Python.
+        options: options of the scene or file that the user set.
+        scene: scene that was simulated.
+        engines: engines that were compared, in the requested order.
+        trajectories: run of each engine; partial if the engine stopped, missing if it has no run at all.
+        checks: all checks, except those against reference values.
+        wall_time: total wall time, s.
+        unfinished: engines that stopped, and parts of the comparison that did not complete.
+        notes: one line for each additional analysis that did not complete.
         left_out: engines that cannot represent the scene, with the reason.
         reference_checks: checks against reference values (published or exact results), for scenes of the
             library that have some.
@@ -59,7 +71,16 @@ class EngineComparison(ComparisonResult):
         logs: judgements of logs (recorded motions of other simulators), by name.
     """
 
+    source: str
+    options: Mapping[str, str]
+    scene: Scene
+    engines: tuple[Engine, ...]
+    trajectories: dict[str, Trajectory]
+    checks: tuple[Check, ...]
+    wall_time: float
     left_out: dict[str, str]
+    unfinished: tuple[Stop, ...] = ()
+    notes: tuple[str, ...] = ()
     reference_checks: tuple[ReferenceCheck, ...] = ()
     mapping: ImportReport | None = None
     advice: tuple[Advice, ...] = ()
@@ -76,14 +97,29 @@ class EngineComparison(ComparisonResult):
         return titled(self.scene.name, non_default_options(self.options))
 
     @property
-    def files(self) -> tuple[ModelFile, ...]:
-        """The model file; empty for other scenes."""
-        return (ModelFile("the file", "", self.scene, self.mapping),) if self.mapping else ()
+    @abstractmethod
+    def verdict(self) -> str:
+        """Verdict in one line."""
+
+    @property
+    def agrees(self) -> bool:
+        """True if the comparison was completed, found no difference, and covers all elements that act."""
+        return self.outcome is Outcome.AGREE
 
     @property
     def differs(self) -> bool:
         """True if any check exceeds its tolerance, those against reference values included."""
-        return super().differs or not all(check.agrees for check in self.reference_checks)
+        return not all(check.agrees for check in (*self.checks, *self.reference_checks))
+
+    @property
+    def judged(self) -> tuple[Check, ...]:
+        """Checks that decide the outcome; the verdict states their number."""
+        return tuple(check for check in self.checks if check.judged)
+
+    @property
+    def nothing_moves(self) -> bool:
+        """True if nothing moves in the runs, so that checks of runs test nothing."""
+        return nothing_moves_in_rigid_runs(self.scene, self.engines, self.trajectories)
 
     @property
     def outcome(self) -> Outcome:
@@ -204,7 +240,20 @@ class EngineComparison(ComparisonResult):
         Of the import report: `findings` are likely mistakes in the file, `start` has lines of text about the
         initial state, `moved_start` and `changed_velocities` are its changes that satisfy the constraints.
         """
-        return super().summary() | {
+        packages = sorted({"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)})
+        return {
+            "scene": self.scene.name,
+            "source": self.source,
+            "options": dict(self.options),
+            "agrees": self.agrees,
+            "outcome": self.outcome.value,
+            "verdict": self.verdict,
+            "wall_time": self.wall_time,
+            "versions": versions(packages),
+            "unfinished": [asdict(stop) for stop in self.unfinished],
+            "engines": {engine.name: self._run_summary(engine.name) for engine in self.engines},
+            "checks": [asdict(check) | {"agrees": check.agrees} for check in self.checks],
+            "notes": list(self.notes),
             "not_simulated": [asdict(entry) for entry in self.acting],
             "as_in_the_file_until": self.until,
             "diagnosis": [diagnosis.summary() for diagnosis in self.diagnosis],
@@ -234,7 +283,12 @@ class EngineComparison(ComparisonResult):
 
     def _run_summary(self, name: str) -> dict[str, Any]:
         """Return settings, wall time and error of an engine's run, for JSON."""
-        return super()._run_summary(name) | {"error": self.run_errors.get(name)}
+        run = self.trajectories.get(name)
+        return {
+            "settings": run.settings if run else {},
+            "wall_time": run.wall_time if run else None,
+            "error": self.run_errors.get(name),
+        }
 
 
 def diagnosed(

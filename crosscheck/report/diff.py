@@ -251,6 +251,8 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     yield from comparison.motion.notes
     if comparison.run:
         yield run_text(comparison.run)
+    elif comparison.motion.likeness is not Likeness.UNDECIDED:
+        yield "no run: the robots cannot move through the same poses"
     if conventions := comparison.of_standing(Standing.CONVENTION):
         texts = [sentence(row) for row in conventions[:MAX_CONVENTIONS]]
         others = len(conventions) - MAX_CONVENTIONS

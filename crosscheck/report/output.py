@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from crosscheck.compare.check import LEVELS_OF_RUNS, Check
-from crosscheck.compare.comparison import ComparisonResult
 from crosscheck.compare.result import EngineComparison
 from crosscheck.engines.engine import ENGINES
 from crosscheck.report.render import as_json, markdown
@@ -51,7 +50,7 @@ MODEL_RECORDS = {
 
 
 def write(
-    result: ComparisonResult,
+    result: EngineComparison,
     report: Report,
     folder: Path,
     recording: Path,
@@ -100,7 +99,7 @@ def write(
     return [*runs, summary, test_cases, recording]
 
 
-def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
+def to_record(result: EngineComparison, report: Report) -> tuple[Any, ...]:
     """Return the arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it.
 
     In the text, names of bodies and joints are links to the first engine's body or joint in the 3-D view.
@@ -124,7 +123,7 @@ def to_record(result: ComparisonResult, report: Report) -> tuple[Any, ...]:
         moments,
         directions,
         # judgement of the model file's run with its own settings
-        result.own_run if isinstance(result, EngineComparison) else None,
+        result.own_run,
     )
 
 

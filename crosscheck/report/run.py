@@ -1,8 +1,8 @@
 """Make the report of a crosscheck: the checks as tables, and sentences on the limits of the verdict.
 
 A crosscheck runs one scene (a mechanism with its forces, inputs and initial state) in several engines and
-compares the runs. It can also run two models, such as an MJCF and a URDF of one robot, in newton_euler. In:
-the result, a `ComparisonResult`. Out: a `Report` for the terminal and for pages, and JUnit XML for CI.
+compares the runs. In: the result, an `EngineComparison`. Out: a `Report` for the terminal and for pages, and
+JUnit XML for CI.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 
 from crosscheck.compare.activity import acted
 from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
-from crosscheck.compare.comparison import ComparisonResult
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.outcome import Verdict
 from crosscheck.compare.reference_values import ReferenceCheck
@@ -72,19 +71,18 @@ IMPLICIT = ("Radau", "implicitfast")
 """Implicit integrators, which engines choose for stiff scenes."""
 
 
-def report(result: ComparisonResult) -> Report:
+def report(result: EngineComparison) -> Report:
     """Make the report of a comparison: a full one, and a summary that the terminal shows."""
     limits, other_notes = list(verdict_limits(result)), list(notes(result))
-    engines = result if isinstance(result, EngineComparison) else None
-    advice = [f"advice, {advice}" for advice in engines.advice] if engines else []
+    advice = [f"advice, {advice}" for advice in result.advice]
     parts: list[Part] = [*judged_runs(result), *tables(result)]
     parts.append(Lines("", [*limits, *other_notes, *advice]))
     parts.append(name_value_table("settings and run times", dict(_settings(result))))
-    if engines and engines.coverage and engines.coverage.untested:
-        parts.append(_untested_table(engines.coverage))
-    for file in result.files:
-        parts.append(Lines(f"carried over from {file.title}", list(report_lines(file.mapping)), folded=True))
-    names = ("scene", "source", "options", "models", "left_out", "versions")
+    if result.coverage and result.coverage.untested:
+        parts.append(_untested_table(result.coverage))
+    if result.mapping:
+        parts.append(Lines("carried over from the file", list(report_lines(result.mapping)), folded=True))
+    names = ("scene", "source", "options", "left_out", "versions")
     values = result.summary()
     shown = {name: values[name] for name in names if values.get(name)}
     parts.append(name_value_table("scene and versions", shown, folded=True))
@@ -98,7 +96,7 @@ def report(result: ComparisonResult) -> Report:
     )
 
 
-def junit(result: ComparisonResult, whole: Report, name: str, allow_reduced: bool) -> str:
+def junit(result: EngineComparison, whole: Report, name: str, allow_reduced: bool) -> str:
     """Write a comparison as JUnit XML: test cases for the outcome, for the file's own run, and for checks.
 
     The test case of the outcome fails exactly if `crosscheck run` has another exit status than 0.
@@ -112,20 +110,19 @@ def junit(result: ComparisonResult, whole: Report, name: str, allow_reduced: boo
     """
     judged: Verdict = "holds" if result.outcome.passes(allow_reduced) else "fails"
     rows: Rows = [["outcome", Cell(result.verdict, judged)]]
-    if isinstance(result, EngineComparison):
-        runs: dict[str, Judgement | None] = {OWN_RUN: result.own_run, **result.logs}
-        for run, judgement in runs.items():
-            limits = result.limits_of(run)
-            # limits of errors that the columns of a log do not determine
-            unjudged = [each for each in result.allowed_errors if run in result.logs and each not in limits]
-            cases = own_run_cases(judgement, limits) if limits or not unjudged else []
-            rows += [run, *cases, *own_run_cases(None, unjudged)]
+    runs: dict[str, Judgement | None] = {OWN_RUN: result.own_run, **result.logs}
+    for run, judgement in runs.items():
+        limits = result.limits_of(run)
+        # limits of errors that the columns of a log do not determine
+        unjudged = [each for each in result.allowed_errors if run in result.logs and each not in limits]
+        cases = own_run_cases(judgement, limits) if limits or not unjudged else []
+        rows += [run, *cases, *own_run_cases(None, unjudged)]
     parts = [Table("verdict", text_columns("", ""), rows), *whole.parts]
     named = [replace(part, title=f"{name}: {part.title}") for part in parts]
     return render.junit(replace(whole, parts=named))
 
 
-def outcome_cell(result: ComparisonResult) -> Cell:
+def outcome_cell(result: EngineComparison) -> Cell:
     """Make the cell with the verdict in one word, such as AGREE."""
     return Cell(result.outcome.value, result.outcome.judged)
 
@@ -144,7 +141,7 @@ def _untested_table(coverage: Coverage) -> Table:
     return Table(title, columns, rows, folded=True)
 
 
-def tables(result: ComparisonResult) -> Iterator[Table]:
+def tables(result: EngineComparison) -> Iterator[Table]:
     """Yield the tables of checks.
 
     The first tables are of engines against the model file, of pairs of engines, and of each engine by itself.
@@ -162,7 +159,7 @@ def tables(result: ComparisonResult) -> Iterator[Table]:
         checks = [check for check in result.checks if _kind_of(check, engines) == kind]
         if checks:
             yield _checks_table(title, checks)
-    if isinstance(result, EngineComparison) and result.reference_checks:
+    if result.reference_checks:
         yield _reference_table(result.reference_checks)
     failed = [check for check in result.checks if not check.agrees]
     if len(failed) > 1:
@@ -235,29 +232,26 @@ def _reference_table(checks: Sequence[ReferenceCheck]) -> Table:
     return Table("reference values", [Column(""), *headings], rows)
 
 
-def _settings(result: ComparisonResult) -> Iterator[tuple[str, str]]:
+def _settings(result: EngineComparison) -> Iterator[tuple[str, str]]:
     """Yield the name of each engine, and its settings and run time in a line."""
     for name, run in result.trajectories.items():
         settings = ", ".join(f"{key} {_rounded(value)}" for key, value in run.settings.items())
         yield name, f"{settings}; {run.wall_time:.2g} s"
 
 
-def verdict_limits(result: ComparisonResult) -> Iterator[str]:
+def verdict_limits(result: EngineComparison) -> Iterator[str]:
     """Yield sentences that limit the verdict.
 
     They report analyses that did not complete, likely mistakes in the file, and a start that differs from the
     file's. They also name elements that would have acted in the run but are not simulated.
     """
-    engines = result if isinstance(result, EngineComparison) else None
     yield from result.notes
-    if engines and engines.singular:
-        yield str(engines.singular)
-    for file in result.files:
-        yield from (f"finding, {finding}" for finding in file.mapping.findings)
-    for file in result.files:
-        yield from (f"{file.label}{line}" for line in moved_start_lines(file.mapping, file.scene))
-    if engines and engines.mapping:
-        yield from _reduction_lines(engines.mapping)
+    if result.singular:
+        yield str(result.singular)
+    if result.mapping:
+        yield from (f"finding, {finding}" for finding in result.mapping.findings)
+        yield from moved_start_lines(result.mapping, result.scene)
+        yield from _reduction_lines(result.mapping)
 
 
 def _reduction_lines(mapping: ImportReport) -> Iterator[str]:
@@ -302,7 +296,7 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
         )
 
 
-def notes(result: ComparisonResult) -> Iterator[str]:
+def notes(result: EngineComparison) -> Iterator[str]:
     """Yield further sentences on a crosscheck that do not limit its verdict, the most important first."""
     scene = result.scene
     if result.nothing_moves:
@@ -310,22 +304,22 @@ def notes(result: ComparisonResult) -> Iterator[str]:
     yield from redundancy_lines(scene)
     # impossible inertias; those of a model file are findings, which `verdict_limits` reports with numbers
     impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
-    if impossible and not result.files:
+    if impossible and not result.mapping:
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
 
     # what was not compared or tested
     yield from not_compared(result.checks)
-    covered = result.coverage if isinstance(result, EngineComparison) else None
-    untested = covered.untested if covered else ()
+    untested = result.coverage.untested if result.coverage else ()
     for why, shared in ((SAME_CODE, True), ("by the motion, 10 % more would not show", False)):
         if names := [covered.element for covered in untested if covered.shared == shared]:
             listed = f", {ALL_LISTED}" if len(names) > MAX_NAMES else ""
             yield f"untested {why}: {_name_list(names)}{listed}"
 
     # the model file, and the start
-    for title, _, _, mapping in result.files:
-        yield f"{title}: {fates_line(mapping)}"  # numbers of elements imported exactly, left out ...
+    mapping = result.mapping
+    if mapping:
+        yield f"the file: {fates_line(mapping)}"  # numbers of elements imported exactly, left out ...
         # lines about the initial state, the one about the excitation first
         yield from sorted(mapping.start, key=partial(ne, mapping.excitation))
     yield from undetermined_lines(scene)
@@ -339,9 +333,9 @@ def notes(result: ComparisonResult) -> Iterator[str]:
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"
         yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
 
-    if result.files and result.trajectories:
+    if mapping and result.trajectories:
         yield _start_line(result)
-        yield from (f"{file.label}{line}" for file in result.files for line in _inactive_lines(file.mapping))
+        yield from _inactive_lines(mapping)
 
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:
@@ -372,7 +366,7 @@ def _inactive_lines(mapping: ImportReport) -> Iterator[str]:
         yield f"inactive in this run, {len(idle)} of {len(entries)} watched: {'; '.join(idle)}"
 
 
-def _start_line(result: ComparisonResult) -> str:
+def _start_line(result: EngineComparison) -> str:
     """Report that all engines start in the same pose, and the constraint violation of each at the start."""
     names = list(result.trajectories)
     runs = list(result.trajectories.values())
@@ -386,7 +380,7 @@ def _start_line(result: ComparisonResult) -> str:
     return f"start: {same}largest residual of joints (m, rad): {residuals}"
 
 
-def _rest_line(result: ComparisonResult) -> str:
+def _rest_line(result: EngineComparison) -> str:
     """Report that nothing moves, the reason if the constraints show one, and what remains untested."""
     largest = displacements(result.trajectories).items()
     moved = ", ".join(f"{name} {displacement:.1e}" for name, displacement in largest)

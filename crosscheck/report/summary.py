@@ -1,8 +1,8 @@
 """Make the summary of a crosscheck, which the terminal shows in about 25 lines of 80 columns.
 
-A crosscheck simulates one model in several engines (simulators), or two models, and compares them by checks:
-values with tolerances, grouped in levels from the model to whole runs. In: the result. Out: parts of a
-report, with a table of the levels and a table of the engines.
+A crosscheck simulates one model in several engines (simulators) and compares them by checks: values with
+tolerances, grouped in levels from the model to whole runs. In: the result. Out: parts of a report, with a
+table of the levels and a table of the engines.
 """
 
 from __future__ import annotations
@@ -13,12 +13,10 @@ from typing import Any
 from crosscheck.compare.check import (
     CONSTRAINT_VIOLATION,
     FILE,
-    LEVELS_WITH_START,
-    READING,
+    LEVELS,
     REFERENCE,
     Check,
 )
-from crosscheck.compare.comparison import ComparisonResult
 from crosscheck.compare.result import EngineComparison
 from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report.log import log_lines
@@ -29,7 +27,7 @@ MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
 """Largest number of sentences below the tables; a failing verdict takes more lines itself."""
 
 
-def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
+def summary(result: EngineComparison, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
     """Make the parts of the summary: tables of levels and engines, limits of the verdict, notes, advice.
 
     Args:
@@ -44,15 +42,13 @@ def summary(result: ComparisonResult, limits: Sequence[str], notes: Sequence[str
     lines = [*limits, *notes[: max(0, max_notes - len(limits))]]
     if lines:
         parts.append(Lines("", lines))
-    if isinstance(result, EngineComparison) and result.advice:
+    if result.advice:
         parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
     return parts
 
 
-def judged_runs(result: ComparisonResult) -> list[Part]:
+def judged_runs(result: EngineComparison) -> list[Part]:
     """Format the judgements of other simulators' logs, and of the run with the settings of the model file."""
-    if not isinstance(result, EngineComparison):
-        return []
     parts: list[Part] = [
         log_lines(judgement, result.limits_of(name)) for name, judgement in result.logs.items()
     ]
@@ -66,17 +62,17 @@ def judged_runs(result: ComparisonResult) -> list[Part]:
     return parts
 
 
-def judged_checks(result: ComparisonResult) -> list[Check]:
+def judged_checks(result: EngineComparison) -> list[Check]:
     """Return all checks that are judged, including those against reference values."""
     checks = [check for check in result.checks if check.judged]
-    for each in result.reference_checks if isinstance(result, EngineComparison) else ():
+    for each in result.reference_checks:
         where = f"{each.known.time:g} s"  # without the engine
         quantity = each.known.quantity
         checks.append(Check(REFERENCE, quantity, (each.engine,), each.value, each.tolerance, where))
     return checks
 
 
-def levels_table(result: ComparisonResult) -> Table:
+def levels_table(result: EngineComparison) -> Table:
     """Make a table with a row per level of checks.
 
     The columns are the number of passed or failed checks, a column per engine, and the check closest to
@@ -87,7 +83,7 @@ def levels_table(result: ComparisonResult) -> Table:
     shown_engines = others or [first]
     checks = judged_checks(result)
     rows: Rows = []
-    for level in (READING, *LEVELS_WITH_START, REFERENCE):
+    for level in (*LEVELS, REFERENCE):
         at_level = [check for check in checks if check.level == level]
         if not at_level:
             continue
@@ -134,13 +130,13 @@ def nearest(checks: Sequence[Check]) -> Cell:
     return Cell(f"{text:>4} {place}", "" if worst.agrees else "fails", about=about)
 
 
-def engines_table(result: ComparisonResult) -> Table:
+def engines_table(result: EngineComparison) -> Table:
     """Make a table with a row per engine: run time, error and settings, or the time at which it stopped.
 
     The error is the largest deviation from a reference run, m or rad.
     """
     stopped = {stop.what: stop for stop in result.unfinished}
-    errors = result.run_errors if isinstance(result, EngineComparison) else {}
+    errors = result.run_errors
     rows: Rows = []
     for engine in result.engines:
         run, stop = result.trajectories.get(engine.name), stopped.get(engine.name)

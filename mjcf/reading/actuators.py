@@ -20,7 +20,7 @@ A sine of the control adds g gain times the sine to the feedforward.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from collections.abc import Mapping as ReadOnlyMapping
 from dataclasses import replace
 from typing import Any
@@ -49,7 +49,7 @@ from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Key
 from newton_euler.model.smooth_functions import Sine
 from newton_euler.reading.activity import Bounds
-from newton_euler.reading.import_report import CONTROL, CONTROL_RANGE, FORCE, ROTOR, ImportReport
+from newton_euler.reading.import_report import CONTROL, FORCE, ROTOR, ImportReport
 from newton_euler.scalars import Array
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
@@ -257,17 +257,14 @@ class Actuators:
             how: counterpart of the actuator in the scene, in words.
             became: kind of the counterpart: `CONTROL` for a control law, `FORCE` for a wrench.
         """
-        model, numbers = self._model, dict[str, Sequence[float]]()
-        ctrl_of_file = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
+        ctrl_of_file = float(self._data.ctrl[int(self._model.actuator_ctrladr[actuator])])
         control = self._control(actuator)
         if ctrl_of_file != control:
             how += f"; its control {ctrl_of_file:g} is clipped to {control:g} by its range, as in MuJoCo"
         # reported as idle: the control is 0 throughout (a force that does not depend on it may still act)
         moves_nothing = control == 0.0 and actuator not in self._sines
-        if model.actuator_ctrllimited[actuator]:
-            numbers[CONTROL_RANGE] = model.actuator_ctrlrange[actuator].tolist()
-        element = element_name(model, "actuator", actuator)
-        self._report.imported(element, how, became, moves_nothing=moves_nothing, numbers=numbers)
+        element = element_name(self._model, "actuator", actuator)
+        self._report.imported(element, how, became, moves_nothing=moves_nothing)
 
     def _report_limits(
         self, actuator: int, element: str, force: Affine, moments: dict[int, float] | None
@@ -298,11 +295,11 @@ class Actuators:
             can_watch = moments is not None or not (force.by_length or force.by_rate)
             why = f"its limit of the force, {low:g} to {high:g}"
             watches = [watch] if can_watch else []
-            report.left_out(element, why, topic="limit of the force", watches=watches, numbers=[low, high])
+            report.left_out(element, why, topic="limit of the force", watches=watches)
         if (tendon := limited_tendon(model, actuator)) is not None:
             low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
-            report.left_out(element, why, topic="limit of its tendon", numbers=[low, high])
+            report.left_out(element, why, topic="limit of its tendon")
 
     def _report_joint_limit(self, joint: int) -> None:
         """Report the limit that MuJoCo's joint number `joint` sets to the sum of its actuator forces."""
@@ -313,14 +310,14 @@ class Actuators:
         why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
         actuation = None if key is None else self._actuations.get(key)
         if others := self._other_forces(joint):
-            self._report.left_out(element, f"{why}, which includes {others}", topic=topic, numbers=limits)
+            self._report.left_out(element, f"{why}, which includes {others}", topic=topic)
         elif actuation is not None:
             watch = joint_force_watch(actuation, low, high, joint_force_unit(model, joint))
             watches = [watch] if watch else []
-            self._report.left_out(element, why, topic=topic, watches=watches, numbers=limits)
+            self._report.left_out(element, why, topic=topic, watches=watches)
         elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
             # only actuators that are left out act on the joint, so that no run can show the force
-            self._report.left_out(element, why, topic=topic, numbers=limits)
+            self._report.left_out(element, why, topic=topic)
 
     def _other_forces(self, joint: int) -> str:
         """Describe the forces that a joint's limit includes and its control law does not; "" for none.

@@ -149,7 +149,7 @@ class Forces:
     def _report_yield(self, element: str, limit: float) -> None:
         """Report that the spring of an element yields beyond a deflection, m or rad."""
         why = f"its spring yields beyond {limit:g}; springs of scenes are elastic"
-        self._report.left_out(element, why, topic="yield", numbers=[limit])
+        self._report.left_out(element, why, topic="yield")
 
     def _rest_rotation(self, number: int, quaternion_index: int) -> Array:
         """Return the rest of a ball's spring, as `BallSpring` defines it.

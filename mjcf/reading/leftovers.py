@@ -62,8 +62,7 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
         start: MuJoCo's model and data at the start state.
         bodies: imported bodies.
         joints: imported joints of the tree.
-        report: report that receives the entries. The `numbers` of an entry are the element's values in the
-            file, for comparisons of two models.
+        report: report that receives the entries.
     """
     model = start.model
     poses = Poses(start, bodies)
@@ -83,10 +82,7 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
         if model.tendon_limited[tendon]:
             why, switched_off = "its limits: limits are one-sided and not simulated", start.disabled("LIMIT")
             watches = [_tendon_watch(start, joints, poses, tendon)]
-            bounds = model.tendon_range[tendon].tolist()
-            report.left_out(
-                element, why, topic=LIMITS, switched_off=switched_off, watches=watches, numbers=bounds
-            )
+            report.left_out(element, why, topic=LIMITS, switched_off=switched_off, watches=watches)
         if model.tendon_frictionloss[tendon]:
             friction = float(model.tendon_frictionloss[tendon])
             why = f"its dry friction {friction:g}"
@@ -97,17 +93,15 @@ def report_leftovers(start: ModelAtStart, bodies: Bodies, joints: Joints, report
                 topic=FRICTION,
                 switched_off=switched_off,
                 watches=_tendon_friction_watches(start, joints, tendon),
-                numbers=[friction],
             )
     # fluids, flexes and plugins
     option = model.opt
     for name, value in (("density", option.density), ("viscosity", option.viscosity)):
         if value:
             why = f"{value:g}: fluid forces are not simulated"
-            report.left_out(f"option {name}", why, topic=name, numbers=[value])
+            report.left_out(f"option {name}", why, topic=name)
     if np.any(option.wind):
-        wind = option.wind.tolist()
-        report.left_out("option wind", "fluid forces are not simulated", topic="wind", numbers=wind)
+        report.left_out("option wind", "fluid forces are not simulated", topic="wind")
     if model.nflex:
         why = "deformable bodies are not simulated"
         report.left_out(f"{model.nflex} flexes", why)
@@ -203,17 +197,13 @@ def _report_joint(start: ModelAtStart, joints: Joints, number: int, report: Impo
             watches.append(Bounds(terms, low + margin, high - margin, unit, constant=x))
         why = f"its limits {low:.4g} to {high:.4g}{outside}: limits are one-sided and not simulated"
         switched_off = start.disabled("LIMIT")
-        report.left_out(
-            element, why, topic=LIMITS, switched_off=switched_off, watches=watches, numbers=[low, high]
-        )
+        report.left_out(element, why, topic=LIMITS, switched_off=switched_off, watches=watches)
     dof = int(model.jnt_dofadr[number])
     if friction := float(model.dof_frictionloss[dof]):
         switched_off = start.disabled("FRICTIONLOSS")
         why, key = f"its dry friction {friction:g}", joints.coordinate_keys.get(number)
         resting = [FrictionWatch((key,))] if key else []
-        report.left_out(
-            element, why, topic=FRICTION, switched_off=switched_off, watches=resting, numbers=[friction]
-        )
+        report.left_out(element, why, topic=FRICTION, switched_off=switched_off, watches=resting)
 
 
 class Poses:

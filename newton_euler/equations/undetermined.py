@@ -9,7 +9,7 @@ determined part of reactions is compared. The reaction of a joint is its force a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ class ReactionPlace(NamedTuple):
     """Body and point on which the reaction of a joint acts.
 
     Attributes:
-        joint: number of the joint among the compared reactions.
+        joint: number of the joint.
         body: number of the body that the reaction acts on.
         arm: (3,) from the center of mass of the body to the joint point, world frame, m.
     """
@@ -55,10 +55,11 @@ def undetermined(scene: Scene, state: State) -> Array:
     mechanism, redundant = scene.mechanism, redundant_constraints(scene)
     if not redundant:
         return np.zeros((6 * len(mechanism.joints), 0))
-    places = _places(scene, state)
     rank = _constraint_count(scene) - redundant
-    forces = _constraint_forces(scene, state, places, len(places), mechanism.size)
-    return _without_effect([forces], len(places), rank)
+    forces = _constraint_forces(scene, state)
+    # multipliers without effect on any body, and the reactions that they make
+    null = orthonormal_null(forces.on_bodies.T, rank)
+    return orthonormal_range(forces.reactions.reshape(6 * len(mechanism.joints), -1) @ null)
 
 
 def redundant_constraints(scene: Scene) -> int:
@@ -71,37 +72,6 @@ def _constraint_count(scene: Scene) -> int:
     """Count the constraint equations of all joints, couplings and prescribed motions of a scene."""
     # `couplings` lists prescribed motions, too
     return sum(equations.count for equations in scene.mechanism.equations) + len(couplings(scene))
-
-
-def undetermined_in_both(
-    first: Scene, second: Scene, joints: Mapping[str, str], states: tuple[State, State]
-) -> Array:
-    """Compute the undetermined reactions of two scenes with the same bodies and motion.
-
-    The reactions of the two scenes in their common joints can differ by combinations of these reactions only.
-
-    Args:
-        first, second: the scenes.
-        joints: name in the second scene of each common joint, by its name in the first scene.
-        states: the same poses twice, with the hinge angles of the first scene and of the second scene.
-
-    Returns:
-        (6 j, r) orthonormal columns for the j joints of the first scene, in the units of `undetermined`.
-    """
-    # common joints have the numbers 0 to j - 1 of the first scene. All joints that only one scene has share
-    # the number j: their reactions are not compared
-    first_state, second_state = states
-    count, size = len(first.mechanism.joints), first.mechanism.size
-    first_places, second_places = _places(first, first_state), _places(second, second_state)
-    second_places = {name: place._replace(joint=count) for name, place in second_places.items()}
-    second_places |= {second_name: first_places[name] for name, second_name in joints.items()}
-    for name in first_places.keys() - joints.keys():
-        first_places[name] = first_places[name]._replace(joint=count)
-    forces = [
-        _constraint_forces(first, first_state, first_places, count + 1, size),
-        _constraint_forces(second, second_state, second_places, count + 1, size),
-    ]
-    return _without_effect(forces, count)
 
 
 def _places(scene: Scene, state: State) -> dict[str, ReactionPlace]:
@@ -129,31 +99,15 @@ class _ConstraintForces(NamedTuple):
     reactions: Array
 
 
-def _without_effect(parts: Sequence[_ConstraintForces], joints: int, rank: int | None = None) -> Array:
-    """Compute orthonormal reactions (6 j, r) of the first j joints whose sum on every body is zero.
-
-    Args:
-        parts: constraint forces of one or two scenes.
-        joints: number j of joints.
-        rank: rank of the constraint forces on the bodies; None for the numerical rank.
-    """
-    null = orthonormal_null(np.concatenate([part.on_bodies for part in parts]).T, rank)
-    reactions = np.concatenate([part.reactions[:joints].reshape(6 * joints, -1) for part in parts], axis=1)
-    return orthonormal_range(reactions @ null)
-
-
-def _constraint_forces(
-    scene: Scene, state: State, places: Mapping[str, ReactionPlace], count: int, size: float
-) -> _ConstraintForces:
+def _constraint_forces(scene: Scene, state: State) -> _ConstraintForces:
     """Collect the forces of all constraints of a scene for unit multipliers.
 
     Args:
         scene, state: give the constraints and their Jacobian.
-        places: where the reaction of each joint acts, by joint name.
-        count: number of joint numbers in `places`; the last number may stand for several joints.
-        size: size of the mechanism, m, which makes torques comparable with forces.
     """
     mechanism, frames = scene.mechanism, state.frames()
+    places, count = _places(scene, state), len(mechanism.joints)
+    size = mechanism.size  # makes torques comparable with forces
     on_bodies = [np.zeros((0, 6 * len(frames)))]
     reactions = [np.zeros((count, 6, 0))]
 

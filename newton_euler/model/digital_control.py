@@ -85,7 +85,7 @@ class HeldLaw(ControlLaw):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """No names: comparisons of two models do not vary the numbers of a controller."""
+        """No names: comparisons of engines do not vary the numbers of a controller."""
         return ()
 
     @property

@@ -9,7 +9,7 @@ called *watches*, see `newton_euler.reading.activity`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -28,9 +28,6 @@ FATES: tuple[Fate, ...] = ("exactly", "inactive", "left out")
 
 CONTACTS, LIMITS, VELOCITY_LIMITS, FRICTION = "contacts", "limits", "limit of velocity", "dry friction"
 """Topics (`ImportedElement.topic`) of elements that scenes do not simulate."""
-
-CONTROL_RANGE = "control range"
-"""Topic of the range that clips the control of an actuator."""
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """Values of `ImportedElement.became`: kinds of scene elements that some file formats cannot represent."""
@@ -54,8 +51,6 @@ class ImportedElement:
         seen: observation in a run, such as "passed from 0.3 s on"; "" before a run.
         is_off: True if the file itself switches the element off.
         is_understood: False for an element that no rule of the reader knows.
-        numbers: names and values of the element's numbers in the file that are not simulated, such as those
-            of "limits"; SI units.
         since: s, the first time of a run at which the element acts; None if inactive, and before a run.
         examined: False if neither the file nor a run shows whether the element acts.
     """
@@ -71,7 +66,6 @@ class ImportedElement:
     examined: bool = True
     is_off: bool = False
     is_understood: bool = True
-    numbers: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     @property
     def is_unsimulated(self) -> bool:
@@ -176,18 +170,14 @@ class ImportReport:
         how: str,
         became: str = "",
         moves_nothing: bool = False,
-        numbers: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         """Add an element that is imported exactly.
 
         Args:
-            element, how, became, numbers: see `ImportedElement`.
+            element, how, became: see `ImportedElement`.
             moves_nothing: True if the element moves nothing as the file has it, such as an idle motor.
         """
-        given = tuple((what, tuple(map(float, values))) for what, values in (numbers or {}).items())
-        self.entries.append(
-            ImportedElement(element, "exactly", how, became, moves_nothing=moves_nothing, numbers=given)
-        )
+        self.entries.append(ImportedElement(element, "exactly", how, became, moves_nothing=moves_nothing))
 
     def left_out(
         self,
@@ -198,7 +188,6 @@ class ImportReport:
         watches: Sequence[Watch] = (),
         examined: bool = True,
         switched_off: bool = False,
-        numbers: Sequence[float] = (),
     ) -> None:
         """Add an element, or one topic of an element, that is not simulated.
 
@@ -209,7 +198,6 @@ class ImportReport:
             watches: tests whether the element acts in a run. Together they cover the whole element. An
                 element without watches counts as acting from the start on.
             switched_off: True if the file itself switches the element off.
-            numbers: values of the topic in the file; SI units.
         """
         moves_nothing = moves_nothing or switched_off
         if watches and not moves_nothing:
@@ -223,8 +211,6 @@ class ImportReport:
             examined=examined,
             is_off=switched_off,
         )
-        if numbers:
-            entry = replace(entry, numbers=((topic, tuple(map(float, numbers))),))
         self.entries.append(entry)
 
     def not_understood(self, element: str, why: str) -> None:

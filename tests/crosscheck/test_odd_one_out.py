@@ -201,14 +201,3 @@ def test_an_engine_that_does_not_end_is_named_with_its_time(capsys, monkeypatch,
     assert status == 3
     assert f"UNFINISHED: pinocchio: {DURATION:g} s of six_bar: given up after 5 s of processor time; " in out
     assert "; newton_euler and mujoco ran to the end; " in out
-
-
-def test_of_two_files_what_differs_is_named_with_both_values(capsys, monkeypatch, files):
-    text = (files / "six_bar.urdf").read_text()
-    (files / "other.urdf").write_text(text.replace('<mass value="1.10718', '<mass value="1.20718'))
-    other = ("--against", "other.urdf", "--against-set", "loops=six_bar.loops.yaml")
-    status, out = printed(capsys, monkeypatch, files, "six_bar.xml", *other)
-    assert status == 1
-    assert (
-        "at level 'model': mass, rel: 0.0903 > 1e-12, worst at coupler: six_bar 1.107, other 1.207 kg" in out
-    )

@@ -146,7 +146,7 @@ def model_file() -> str:
     return "\n".join(
         [
             printed("run", "linkage.xml", "--set", "duration=0.2"),
-            printed("run", "linkage.xml", "--set", "duration=0.2", "--against", "heavier.xml", status=1),
+            printed("diff", "linkage.xml", "heavier.xml", status=1),
             printed("convert", "linkage.xml", "linkage.yaml"),
         ]
     )

@@ -313,13 +313,13 @@ class _Reader:
     def _report_unused_properties(self, element: ET.Element) -> None:
         """Report damping, friction, stiffness and limits of a joint in `<gazebo>` as left out.
 
-        The topic of an entry in the report is the property; its numbers are the values that are lost.
+        The topic of an entry in the report is the property.
         """
         name = f"joint {element.get('name')!r} of gazebo"
         for part in ("damping", "friction", "spring_stiffness"):
             text = element.findtext(f"axis/dynamics/{part}")
-            if text is not None and (number := self._number(element, text, part)):
-                self._report.left_out(name, f"its {part} {text.strip()}", topic=part, numbers=[number])
+            if text is not None and self._number(element, text, part):
+                self._report.left_out(name, f"its {part} {text.strip()}", topic=part)
         if element.find("axis/limit") is not None:
             self._report.left_out(name, "its limits: limits are one-sided and not simulated", topic="limits")
 
@@ -472,7 +472,7 @@ class _Reader:
                 self.extensions.dampings[joint] = self.extensions.dampings.get(joint, 0.0) + damping
             if friction := numbers.get("friction"):
                 why = f"its dry friction {friction:g}"
-                self._report.left_out(f"joint {joint!r}", why, topic=FRICTION, numbers=[friction])
+                self._report.left_out(f"joint {joint!r}", why, topic=FRICTION)
             return
         value = self._number(element, element.text, tag)
         if tag == "springStiffness":

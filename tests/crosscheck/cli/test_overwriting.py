@@ -34,17 +34,6 @@ def test_results_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch
     assert json.loads((folder / "summary.json").read_text())["source"] == "other/pendulum.yaml"
 
 
-def test_results_of_other_pairs_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    for name in ("one.yaml", "two.yaml", "one.json"):
-        scene_file(tmp_path, json.dumps(short_example()), name)
-    assert run(capsys, "run", "one.yaml", "--against", "two.yaml")[0] == 0
-    assert run(capsys, "run", "one.yaml", "--against", "two.yaml")[0] == 0
-    status, _, err = run(capsys, "run", "one.json", "--against", "two.yaml")
-    assert status == 2
-    assert "holds a crosscheck of one.yaml against two.yaml, not of one.json against two.yaml; name" in err
-
-
 def test_runs_of_other_models_that_were_not_ended_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for folder in ("one", "other"):

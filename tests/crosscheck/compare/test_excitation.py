@@ -388,17 +388,6 @@ def test_excitation_without_effect_is_refused(
     assert "--set excitation=on has no effect here: " in capsys.readouterr().err
 
 
-def test_models_of_which_one_is_excited_are_different(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Their starts, a level that no two engines have, differ."""
-    path = Path(__file__).parents[3] / "examples" / "linkage.xml"
-    with pytest.raises(SystemExit) as end:
-        main(["run", str(path), "--against", str(path), "--set", "excitation=on", "--output", str(tmp_path)])
-    assert end.value.code == 1
-    assert "DIFFERENT: " in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("bound", "down", "up"),
     [

@@ -131,16 +131,6 @@ def test_a_run_that_is_not_judged(cases, monkeypatch):
     assert cases()[0] == 0
 
 
-def test_two_models(capsys, tmp_path):
-    for name, mass in (("one", "0.4"), ("two", "0.5")):
-        (tmp_path / f"{name}.xml").write_text(SWING.format(step=0.002, limit="").replace("0.4", mass))
-    arguments = (tmp_path / "one.xml", "--against", tmp_path / "two.xml", "--output", tmp_path / "out")
-    assert run(capsys, "run", *arguments)[0] == 1
-    suites = ElementTree.parse(tmp_path / "out" / "junit.xml").getroot()
-    failed = {case.get("name") for case in suites.iter("testcase") if case.find("failure") is not None}
-    assert {"outcome", "mass, rel"} <= failed
-
-
 def test_a_model_named_like_the_test_cases_is_not_overwritten(capsys, tmp_path):
     path = tmp_path / "junit.xml"
     path.write_text(SWING.format(step=0.002, limit=""))

@@ -150,15 +150,6 @@ def test_velocities_of_a_file_that_do_not_fit_its_loops_are_reported(rates, chan
         assert f"{found['angular']:.3g} rad/s" in lines[0]
 
 
-def test_two_models_whose_starts_are_not_their_files_are_both_named(capsys, tmp_path):
-    one, two = (file(tmp_path, LOOP.format(reach=0.43), name) for name in ("one.xml", "two.xml"))
-    arguments = ("--set", "duration=0.1", "--output", tmp_path / "out")
-    status, out, _ = run(capsys, "run", one, "--against", two, *arguments)
-    said = " ".join(out.split())
-    assert status == 0
-    assert [f"{name}: the start is not the file's" in said for name in ("one", "two")] == [True, True]
-
-
 def test_the_settings_of_the_file_stand_in_the_output(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     text = LOOP.format(reach=0.4).replace('timestep="0.002"', 'timestep="0.003" integrator="implicit"')

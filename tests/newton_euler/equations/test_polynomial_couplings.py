@@ -13,13 +13,12 @@ from finite_difference import derivative
 from mechanisms import GRAVITY, ORIGIN, X, Y, Z, bar
 from scipy.integrate import solve_ivp
 
+import crosscheck
 import mjcf
 import newton_euler
 import urdf
 from crosscheck import check
 from crosscheck.compare.outcome import Outcome
-from crosscheck.compare.two_models.compare import TwoModelComparison, compare_models
-from crosscheck.compare.two_models.unsimulated import Model
 from crosscheck.library.scene_file import read_scene, write_scene
 from crosscheck.studies.faults.misreadings import misreadings
 from mjcf import read
@@ -286,12 +285,7 @@ def test_factors_of_a_loop_file_are_checked(factors):
     assert caught.value.key == "coupled"
 
 
-def compared(first: Scene, second: Scene) -> TwoModelComparison:
-    models = (Model(name, name, {}, scene, None) for name, scene in (("a", first), ("b", second)))
-    return compare_models(*models, lambda _: None)
-
-
-def test_two_models_are_compared_by_their_curves():
+def test_models_are_compared_by_their_curves():
     def of(coefficients, sign=1.0):
         scene = bead(coefficients)
         x, z = scene.mechanism.joints
@@ -301,12 +295,13 @@ def test_two_models_are_compared_by_their_curves():
         return newton_euler.start(replace(scene, mechanism=mechanism), x=(0.3 * sign, 0.1 * sign))
 
     bent = (0.3, 0.8, 0.1, 0.3)
-    assert compared(of(bent), of((-0.3, 0.8, -0.1, 0.3), -1.0)).agrees
-    assert not compared(of(bent), of((0.3, 0.8, 0.1, 0.3001))).agrees
+    assert crosscheck.diff(of(bent), of((-0.3, 0.8, -0.1, 0.3), -1.0)).same
+    (row,) = crosscheck.diff(of(bent), of((0.3, 0.8, 0.1, 0.3001))).differences
+    assert (row.element, row.quantity) == ("wire", "coupling")
     # the same curve of a model that is described at another pose of it
     there = of(bent)
     moved = described_at(replace(there, initial_state=None), initial_state(there))
-    assert compared(there, replace(moved, initial_state=initial_state(there))).agrees
+    assert crosscheck.diff(there, replace(moved, initial_state=initial_state(there))).same
 
 
 def test_coverage_and_faults_know_its_powers():
