@@ -167,4 +167,4 @@ def test_bad_usage_of_run_against(capsys, tmp_path, arguments, message):
     status, out, err = run(capsys, "run", *arguments, "--output", tmp_path / "out")
     assert (status, out) == (2, "")
     assert message in err
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out" / "diff.json").exists()
