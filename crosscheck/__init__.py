@@ -2,8 +2,9 @@
 
 The public names are `check` with its `Verdict` and `Outcome`, and `Log`, a run of another simulator. `tune`
 with its `Tuning` finds the cheapest settings of an engine for an error. `diff` with its `Diff` compares two
-model files. `sweep` with its `Sweep` makes Monte
-Carlo and design-of-experiments studies. `CrosscheckError` is the base class of errors.
+model files, `importers` with its `Importers` compares what the importers of the engines read in one. `sweep`
+with its `Sweep` makes Monte Carlo and design-of-experiments studies. `CrosscheckError` is the base class of
+errors.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from crosscheck.compare.outcome import Outcome
     from crosscheck.logs.judge import Log
+    from crosscheck.one_file import Importers, importers
     from crosscheck.support.errors import CrosscheckError
     from crosscheck.sweeps.sweep import Sweep, sweep
     from crosscheck.tuning import Tuning, tune
@@ -32,6 +34,8 @@ else:
             from crosscheck import tuning as module
         elif name in ("Diff", "diff"):
             from crosscheck import two_files as module
+        elif name in ("Importers", "importers"):
+            from crosscheck import one_file as module
         elif name == "CrosscheckError":
             from crosscheck.support import errors as module
         elif name == "Log":
@@ -47,6 +51,7 @@ else:
 __all__ = [
     "CrosscheckError",
     "Diff",
+    "Importers",
     "Log",
     "Outcome",
     "Sweep",
@@ -54,6 +59,7 @@ __all__ = [
     "Verdict",
     "check",
     "diff",
+    "importers",
     "sweep",
     "tune",
 ]

@@ -58,7 +58,19 @@ with _interrupt_calls(_end):
 
     import click
 
-    from crosscheck.cli import diff, identify, measure, models, regress, run, sun, sweep, tune, view
+    from crosscheck.cli import (
+        diff,
+        identify,
+        importers,
+        measure,
+        models,
+        regress,
+        run,
+        sun,
+        sweep,
+        tune,
+        view,
+    )
     from crosscheck.cli.shared import BAD_INPUT, cli
     from crosscheck.report.render import shorten_words, wrapped
     from crosscheck.support.errors import CrosscheckError, reason_of, short_of_memory
@@ -76,7 +88,20 @@ GC_THRESHOLD = 1_000_000
 220,000 objects, of which 28,000 are garbage in cycles. A search after every 20,000 objects takes 9 % of the
 time and saves 8 MB."""
 
-__all__ = ["diff", "identify", "main", "measure", "models", "regress", "run", "sun", "sweep", "tune", "view"]
+__all__ = [
+    "diff",
+    "identify",
+    "importers",
+    "main",
+    "measure",
+    "models",
+    "regress",
+    "run",
+    "sun",
+    "sweep",
+    "tune",
+    "view",
+]
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:

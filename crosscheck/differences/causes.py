@@ -31,8 +31,12 @@ LENGTH_UNITS = {1000.0: "m against mm", 100.0: "m against cm", 39.370079: "m aga
 OTHER_UNITS = {1e6: "m^2 against mm^2", 1e9: "kg m^2 against g mm^2", 180.0 / math.pi: "rad against degrees"}
 """Factors between units of other quantities, with words for the units."""
 
-LACKING = {"URDF": (Quantity.ARMATURE, Quantity.STIFFNESS, Quantity.PRESENCE), "MJCF": (Quantity.SPEED,)}
-"""Quantities that no file of a format has; presence is that of drives."""
+LACKING = {
+    "URDF": (Quantity.ARMATURE, Quantity.STIFFNESS, Quantity.PRESENCE),
+    "MJCF": (Quantity.SPEED,),
+    "Pinocchio": (Quantity.STIFFNESS, Quantity.PRESENCE),
+}
+"""Quantities that no model of a format has; presence is that of drives."""
 
 LENGTHS = (Quantity.CENTER, Quantity.JOINT_ORIGIN, Quantity.LOOP_POINT, Quantity.LOOP_LENGTH)
 """Quantities that grow with all lengths of a robot."""
@@ -224,7 +228,7 @@ def _units(factor: float, units: Mapping[float, str]) -> str:
 
 
 def _lack(format: str, quantity: Quantity) -> str:
-    """Return words for a quantity that no file of a format has; "" for other quantities."""
+    """Return words for a quantity that no model of a format has; "" for other quantities."""
     return f"; {format} has none" if quantity in LACKING.get(format, ()) else ""
 
 

@@ -16,7 +16,9 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.differences.alignment import Alignment, BodyPair
+from crosscheck.differences.causes import LACKING
 from crosscheck.differences.common_part import Cut, cuts, paired_joints
+from crosscheck.differences.difference import Quantity
 from crosscheck.differences.drive_pairs import control_of_second, drive_pairs
 from crosscheck.differences.dynamics import Accelerations, Dynamics
 from crosscheck.differences.frames import common_frames
@@ -188,7 +190,9 @@ class CommonStates:
         self.alignment = alignment = replace(alignment, bodies=tuple(nearer))
         gravities = [file.robot.gravity for file in files if file.robot.gravity is not None]
         self.gravity = gravities[0] if gravities else STANDARD_GRAVITY
-        has_no_drives = [file.format == "URDF" and not file.robot.drives for file in files]
+        has_no_drives = [
+            Quantity.PRESENCE in LACKING.get(file.format, ()) and not file.robot.drives for file in files
+        ]
         self.cuts = cuts(first.robot, second.robot, alignment, any(has_no_drives))
         self.notes = tuple(_notes(first.robot, second.robot, alignment, self.cuts))
         length = size_of(first.robot)

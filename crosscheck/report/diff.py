@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
 
@@ -32,6 +32,12 @@ MAX_LISTED = 30
 MAX_CONVENTIONS = 3
 """Largest number of conventions that the terminal names."""
 
+Sides = tuple[str, str]
+"""What sentences call the first and the second of two compared robots."""
+
+FILES: Sides = ("the first file", "the second file")
+"""The robots of two files."""
+
 MIN_EFFECT = 1e-6
 """Relative change of accelerations below which a difference has no effect in words."""
 
@@ -58,18 +64,35 @@ def report(comparison: FileComparison) -> Report:
     different = comparison.differences
     short: list[Part] = []
     if different:
-        columns = [*number_columns("motion", "difference"), Column("what differs")]
-        short.append(Table("", columns, [_short_row(row) for row in different[:MAX_LISTED]]))
+        short.append(short_table("", different, FILES))
     evidence = [evidence_text(row) for row in different if row.evidence]
     if evidence:
         short.append(Lines("evidence", evidence[:MAX_LISTED]))
     short.append(Lines("", list(_notes(comparison, len(different) - MAX_LISTED))))
     parts: list[Part] = [Lines("evidence", evidence)] if evidence else []
     if comparison.rows:
-        parts.append(_table(comparison))
+        files = comparison.first, comparison.second
+        # the shortest names that tell the files apart
+        names = "first", "second"
+        for candidates in ([file.format for file in files], [Path(file.source).stem for file in files]):
+            if all(candidates) and candidates[0] != candidates[1]:
+                names = candidates[0], candidates[1]
+        parts.append(long_table("differences", comparison, names))
     first, second = (_title(file) for file in (comparison.first, comparison.second))
     judged = Cell(outcome.value, outcome.judged)
     return Report(f"{first} and {second}", verdict(comparison), judged, parts, summary=short)
+
+
+def short_table(title: str, rows: Sequence[Difference], sides: Sides) -> Table:
+    """Make the table of the largest differences for the terminal: effect, size, and a sentence.
+
+    Args:
+        title: title of the table.
+        rows: differences, the largest effect first.
+        sides: what the sentences call the two compared robots.
+    """
+    columns = [*number_columns("motion", "difference"), Column("what differs")]
+    return Table(title, columns, [_short_row(row, sides) for row in rows[:MAX_LISTED]])
 
 
 def verdict(comparison: FileComparison) -> str:
@@ -91,22 +114,26 @@ def verdict(comparison: FileComparison) -> str:
             )
         case _:
             plural = "" if len(different) == 1 else "s"
-            return f"{words}: {len(different)} difference{plural}; {_motion_text(comparison)}"
+            return f"{words}: {len(different)} difference{plural}; {motion_text(comparison, FILES)}"
 
 
-def _motion_text(comparison: FileComparison) -> str:
-    """Tell whether the robots move alike."""
+def motion_text(comparison: FileComparison, sides: Sides) -> str:
+    """Tell whether the robots move alike.
+
+    Args:
+        comparison: the comparison.
+        sides: what the text calls the two compared robots.
+    """
     motion = comparison.motion
     match motion.likeness:
         case Likeness.DIFFERENT:
             if motion.freedoms[0] != motion.freedoms[1]:
-                return (
-                    f"the first has {motion.freedoms[0]} independent motions, the second {motion.freedoms[1]}"
-                )
+                first, second = motion.freedoms
+                return f"{sides[0]} has {first} independent motions, {sides[1]} {second}"
             if open_gaps := [gap for gap in motion.gaps if gap.error > max(gap.uncertainty, ROUND_OFF)]:
                 gap = max(open_gaps, key=lambda gap: gap.error)
                 size = length(gap.error) if gap.unit == "m" else angle(gap.error)
-                return f"poses of the first do not fit the second: {gap.constraint!r} is off by {size}"
+                return f"poses of {sides[0]} do not fit {sides[1]}: {gap.constraint!r} is off by {size}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
         case Likeness.EQUAL:
             return "both move alike"
@@ -131,40 +158,45 @@ def _title(file: RobotFile) -> str:
     return f"{name} ({file.format})" if file.format else name
 
 
-def _table(comparison: FileComparison) -> Table:
-    """Make the table of all rows, which numbers the true differences."""
-    files = comparison.first, comparison.second
-    # the shortest names that tell the files apart
-    names = ["first", "second"]
-    for candidates in ([file.format for file in files], [Path(file.source).stem for file in files]):
-        if all(candidates) and candidates[0] != candidates[1]:
-            names = candidates
+def long_table(title: str, comparison: FileComparison, names: tuple[str, str]) -> Table:
+    """Make the table of all rows, which numbers the true differences.
+
+    Args:
+        title: title of the table.
+        comparison: the comparison.
+        names: titles of the columns with the values of the first and the second robot.
+    """
     columns = [*text_columns("", "element"), Column("quantity", choice=True), *text_columns(*names)]
     columns += number_columns("difference", "motion")
     found: Rows = []
-    for standing, title in (
+    for standing, words in (
         (Standing.DIFFERENT, "different: by more than the digits of the files leave open"),
         (Standing.ROUNDING, "rounding: within the digits of the files"),
         (Standing.CONVENTION, "no effect on the motion: other terms for the same robot, and settings"),
     ):
         if rows := comparison.of_standing(standing):
-            found.append(title)
+            found.append(words)
             numbers = (str(number) if standing is Standing.DIFFERENT else "" for number in count(1))
             found.extend(_row(number, row) for number, row in zip(numbers, rows, strict=False))
-    return Table("differences", columns, found)
+    return Table(title, columns, found)
 
 
-def _short_row(row: Difference) -> list[str | Cell]:
+def _short_row(row: Difference, sides: Sides) -> list[str | Cell]:
     """Make the cells of a difference for the terminal: effect, size, and a sentence."""
-    return [effect_text(row), Cell(size_text(row), "fails"), Cell(sentence(row), about=row.element)]
+    return [effect_text(row), Cell(size_text(row), "fails"), Cell(sentence(row, sides), about=row.element)]
 
 
-def sentence(row: Difference) -> str:
-    """Tell a difference with its values and its cause; of several numbers, such as a position, no values."""
+def sentence(row: Difference, sides: Sides = FILES) -> str:
+    """Tell a difference with its values and its cause; of several numbers, such as a position, no values.
+
+    Args:
+        row: the difference.
+        sides: what the sentence calls the two compared robots.
+    """
     text = what_differs(row)
     values = [value_text(value) for value in (row.first, row.second)]
     if row.quantity is Quantity.PRESENCE:
-        text += f" only in the {'second' if row.first is None else 'first'} file"
+        text += f" only in {sides[row.first is None]}"
         if row.element_kind == "body":
             text += f" ({values[row.first is None]} kg)"
     elif row.quantity is Quantity.GRAVITY:

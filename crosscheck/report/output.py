@@ -45,6 +45,7 @@ MODEL_RECORDS = {
     "fit": ("identify.json",),
     "tuning": ("tune.json",),
     "comparison of files": ("diff.json",),
+    "comparison of importers": ("importers.json",),
 }
 """Files in a result folder that contain the name of the model, by the kind of the results."""
 

@@ -54,6 +54,7 @@ RESULTS = (
     "identify.json",
     "tune.json",
     "diff.json",
+    "importers.json",
 )
 """Names of result files that contain a report."""
 

@@ -1,0 +1,40 @@
+"""`crosscheck importers`: compare what each engine's own importer makes of one model file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import cli, folder_option, next_step, progress_shown, show, verbose_option
+from crosscheck.report.render import as_json
+
+
+@cli.command("importers")
+@click.argument("file")
+@folder_option("output/importers/FILE")
+@verbose_option
+def importers_command(file: str, output: Path | None) -> int:
+    """Compare what the importers of MuJoCo, Pinocchio and crosscheck read in one file.
+
+    FILE is an MJCF or URDF file. Each engine reads it by its own importer, in its own process. The robots of
+    MuJoCo and Pinocchio are compared with the one that crosscheck reads, as in `crosscheck diff`.
+
+    The exit status is 0 if all importers read the same robot, also to rounding. It is 1 if one reads another
+    robot, refuses the file or crashes.
+    """
+    from crosscheck.differences.importers import compare_importers
+    from crosscheck.report.importers import report
+    from crosscheck.report.output import usual_folder
+    from crosscheck.support.files import check_no_source, check_writable, write_files
+
+    folder = output or usual_folder(Path("output/importers"), file, "comparison of importers")
+    path = folder / "importers.json"
+    check_no_source([path], [file])
+    check_writable(path)
+    with progress_shown() as progress:
+        comparison = compare_importers(file, progress)
+    found = report(comparison)
+    write_files({path: as_json(comparison.summary(), found)})
+    show(found, f"wrote {path}", f"more  {next_step('report', path.parent)}")
+    return comparison.outcome.exit_status()

@@ -1,0 +1,167 @@
+"""Comparison of what the importers of engines make of one model file, each with crosscheck's own reading.
+
+In: the path of an MJCF or URDF file. Out: an `ImporterComparison` for each importer. An importer leaves out
+what its documentation excludes, such as actuators. This is told apart from faults.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
+
+from crosscheck.compare.outcome import Outcome
+from crosscheck.differences.difference import Difference, Quantity
+from crosscheck.differences.result import FileComparison, compare_files
+from crosscheck.loading.importers import Failure, Importer, Reading, read_by_all
+from newton_euler.reading.robot import LoopKind
+
+ROUND_OFF = 1e-6
+"""Relative difference of numbers that counts as rounding. Vertices of meshes have single precision, 6e-8."""
+
+DRIVES = "drive"
+"""Kind of the elements that stand for actuators, see `Difference.element_kind`."""
+
+
+class Limit(NamedTuple):
+    """What an importer leaves out of the files of a format.
+
+    Attributes:
+        kinds: kinds of elements, see `Difference.element_kind`, and quantities of joints.
+        words: the limit in words.
+    """
+
+    kinds: frozenset[str]
+    words: str
+
+
+LIMITS = {
+    (Importer.MUJOCO, "URDF"): Limit(frozenset({Quantity.SPEED}), "an MjModel has no limits of speed"),
+    (Importer.PINOCCHIO, "URDF"): Limit(
+        frozenset({"coupling"}), "buildModelFromUrdf reads mimic joints as free ones unless mimic=True"
+    ),
+    (Importer.PINOCCHIO, "MJCF"): Limit(
+        frozenset({DRIVES, "coupling", "loop", Quantity.STIFFNESS}),
+        "a pinocchio.Model has no actuators and springs, and of equalities its reader knows connect only",
+    ),
+}
+"""Documented limits of importers, by format of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImporterComparison:
+    """What an importer makes of a file, compared with crosscheck's reading.
+
+    Attributes:
+        reading: the importer's reading.
+        comparison: of crosscheck's reading, the first, with the importer's, the second; None if one of the
+            importers fails. The first has no drives if the importer leaves out drives.
+        limit: documented limit of the importer for files of this format; None without one.
+        drives_left_out: number of drives that the importer leaves out by its documented limit.
+    """
+
+    reading: Reading
+    comparison: FileComparison | None
+    limit: Limit | None
+    drives_left_out: int
+
+    @property
+    def differences(self) -> tuple[Difference, ...]:
+        """True differences beside documented limits, the largest effect on motion first."""
+        rows = self.comparison.differences if self.comparison else ()
+        return tuple(row for row in rows if not self._is_limit(row))
+
+    @property
+    def left_out(self) -> tuple[Difference, ...]:
+        """What the importer leaves out by its documented limit, beside drives."""
+        rows = self.comparison.rows if self.comparison else ()
+        return tuple(row for row in rows if self._is_limit(row))
+
+    @property
+    def result(self) -> Outcome | Failure:
+        """Failure of the importer, or the outcome of the comparison."""
+        if self.reading.failure:
+            return self.reading.failure
+        return self.comparison.outcome if self.comparison else Outcome.NOT_COMPARED
+
+    def summary(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        numbers = self.comparison.summary() if self.comparison else {}
+        return {
+            "importer": self.reading.importer.value,
+            "result": self.result.value,
+            "message": self.reading.message,
+            "drives_left_out": self.drives_left_out,
+            "left_out": [asdict(row) for row in self.left_out],
+            **{name: numbers[name] for name in ("differences", "motion", "renamed") if numbers},
+        }
+
+    def _is_limit(self, row: Difference) -> bool:
+        """Return whether a row is about something that the importer leaves out by its documentation."""
+        kind = row.element_kind if row.quantity is Quantity.PRESENCE else row.quantity
+        is_known = kind == "loop" and row.first == LoopKind.POINT
+        is_lost = row.first not in (None, 0.0) and row.second in (None, 0.0)
+        return self.limit is not None and is_lost and kind in self.limit.kinds and not is_known
+
+
+@dataclass(frozen=True, eq=False)
+class ImportersComparison:
+    """Comparison of the importers of all engines on one file.
+
+    Attributes:
+        source: path of the file.
+        own: crosscheck's reading, with which the others are compared.
+        others: comparison of each other importer.
+    """
+
+    source: str
+    own: Reading
+    others: tuple[ImporterComparison, ...]
+
+    @property
+    def outcome(self) -> Outcome:
+        """`SAME`, `SAME_TO_ROUNDING`, `DIFFERENT`, also if an importer fails, or `NOT_COMPARED`."""
+        results = [each.result for each in self.others]
+        if self.own.file is None:
+            return Outcome.NOT_COMPARED
+        if set(results) <= {Outcome.SAME, Outcome.SAME_TO_ROUNDING}:
+            return Outcome.SAME if set(results) == {Outcome.SAME} else Outcome.SAME_TO_ROUNDING
+        return Outcome.DIFFERENT
+
+    def summary(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        return {
+            "source": self.source,
+            "outcome": self.outcome.value,
+            "own": {"importer": self.own.importer.value, "message": self.own.message},
+            "importers": [each.summary() for each in self.others],
+        }
+
+
+def compare_importers(source: str | os.PathLike[str], progress: Callable[[str], None]) -> ImportersComparison:
+    """Read a file by all importers, and compare their readings with crosscheck's.
+
+    Args:
+        source: path of an MJCF or URDF file.
+        progress: shows a message to the user.
+
+    Raises:
+        CrosscheckError, SourceError: for something that is no readable file with the suffix of such a file.
+    """
+    progress("reading the file by all importers")
+    own, *others = read_by_all(source)
+    progress("comparing what they read")
+    return ImportersComparison(os.fspath(source), own, tuple(_compared(own, other) for other in others))
+
+
+def _compared(own: Reading, other: Reading) -> ImporterComparison:
+    """Compare an importer's reading with crosscheck's."""
+    if own.file is None or other.file is None:
+        return ImporterComparison(other, None, None, 0)
+    file, limit, drives = own.file, LIMITS.get((other.importer, own.file.format)), 0
+    if limit and DRIVES in limit.kinds:
+        # without its drives, so that their limits do not count as efforts of joints
+        file, drives = replace(file, robot=replace(file.robot, drives=())), len(file.robot.drives)
+    comparison = compare_files(file, other.file, {}, ROUND_OFF, lambda stage: None)
+    return ImporterComparison(other, comparison, limit, drives)

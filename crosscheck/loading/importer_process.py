@@ -1,0 +1,59 @@
+"""Read a model file by one importer, in a process of its own: importers crash.
+
+Usage: `python -m crosscheck.loading.importer_process IMPORTER FILE RESULT`. The process writes a `Reading`
+to RESULT. The operating system limits its processor time and its memory, since a file may be hostile.
+"""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from crosscheck.loading.importers import MAX_PROCESSOR_S, Failure, Importer, Reading
+from newton_euler.limits import size_in_bytes
+from newton_euler.model.source_file import SourceError
+from newton_euler.reading.robot import RobotFile
+
+
+def _describe(importer: Importer) -> Callable[[str], RobotFile]:
+    """Import the function that describes the robot of a file as an importer reads it."""
+    match importer:
+        case Importer.OWN:
+            from crosscheck.loading.robots import describe_model
+
+            return lambda path: describe_model(path, {})
+        case Importer.MUJOCO:
+            from mjcf.importer import describe_as_imported as describe_by_mujoco
+
+            return describe_by_mujoco
+        case Importer.PINOCCHIO:
+            from urdf.importer import describe_as_imported as describe_by_pinocchio
+
+            return describe_by_pinocchio
+
+
+def main() -> None:
+    """Read a file by one importer in this process, and write its `Reading` to another file."""
+    importer, path, result = Importer(sys.argv[1]), sys.argv[2], sys.argv[3]
+    with suppress(ImportError):  # Windows has no limits of resources
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CPU, (MAX_PROCESSOR_S, MAX_PROCESSOR_S))
+        memory = size_in_bytes("memory")
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        # all importers read the same text, so that its digits leave nothing open
+        reading = Reading(importer, replace(_describe(importer)(path), variants=()))
+    except SourceError as error:
+        failure = Failure.REFUSED if error.path == path else Failure.NOT_DESCRIBED
+        reading = Reading(importer, None, failure, error.problem)
+    Path(result).write_bytes(pickle.dumps(reading))
+
+
+if __name__ == "__main__":
+    main()

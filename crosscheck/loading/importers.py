@@ -1,0 +1,122 @@
+"""Read one model file by the importer of each engine, each in a process of its own, since importers crash."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from crosscheck.support.errors import CrosscheckError
+from newton_euler.model.source_file import SourceError, path_text, read_text
+from newton_euler.reading.robot import RobotFile
+
+PROCESS = "crosscheck.loading.importer_process"
+"""Module that reads a file by one importer."""
+
+MAX_PROCESSOR_S = 120
+"""Processor time of an importer, s. MuJoCo needs 20 s for the largest public models, with all meshes."""
+
+MAX_WAIT_S = 300
+"""Largest waiting time for an importer, s; the machine may be busy."""
+
+
+class Importer(StrEnum):
+    """Importer of MJCF and URDF files."""
+
+    OWN = "crosscheck"
+    """The one of crosscheck, with which the others are compared."""
+    MUJOCO = "MuJoCo"
+    PINOCCHIO = "Pinocchio"
+
+    @property
+    def package(self) -> str:
+        """Name of the package, in `crosscheck.support.versions`, that the importer belongs to."""
+        return {Importer.PINOCCHIO: "pin"}.get(self, self.value.lower())
+
+
+class Failure(StrEnum):
+    """Failure of an importer."""
+
+    REFUSED = "REFUSED"
+    """The importer reports an error of the file."""
+    NOT_DESCRIBED = "NOT DESCRIBED"
+    """crosscheck cannot describe the model that the importer makes: it has numbers that are not finite, or
+    unknown joints."""
+    CRASHED = "CRASHED"
+    """The importer's process ends, by a segmentation fault, for example, or needs too much time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What an importer makes of a file.
+
+    Attributes:
+        importer: the importer.
+        file: the robot that it reads, without variants; None after a failure.
+        failure: its failure; None without one.
+        message: the importer's own message, or how its process ended; "" without a failure.
+    """
+
+    importer: Importer
+    file: RobotFile | None
+    failure: Failure | None = None
+    message: str = ""
+
+
+def read_by_all(source: str | os.PathLike[str]) -> list[Reading]:
+    """Read an MJCF or URDF file by all importers, at the same time.
+
+    Raises:
+        CrosscheckError, SourceError: for something that is no readable file with the suffix of such a file.
+    """
+    from crosscheck.library.model_files import SUFFIXES, is_model_file
+
+    path = path_text(source)
+    if not is_model_file(path):
+        raise CrosscheckError(f"{path}: no model file; needed: a name that ends in {', '.join(SUFFIXES)}")
+    read_text(path, limit="file_size", error=SourceError)
+    with TemporaryDirectory() as folder:
+        processes = [(importer, _start(importer, path, Path(folder))) for importer in Importer]
+        try:
+            return [_reading(importer, process, Path(folder)) for importer, process in processes]
+        finally:
+            for _, process in processes:
+                process.kill()
+                process.wait()
+
+
+def _start(importer: Importer, path: str, folder: Path) -> subprocess.Popen[bytes]:
+    """Start the process of an importer; its reading and its standard error become files in a folder."""
+    # -P and the search path of this process without "", the current folder, whose modules may be a stranger's
+    command = [sys.executable, "-P", "-m", PROCESS, importer, path, str(folder / importer)]
+    search_path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, sys.path)])
+    environment = os.environ | {"PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"}
+    with open(folder / f"{importer}.txt", "wb") as log:
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
+
+
+def _reading(importer: Importer, process: subprocess.Popen[bytes], folder: Path) -> Reading:
+    """Wait for the process of an importer, and return its reading."""
+    try:
+        status = process.wait(MAX_WAIT_S)
+    except subprocess.TimeoutExpired:
+        return Reading(importer, None, Failure.CRASHED, f"not done after {MAX_WAIT_S} s")
+    result = folder / importer
+    if status == 0:
+        found: Reading = pickle.loads(result.read_bytes())
+        return found
+    if status == -signal.SIGXCPU:
+        end = f"not done after {MAX_PROCESSOR_S} s of processor time"
+    elif status < 0:
+        end = f"{signal.strsignal(-status)} ({signal.Signals(-status).name})"
+    else:
+        end = f"its process ends with exit status {status}"
+    lines = (folder / f"{importer}.txt").read_text(errors="replace").split("\n")
+    last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+    return Reading(importer, None, Failure.CRASHED, f"{end}: {last:.300}" if last else end)
