@@ -41,7 +41,7 @@ class Importers(Shown):
 
     @property
     def outcome(self) -> Outcome:
-        """`SAME`, `SAME_TO_ROUNDING`, `DIFFERENT`, or `NOT_COMPARED` if crosscheck does not read the file."""
+        """`SAME`, `SAME_TO_ROUNDING`, or `DIFFERENT`, also if an importer fails."""
         return self.comparison.outcome
 
     @cached_property
@@ -66,7 +66,7 @@ def importers(
         CrosscheckError, NewtonEulerError: for something that is no readable model file.
 
     Examples:
-        >>> importers("examples/linkage.xml")["Pinocchio"].differences
-        ()
+        >>> importers("examples/linkage.xml")["Pinocchio"].result.value
+        'NOT DESCRIBED'
     """
     return Importers(compare_importers(source, progress))

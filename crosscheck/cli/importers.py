@@ -18,7 +18,8 @@ def importers_command(file: str, output: Path | None) -> int:
     """Compare what the importers of MuJoCo, Pinocchio and crosscheck read in one file.
 
     FILE is an MJCF or URDF file. Each engine reads it by its own importer, in its own process. The robots of
-    MuJoCo and Pinocchio are compared with the one that crosscheck reads, as in `crosscheck diff`.
+    MuJoCo and Pinocchio are compared with the one that crosscheck reads, as in `crosscheck diff`. What an
+    importer leaves out by its documentation, such as actuators, is listed apart.
 
     The exit status is 0 if all importers read the same robot, also to rounding. It is 1 if one reads another
     robot, refuses the file or crashes.

@@ -1,7 +1,8 @@
-"""Comparison of what the importers of engines make of one model file, each with crosscheck's own reading.
+"""Comparison of what the importers of engines make of one model file.
 
-In: the path of an MJCF or URDF file. Out: an `ImporterComparison` for each importer. An importer leaves out
-what its documentation excludes, such as actuators. This is told apart from faults.
+In: the path of an MJCF or URDF file. Out: the reading of one importer, crosscheck's own if it reads the file,
+and an `ImporterComparison` with it for each other importer. An importer leaves out what its documentation
+excludes, such as actuators. This is told apart from faults.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from typing import Any, NamedTuple
 
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.difference import Difference, Quantity
+from crosscheck.differences.motion import Likeness
 from crosscheck.differences.result import FileComparison, compare_files
 from crosscheck.loading.importers import Failure, Importer, Reading, read_by_all
-from newton_euler.reading.robot import LoopKind
+from newton_euler.reading.robot import LoopKind, Robot
 
 ROUND_OFF = 1e-6
 """Relative difference of numbers that counts as rounding. Vertices of meshes have single precision, 6e-8."""
@@ -24,11 +26,15 @@ DRIVES = "drive"
 """Kind of the elements that stand for actuators, see `Difference.element_kind`."""
 
 
+GROUND = "ground"
+"""Kind of the bodies that are fixed to the ground."""
+
+
 class Limit(NamedTuple):
     """What an importer leaves out of the files of a format.
 
     Attributes:
-        kinds: kinds of elements, see `Difference.element_kind`, and quantities of joints.
+        kinds: kinds of elements, see `Difference.element_kind`, `GROUND`, and quantities of joints.
         words: the limit in words.
     """
 
@@ -37,7 +43,10 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    (Importer.MUJOCO, "URDF"): Limit(frozenset({Quantity.SPEED}), "an MjModel has no limits of speed"),
+    (Importer.MUJOCO, "URDF"): Limit(
+        frozenset({Quantity.SPEED, GROUND}),
+        "an MjModel has no limits of speed, and links fixed to the ground become the world, without mass",
+    ),
     (Importer.PINOCCHIO, "URDF"): Limit(
         frozenset({"coupling"}), "buildModelFromUrdf reads mimic joints as free ones unless mimic=True"
     ),
@@ -51,12 +60,12 @@ LIMITS = {
 
 @dataclass(frozen=True, eq=False)
 class ImporterComparison:
-    """What an importer makes of a file, compared with crosscheck's reading.
+    """What an importer makes of a file, compared with the reference reading.
 
     Attributes:
         reading: the importer's reading.
-        comparison: of crosscheck's reading, the first, with the importer's, the second; None if one of the
-            importers fails. The first has no drives if the importer leaves out drives.
+        comparison: of the reference reading, the first, with the importer's, the second; None if the importer
+            fails. The first has no drives if the importer leaves out drives.
         limit: documented limit of the importer for files of this format; None without one.
         drives_left_out: number of drives that the importer leaves out by its documented limit.
     """
@@ -80,10 +89,14 @@ class ImporterComparison:
 
     @property
     def result(self) -> Outcome | Failure:
-        """Failure of the importer, or the outcome of the comparison."""
-        if self.reading.failure:
+        """Failure of the importer, or the outcome of the comparison: limits without effect are `SAME`."""
+        if self.comparison is None:
+            assert self.reading.failure
             return self.reading.failure
-        return self.comparison.outcome if self.comparison else Outcome.NOT_COMPARED
+        is_moved = self.comparison.motion.likeness is Likeness.DIFFERENT
+        if self.left_out and not self.differences and not is_moved:
+            return Outcome.SAME
+        return self.comparison.outcome
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -100,9 +113,22 @@ class ImporterComparison:
     def _is_limit(self, row: Difference) -> bool:
         """Return whether a row is about something that the importer leaves out by its documentation."""
         kind = row.element_kind if row.quantity is Quantity.PRESENCE else row.quantity
+        if kind == "body" and self.comparison and row.element in _on_ground(self.comparison.first.robot):
+            kind = GROUND
         is_known = kind == "loop" and row.first == LoopKind.POINT
         is_lost = row.first not in (None, 0.0) and row.second in (None, 0.0)
         return self.limit is not None and is_lost and kind in self.limit.kinds and not is_known
+
+
+def _on_ground(robot: Robot) -> set[str]:
+    """Return the names of the bodies that are fixed to the ground; parents come before their children."""
+    fixed: set[str] = set()
+    grounded = {-1}
+    for number, body in enumerate(robot.bodies):
+        if body.parent in grounded and not body.joints:
+            grounded.add(number)
+            fixed.add(body.name)
+    return fixed
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,20 +137,19 @@ class ImportersComparison:
 
     Attributes:
         source: path of the file.
-        own: crosscheck's reading, with which the others are compared.
+        reference: reading with which the others are compared: crosscheck's, or that of the first other
+            importer that reads the file; None if none does.
         others: comparison of each other importer.
     """
 
     source: str
-    own: Reading
+    reference: Reading | None
     others: tuple[ImporterComparison, ...]
 
     @property
     def outcome(self) -> Outcome:
-        """`SAME`, `SAME_TO_ROUNDING`, `DIFFERENT`, also if an importer fails, or `NOT_COMPARED`."""
+        """`SAME`, `SAME_TO_ROUNDING`, or `DIFFERENT`, also if an importer fails."""
         results = [each.result for each in self.others]
-        if self.own.file is None:
-            return Outcome.NOT_COMPARED
         if set(results) <= {Outcome.SAME, Outcome.SAME_TO_ROUNDING}:
             return Outcome.SAME if set(results) == {Outcome.SAME} else Outcome.SAME_TO_ROUNDING
         return Outcome.DIFFERENT
@@ -134,13 +159,13 @@ class ImportersComparison:
         return {
             "source": self.source,
             "outcome": self.outcome.value,
-            "own": {"importer": self.own.importer.value, "message": self.own.message},
+            "reference": self.reference.importer.value if self.reference else None,
             "importers": [each.summary() for each in self.others],
         }
 
 
 def compare_importers(source: str | os.PathLike[str], progress: Callable[[str], None]) -> ImportersComparison:
-    """Read a file by all importers, and compare their readings with crosscheck's.
+    """Read a file by all importers, and compare their readings with the reference reading.
 
     Args:
         source: path of an MJCF or URDF file.
@@ -150,16 +175,20 @@ def compare_importers(source: str | os.PathLike[str], progress: Callable[[str], 
         CrosscheckError, SourceError: for something that is no readable file with the suffix of such a file.
     """
     progress("reading the file by all importers")
-    own, *others = read_by_all(source)
+    readings = read_by_all(source)
     progress("comparing what they read")
-    return ImportersComparison(os.fspath(source), own, tuple(_compared(own, other) for other in others))
+    reference = next((reading for reading in readings if reading.file), None)
+    others = [reading for reading in readings if reading is not reference]
+    format = "URDF" if os.fspath(source).lower().endswith(".urdf") else "MJCF"
+    compared = tuple(_compared(reference, other, LIMITS.get((other.importer, format))) for other in others)
+    return ImportersComparison(os.fspath(source), reference, compared)
 
 
-def _compared(own: Reading, other: Reading) -> ImporterComparison:
-    """Compare an importer's reading with crosscheck's."""
-    if own.file is None or other.file is None:
+def _compared(reference: Reading | None, other: Reading, limit: Limit | None) -> ImporterComparison:
+    """Compare an importer's reading with the reference reading."""
+    if reference is None or reference.file is None or other.file is None:
         return ImporterComparison(other, None, None, 0)
-    file, limit, drives = own.file, LIMITS.get((other.importer, own.file.format)), 0
+    file, drives = reference.file, 0
     if limit and DRIVES in limit.kinds:
         # without its drives, so that their limits do not count as efforts of joints
         file, drives = replace(file, robot=replace(file.robot, drives=())), len(file.robot.drives)

@@ -52,6 +52,8 @@ def main() -> None:
     except SourceError as error:
         failure = Failure.REFUSED if error.path == path else Failure.NOT_DESCRIBED
         reading = Reading(importer, None, failure, error.problem)
+    except ModuleNotFoundError as error:
+        reading = Reading(importer, None, Failure.NOT_INSTALLED, f"the package {error.name} is not installed")
     Path(result).write_bytes(pickle.dumps(reading))
 
 

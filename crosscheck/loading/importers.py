@@ -50,6 +50,8 @@ class Failure(StrEnum):
     unknown joints."""
     CRASHED = "CRASHED"
     """The importer's process ends, by a segmentation fault, for example, or needs too much time."""
+    NOT_INSTALLED = "NOT INSTALLED"
+    """A package that the importer needs is not installed."""
 
 
 @dataclass(frozen=True, eq=False)
