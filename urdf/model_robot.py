@@ -233,11 +233,14 @@ def _without(whole: Any, part: Any) -> Any:
     mass = float(difference[0, 0])
     if not np.any(part.matrix()):
         return whole
-    if mass <= MIN_MASS_RATIO * whole.mass:
-        return pin.Inertia(0.0, np.zeros(3), difference[3:, 3:])
-    center = pin.unSkew(difference[3:, :3]) / mass
-    about_center = difference[3:, 3:] + mass * pin.skewSquare(center, center)
-    return pin.Inertia(mass, center, about_center)
+    remainder = pin.Inertia.Zero()
+    # assigned, since the constructor refuses negative moments, which files of models have
+    remainder.inertia = difference[3:, 3:]
+    if mass > MIN_MASS_RATIO * whole.mass:
+        center = pin.unSkew(difference[3:, :3]) / mass
+        remainder.mass, remainder.lever = mass, center
+        remainder.inertia = difference[3:, 3:] + mass * pin.skewSquare(center, center)
+    return remainder
 
 
 def _placement(placement: Any) -> Placement:

@@ -116,7 +116,7 @@ class ImporterComparison:
         if kind == "body" and self.comparison and row.element in _on_ground(self.comparison.first.robot):
             kind = GROUND
         is_known = kind == "loop" and row.first == LoopKind.POINT
-        is_lost = row.first not in (None, 0.0) and row.second in (None, 0.0)
+        is_lost = row.first is not None and row.second in (None, 0.0)
         return self.limit is not None and is_lost and kind in self.limit.kinds and not is_known
 
 

@@ -84,7 +84,7 @@ def _sides(comparison: ImportersComparison, each: ImporterComparison) -> tuple[s
 
 
 def _notes(comparison: ImportersComparison) -> Iterator[str]:
-    """Yield what importers leave out by their documentation, and notes about each reading."""
+    """Yield what each importer leaves out by its documentation, and notes about its reading."""
     for each in comparison.others:
         left_out = [f"{each.drives_left_out} actuators"] if each.drives_left_out else []
         left_out += [sentence(row, _sides(comparison, each)) for row in each.left_out]
@@ -93,9 +93,5 @@ def _notes(comparison: ImportersComparison) -> Iterator[str]:
             yield f"{each.reading.importer} leaves out, as documented ({each.limit.words}): {what}"
         if each.comparison:
             yield from (f"{each.reading.importer}: {note}" for note in each.comparison.motion.notes)
-    names_of: dict[str, list[str]] = {}  # of importers, by note
-    readings = [each.reading for each in comparison.others]
-    for reading in [comparison.reference, *readings] if comparison.reference else readings:
-        for note in reading.file.notes if reading.file else ():
-            names_of.setdefault(note, []).append(reading.importer)
-    yield from (f"{' and '.join(names)}: {note}" for note, names in names_of.items())
+        if each.reading.file:
+            yield from (f"{each.reading.importer}: {note}" for note in each.reading.file.notes)

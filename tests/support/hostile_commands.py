@@ -57,6 +57,7 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "faults": (("scene.json",), REFUSED_LATER),
     "figures": ((), REFUSED_LATER),
     "identify": (("scene.json", "motion.csv"), ("--fit", "crank.mass", "--output", "new")),
+    "importers": (("model.xml",), REFUSED_LATER),
     "list": (("scene.json",), ()),
     "loads": (("scene.json",), ("--output", "new")),
     "modes": (("scene.json",), ("--save", "new.rrd")),
