@@ -66,7 +66,7 @@ def importers(
         CrosscheckError, NewtonEulerError: for something that is no readable model file.
 
     Examples:
-        >>> importers("examples/linkage.xml")["Pinocchio"].result.value
-        'NOT DESCRIBED'
+        >>> importers("examples/linkage.xml")["MuJoCo"].differences
+        ()
     """
     return Importers(compare_importers(source, progress))

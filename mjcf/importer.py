@@ -36,6 +36,9 @@ def describe_as_imported(source: str | os.PathLike[str]) -> RobotFile:
                 raise SourceError(path, refusal) from error
         else:
             return replace(robot, source=path, notes=(*map("warns: {}".format, warnings), *robot.notes))
-    reduced = describe(path)
+    try:
+        reduced = describe(path)
+    except SourceError as error:
+        raise SourceError(path, refusal) from error
     note = f"refuses the file as it is ({refusal:.200}); it is compared without its meshes"
     return replace(reduced, format="MJCF", notes=(note, *reduced.notes))

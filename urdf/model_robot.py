@@ -78,7 +78,8 @@ class _Description:
         # Pinocchio's data of each joint at coordinates 0
         self._at_zero = [joint.createData() for joint in model.joints]
         neutral = pin.neutral(model)
-        for joint, data in zip(model.joints, self._at_zero, strict=True):
+        # of the universe, the first one, Pinocchio has no joint to evaluate
+        for joint, data in zip(list(model.joints)[1:], self._at_zero[1:], strict=True):
             joint.calc(data, neutral)
         frames = list(model.frames)
         # frame and placement (in the frame of the joint) of the body that each joint moves
@@ -136,6 +137,8 @@ class _Description:
         self, name: str, parent: int, placement: Any, inertia: Any, joints: tuple[FileJoint, ...]
     ) -> None:
         """Add a body; placement and inertia are `pinocchio.SE3` and `pinocchio.Inertia`."""
+        if not (np.isfinite(inertia.matrix()).all() and np.isfinite(placement.homogeneous).all()):
+            raise SourceError("pinocchio.Model", f"body {name!r} has numbers that are not finite")
         body = FileBody(
             name,
             parent,

@@ -20,7 +20,8 @@ from crosscheck.loading.importers import Failure, Importer, Reading, read_by_all
 from newton_euler.reading.robot import LoopKind, Robot
 
 ROUND_OFF = 1e-6
-"""Relative difference of numbers that counts as rounding. Vertices of meshes have single precision, 6e-8."""
+"""Relative difference of numbers and accelerations, and gap of loops (m, rad), that count as rounding.
+Vertices of meshes have single precision, 6e-8."""
 
 DRIVES = "drive"
 """Kind of the elements that stand for actuators, see `Difference.element_kind`."""
@@ -93,8 +94,14 @@ class ImporterComparison:
         if self.comparison is None:
             assert self.reading.failure
             return self.reading.failure
-        is_moved = self.comparison.motion.likeness is Likeness.DIFFERENT
-        if self.left_out and not self.differences and not is_moved:
+        motion = self.comparison.motion
+        is_rounding = (
+            max([motion.change, *(gap.error for gap in motion.gaps)]) < ROUND_OFF
+            and motion.freedoms[0] == motion.freedoms[1]
+        )
+        if not self.differences and motion.likeness is Likeness.DIFFERENT and is_rounding:
+            return Outcome.SAME_TO_ROUNDING
+        if not self.differences and self.left_out and motion.likeness is not Likeness.DIFFERENT:
             return Outcome.SAME
         return self.comparison.outcome
 
