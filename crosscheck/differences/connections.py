@@ -112,8 +112,8 @@ def _loop_rows(common: CommonFrames) -> Iterator[Difference]:
                 math.dist(end.frame.position[0], other_end.frame.position[0])
                 for end, other_end in zip(ends, rival_ends, strict=True)
             )
-            # Same names first, then nearest points
-            if rival.name == loop.name:
+            # Same names first, then nearest points; MuJoCo and Pinocchio allow loops without names
+            if loop.name and rival.name == loop.name:
                 apart = -1.0
             if apart < nearest:
                 best, nearest, best_ends = other, apart, rival_ends

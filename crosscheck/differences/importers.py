@@ -32,7 +32,7 @@ GROUND = "ground"
 
 
 class Limit(NamedTuple):
-    """What an importer leaves out of the files of a format.
+    """Documented gap of an importer: the elements of files of a format that it does not read.
 
     Attributes:
         kinds: kinds of elements, see `Difference.element_kind`, `GROUND`, and quantities of joints.
@@ -61,7 +61,7 @@ LIMITS = {
 
 @dataclass(frozen=True, eq=False)
 class ImporterComparison:
-    """What an importer makes of a file, compared with the reference reading.
+    """Comparison of an importer's reading of a file with the reference reading.
 
     Attributes:
         reading: the importer's reading.
@@ -84,7 +84,7 @@ class ImporterComparison:
 
     @property
     def left_out(self) -> tuple[Difference, ...]:
-        """What the importer leaves out by its documented limit, beside drives."""
+        """Elements that the importer leaves out by its documented limit, beside drives."""
         rows = self.comparison.rows if self.comparison else ()
         return tuple(row for row in rows if self._is_limit(row))
 

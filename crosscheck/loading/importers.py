@@ -56,7 +56,7 @@ class Failure(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What an importer makes of a file.
+    """Robot that an importer reads in a file, or its failure.
 
     Attributes:
         importer: the importer.

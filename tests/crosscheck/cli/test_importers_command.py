@@ -247,3 +247,20 @@ def test_numbers_of_pinocchio_that_are_not_finite(file):
     found = crosscheck.importers(path)
     assert results(found) == {"MuJoCo": "SAME", "Pinocchio": "NOT DESCRIBED"}
     assert found["Pinocchio"].reading.message == "body 'b' has numbers that are not finite"
+
+
+CONNECTED = """<mujoco><worldbody><body name="base"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+  <body name="a" pos="1 0 0"><joint name="ja" axis="0 1 0"/><inertial pos="0 0 0.1" mass="1" diaginertia="1 1 1"/>
+    <site name="a1"/><site name="a2" pos="0 0.1 0"/></body>
+  <body name="b"><joint name="jb" axis="0 1 0"/><inertial pos="0 0 0.1" mass="1" diaginertia="1 1 1"/>
+    <site name="b1" pos="1 0 0"/><site name="b2" pos="1 0.1 0"/></body></body></worldbody>
+  <equality><connect name="z" site1="a1" site2="b1"/><connect name="y" site1="a2" site2="b2"/></equality>
+  </mujoco>"""
+
+
+@pytest.mark.parametrize("names", [("z", "y"), ("", "")])
+def test_loops_in_another_order_are_paired_by_their_points(file, names):
+    # Pinocchio sorts constraints by name, and gives its own none
+    text = CONNECTED.replace('name="z"', f'name="{names[0]}"').replace('name="y"', f'name="{names[1]}"')
+    found = crosscheck.importers(file(text))
+    assert results(found) == {"MuJoCo": "SAME", "Pinocchio": "SAME"}
