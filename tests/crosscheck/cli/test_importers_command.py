@@ -250,7 +250,8 @@ def test_numbers_of_pinocchio_that_are_not_finite(file):
 
 
 CONNECTED = """<mujoco><worldbody><body name="base"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-  <body name="a" pos="1 0 0"><joint name="ja" axis="0 1 0"/><inertial pos="0 0 0.1" mass="1" diaginertia="1 1 1"/>
+  <body name="a" pos="1 0 0"><joint name="ja" axis="0 1 0"/>
+    <inertial pos="0 0 0.1" mass="1" diaginertia="1 1 1"/>
     <site name="a1"/><site name="a2" pos="0 0.1 0"/></body>
   <body name="b"><joint name="jb" axis="0 1 0"/><inertial pos="0 0 0.1" mass="1" diaginertia="1 1 1"/>
     <site name="b1" pos="1 0 0"/><site name="b2" pos="1 0.1 0"/></body></body></worldbody>
