@@ -42,10 +42,12 @@ from newton_euler.compiled.formulations import cheaper_formulation, formulate
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import (
+    Place,
     parameter_layout,
     parameter_values,
     pieces,
     places,
+    values_at,
     with_values,
 )
 from newton_euler.equations.redundancy import NearlyRedundant, loose_tolerance, mobility, residual
@@ -398,7 +400,8 @@ class CompiledEquations:
             time: s.
             values: values of parameters by name; all others have the scene's own values.
         """
-        by_name = parameter_values(self.scene, self.parameters) | pieces(self.scene, time) | (values or {})
+        own_values = values_at(self.scene, self._scene_places)
+        by_name = own_values | pieces(self.scene, time) | (values or {})
         flags = self.exchangeable.left_out
         return np.concatenate([q, v, [time], flags, *(np.ravel(by_name[name]) for name in self.parameters)])
 
@@ -429,6 +432,11 @@ class CompiledEquations:
         if parameter not in self.parameters:
             raise UnknownNameError("parameter", parameter, tuple(self.parameters))
         return self._places[parameter]
+
+    @cached_property
+    def _scene_places(self) -> dict[str, Place]:
+        """Location in the scene of each parameter, by name."""
+        return places(self.scene, self.parameters)
 
     @cached_property
     def _places(self) -> dict[str, int]:

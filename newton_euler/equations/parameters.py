@@ -399,9 +399,19 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a name that stands for two parameters, and for two names of the same number.
     """
+    return values_at(scene, places(scene, parameter_names(scene) if names is None else names))
+
+
+def values_at(scene: Scene, found: Mapping[str, Place]) -> dict[str, Array]:
+    """Return the scene's own values of parameters at known places, by name; see `parameter_values`.
+
+    Args:
+        scene: the scene.
+        found: places of the parameters by name, in this scene or in one that differs only in parameters.
+    """
     elements = _elements(scene)
     values: dict[str, Array] = {}
-    for name, place in places(scene, parameter_names(scene) if names is None else names).items():
+    for name, place in found.items():
         whole = _own_value(elements, place.owner, piece=name.endswith(PIECE))
         values[name] = whole if place.component is None else np.asarray(whole[place.component])
     return values

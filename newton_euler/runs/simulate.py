@@ -153,7 +153,8 @@ class CompiledScene(CompiledEquations):
 
     def with_scene(self, scene: Scene) -> CompiledScene:
         """Return the same code for a scene that differs only in parameters, controllers and duration."""
-        _ = self._rank_decisions  # select constraint rows before the copy: both objects share them
+        # computed before the copy, so that both objects share what does not depend on parameters
+        _ = self._rank_decisions, self._scene_places, self.groups, self.loses_rank
         other = copy.copy(self)
         other.scene = scene
         if scene.initial_state is self.scene.initial_state:
