@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from crosscheck.library.model_files import SUFFIXES
 from crosscheck.loading.importers import MAX_PROCESSOR_S, Failure, Importer, Reading
 from newton_euler.limits import size_in_bytes
 from newton_euler.model.source_file import SourceError
@@ -50,7 +51,9 @@ def main() -> None:
         # all importers read the same text, so that its digits leave nothing open
         reading = Reading(importer, replace(_describe(importer)(path), variants=()))
     except SourceError as error:
-        failure = Failure.REFUSED if error.path == path else Failure.NOT_DESCRIBED
+        # an error of a file that the file includes has the path of that file
+        is_refused = Path(error.path).suffix.lower() in SUFFIXES
+        failure = Failure.REFUSED if is_refused else Failure.NOT_DESCRIBED
         reading = Reading(importer, None, failure, error.problem)
     except ModuleNotFoundError as error:
         reading = Reading(importer, None, Failure.NOT_INSTALLED, f"the package {error.name} is not installed")

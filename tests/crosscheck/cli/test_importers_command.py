@@ -24,6 +24,7 @@ from crosscheck.loading import importers as loading
 from crosscheck.loading.importers import Failure, Importer, read_by_all
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.source_file import SourceError
+from urdf.model_robot import describe_model
 
 LINK = """<link name="{name}"><inertial><origin xyz="{center}" rpy="{rpy}"/><mass value="1"/>
   <inertia ixx="{ixx}" iyy="2" izz="2.5" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
@@ -238,15 +239,24 @@ def test_what_is_no_model_file(tmp_path, name):
         crosscheck.importers(str(tmp_path / name))
 
 
-def test_numbers_of_pinocchio_that_are_not_finite(file):
-    # of geoms without mass, Pinocchio 4.1 divides by the mass
-    path = file('<mujoco><worldbody><body name="b"><geom size="0.1" mass="0"/></body></worldbody></mujoco>')
-    inertia = pin.buildModelFromMJCF(path).inertias[0].inertia
-    if np.isfinite(inertia).all():
-        pytest.skip("this version of Pinocchio contains a correction")
-    found = crosscheck.importers(path)
-    assert results(found) == {"MuJoCo": "SAME", "Pinocchio": "NOT DESCRIBED"}
-    assert found["Pinocchio"].reading.message == "body 'b' has numbers that are not finite"
+def test_an_include_that_is_missing_is_a_refusal(file, tmp_path):
+    (tmp_path / "parts.xml").write_text('<mujocoinclude><include file="nothing.xml"/></mujocoinclude>')
+    found = crosscheck.importers(file(TRUNK.replace("<worldbody>", '<include file="parts.xml"/><worldbody>')))
+    # Pinocchio reads no includes
+    assert found.comparison.reference.importer is Importer.PINOCCHIO
+    assert results(found) == {"crosscheck": "REFUSED", "MuJoCo": "REFUSED"}
+
+
+def test_numbers_of_pinocchio_that_are_not_finite():
+    # Pinocchio 4.1 reads such an inertia for a camera of MuJoCo Menagerie, realsense_d435i/d435i.xml
+    model = pin.Model()
+    placement = pin.SE3.Identity()
+    joint = model.addJoint(0, pin.JointModelRX(), placement, "j")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), placement)
+    model.addBodyFrame("b", joint, placement, 0)
+    model.inertias[joint].mass = math.nan
+    with pytest.raises(SourceError, match="body 'b' has numbers that are not finite"):
+        describe_model(model)
 
 
 CONNECTED = """<mujoco><worldbody><body name="base"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
