@@ -23,8 +23,9 @@ MAX_PARTS = 10
 def body_rows(common: CommonFrames, number: int) -> list[Difference]:
     """Return the rows of a pair of bodies that may consist of several parts fixed to each other.
 
-    If both files have the same parts, the rows are those of parts. If parts that only one file has explain
-    the rows, one row remains.
+    If both files have the same parts, the rows are those of parts, unless the mass is the same and the whole
+    body needs fewer rows: if several parts stand elsewhere, the center of mass of the body is one row. If
+    parts that only one file has explain the rows, one row remains.
 
     Args:
         common: both robots.
@@ -38,7 +39,10 @@ def body_rows(common: CommonFrames, number: int) -> list[Difference]:
         return rows
     if parts := _parts_in_one_file(common, number):
         return [replace(true_rows[0], cause=parts)]
-    return _rows_of_parts(common, number) or rows
+    rows_of_parts = _rows_of_parts(common, number)
+    needed = sum(row.size > row.uncertainty for row in rows_of_parts)
+    is_whole_moved = needed > len(true_rows) and true_rows[0].quantity != Quantity.MASS
+    return rows if is_whole_moved else rows_of_parts or rows
 
 
 def _rows_of_parts(common: CommonFrames, number: int) -> list[Difference]:
