@@ -157,7 +157,14 @@ def _world_row(common: CommonFrames, gravity: Array) -> Iterator[Difference]:
     if not bases or not _is_moved(common, IN_WORLD):
         return
     name = common.body_name(bases[0])
-    if tilt > max(MIN_TURN, frame.slack_angle) and not is_turn_by_short_pi(tilt, MIN_TURN):
+    # Digits of the axes that the base carries leave its direction open
+    at_base = [
+        common.compare(bases[0], *(line.axis for line in common.lines(place.pair, bases[0])), angle)[1]
+        for place in common.joints
+        if place.parent == bases[0] and place.kind in (JointKind.HINGE, JointKind.SLIDE)
+    ]
+    uncertainty = max(MIN_TURN, frame.slack_angle, min(at_base, default=0.0))
+    if tilt > uncertainty and not is_turn_by_short_pi(tilt, MIN_TURN):
         words = f"the whole robot is turned against gravity by {math.degrees(tilt):.4g} degrees"
         row = difference(name, "body", Quantity.BASE, (0.0, tilt), (tilt, 0.0), words)
         yield replace(row, unit="rad")
