@@ -14,7 +14,7 @@ from crosscheck.differences.difference import Difference, Quantity, Value, diffe
 from crosscheck.differences.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
 from crosscheck.differences.short_angles import is_short_pi, is_turn_by_short_pi
 from crosscheck.differences.stack import JointKey, Metric, absolute, angle, distance, dot, relative, twist
-from newton_euler.reading.robot import FileDrive, JointKind
+from newton_euler.reading.robot import FileDrive, JointKind, Robot
 from newton_euler.scalars import Array
 
 JOINT_NUMBERS: dict[Quantity, str] = {
@@ -72,7 +72,11 @@ def regrouped_rows(common: CommonFrames) -> Iterator[Difference]:
             for robot, keys in ((first, group.first), (second, group.second))
         ]
         names = tuple(joint_name(first, key) for key in group.first)
-        row = difference(names[0], "joint", Quantity.KIND, (kinds[0], kinds[1]), (1.0, 0.0))
+        both_free = _is_free(first, group.first) and _is_free(second, group.second)
+        words = "the body floats in both files" if both_free else ""
+        row = difference(
+            names[0], "joint", Quantity.KIND, (kinds[0], kinds[1]), (1.0, 0.0), words, convention=both_free
+        )
         yield replace(row, elements=names)
     for pair in common.alignment.loops:
         robot, other = (first, second) if pair.in_first else (second, first)
@@ -83,6 +87,26 @@ def regrouped_rows(common: CommonFrames) -> Iterator[Difference]:
         )
         values = (joint, loop) if pair.in_first else (loop, joint)
         yield difference(joint_name(robot, pair.joint), "joint", Quantity.KIND, values, (1.0, 0.0))
+
+
+def _is_free(robot: Robot, keys: tuple[JointKey, ...]) -> bool:
+    """Return whether joints leave all freedoms between two bodies: a free joint, or three slides and a ball.
+
+    Joints with damping, springs, armature, dry friction or limits do not.
+    """
+    joints = [robot.bodies[body].joints[number] for body, number in keys]
+    slides = [joint.axis for joint in joints if joint.kind == JointKind.SLIDE]
+    kinds = {joint.kind for joint in joints}
+    free = kinds == {JointKind.FREE}
+    floats = kinds == {JointKind.SLIDE, JointKind.BALL} and np.linalg.matrix_rank(slides, tol=0.1) == 3
+    return (free or floats) and not any(
+        joint.damping
+        or joint.stiffness
+        or joint.armature
+        or joint.friction
+        or np.isfinite(joint.limits).any()
+        for joint in joints
+    )
 
 
 def moved_joint_row(common: CommonFrames, pair: JointPair) -> Difference:
