@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from crosscheck.differences.alignment import Alignment
+from crosscheck.differences.alignment import Alignment, JointGroups, align
 from crosscheck.differences.difference import Difference, Quantity, Standing, unit
 from crosscheck.differences.rows import differences
 from newton_euler.reading.robot import (
@@ -46,6 +46,7 @@ from tests.support.file_robots import (
     with_sign,
     with_zero,
 )
+from urdf.robot import describe
 
 ROBOTS = {"arm": arm, "walker": walker, "linkage": linkage}
 
@@ -606,6 +607,41 @@ def test_a_right_angle_with_few_decimals_is_rounding(decimals):
     assert row.size == pytest.approx(abs(np.pi / 2 - round(np.pi / 2, decimals)), rel=1e-6)
 
 
+def test_digits_of_the_first_axis_do_not_tilt_a_base_whose_frame_is_turned(tmp_path):
+    # The second base has its frame turned by 90 degrees. Half a turn, 3.14159 and -3.14159, leaves the axis
+    # open by 5.3e-6 rad, twice the part of pi that is cut off
+    base = """<robot name="{0}"><link name="base"><inertial><mass value="1"/><origin xyz="{1}"/>
+        <inertia {2}/></inertial></link><link name="arm"><inertial><mass value="1"/>
+        <origin xyz="0.1 0.02 0.03"/><inertia ixx="0.001" ixy="0.0001" ixz="0.0002" iyy="0.002" iyz="0.0003"
+        izz="0.0025"/></inertial></link><joint name="pan" type="revolute"><parent link="base"/>
+        <child link="arm"/><origin xyz="{3}" rpy="{4}"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+    files = []
+    for name, center, inertia, origin, angles in (
+        (
+            "first",
+            "0.0137179 -0.00052 0.0334843",
+            'ixx="1.1e-4" iyy="1.4e-4" izz="1.3e-4" ixy="-4e-6" ixz="5e-6" iyz="1e-6"',
+            "0.0388353 0 0.0624",
+            "3.14159 0 -3.14159",
+        ),
+        (
+            "second",
+            "0.00052 0.0137179 0.0334843",
+            'ixx="1.4e-4" iyy="1.1e-4" izz="1.3e-4" ixy="4e-6" ixz="-1e-6" iyz="5e-6"',
+            "0 0.0388353 0.0624",
+            "-3.14159 0 -1.5708",
+        ),
+    ):
+        path = tmp_path / f"{name}.urdf"
+        path.write_text(base.format(name, center, inertia, origin, angles), encoding="utf-8")
+        files.append(describe(path))
+    first, second = files
+    found = differences(first, second, align(first.robot, second.robot, {}), None)
+    assert Standing.DIFFERENT not in {row.standing for row in found}
+    assert Quantity.BASE in {row.quantity for row in found if row.standing is Standing.CONVENTION}
+
+
 def test_limits_of_a_right_angle_with_few_decimals_are_rounding():
     first = with_joint(arm(), "lift", limits=(-np.pi / 2, 1.2))
     second = with_joint(arm(), "lift", limits=(-1.57, 1.2))
@@ -721,6 +757,38 @@ def test_a_file_without_drives_has_the_efforts_of_the_drives_of_the_other_file()
     weaker = with_drive(first, "left_knee_motor", control_limits=(-35, 35))
     _, row = sorted(rows_of(weaker, second), key=lambda row: row.element_kind)
     assert (row.element, row.quantity, row.first, row.second) == ("left_knee", Quantity.EFFORT, 35.0, 50.0)
+
+
+def test_three_slides_and_a_ball_let_the_base_float_as_a_free_joint_does():
+    first = walker()
+    ball = FileJoint("turn", JointKind.BALL, np.zeros(3), np.zeros(3))
+    slides = [FileJoint(f"move_{k}", JointKind.SLIDE, np.eye(3)[k], np.zeros(3)) for k in range(3)]
+
+    def kinds(*joints):
+        second = with_body(first, "trunk", joints=joints)
+        pairs = aligned(with_body(first, "trunk", joints=()), with_body(second, "trunk", joints=()))
+        groups = (JointGroups(((0, 0),), tuple((0, number) for number in range(len(joints)))),)
+        return differences(as_file(first), as_file(second), replace(pairs, groups=groups), None)
+
+    (row,) = kinds(*slides, ball)
+    assert (row.quantity, row.standing, row.cause) == (
+        Quantity.KIND,
+        Standing.CONVENTION,
+        "the body floats in both files",
+    )
+    # A slide twice, and a slide with damping, do not let the base float freely
+    for held in ((slides[0], slides[0], slides[2]), (replace(slides[0], damping=1.0), *slides[1:])):
+        (row,) = kinds(*held, ball)
+        assert (row.quantity, row.standing) == (Quantity.KIND, Standing.DIFFERENT)
+
+
+def test_lengths_in_millimeters_are_one_row_if_links_have_fixed_parts():
+    # At three links, a part that is fixed at some distance from the frame of the link
+    parts = [body(f"part_{k}", k, [0.03, 0.05, 0.02 * k], [], 0.3, [0.01, 0, 0.02]) for k in (1, 2, 3)]
+    first = replace(walker(), bodies=(*walker().bodies, *parts))
+    second = scaled_lengths(first, 1000.0)
+    (row,) = rows_of(first, second, align(first, second, {}))
+    assert "lengths times 1000 (m against mm)" in row.cause
 
 
 def test_a_joint_with_another_parent_is_one_row():
