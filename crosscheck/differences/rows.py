@@ -158,11 +158,12 @@ def _world_row(common: CommonFrames, gravity: Array) -> Iterator[Difference]:
         return
     name = common.body_name(bases[0])
     # Digits of the axes that the base carries leave its direction open
-    at_base = [
-        common.compare(bases[0], *(line.axis for line in common.lines(place.pair, bases[0])), angle)[1]
+    lines = [
+        common.lines(place.pair, bases[0])
         for place in common.joints
         if place.parent == bases[0] and place.kind in (JointKind.HINGE, JointKind.SLIDE)
     ]
+    at_base = [common.compare(bases[0], one.axis, other.axis, angle)[1] for one, other in lines]
     uncertainty = max(MIN_TURN, frame.slack_angle, min(at_base, default=0.0))
     if tilt > uncertainty and not is_turn_by_short_pi(tilt, MIN_TURN):
         words = f"the whole robot is turned against gravity by {math.degrees(tilt):.4g} degrees"
