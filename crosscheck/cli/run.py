@@ -31,7 +31,7 @@ from crosscheck.support.errors import CrosscheckError
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from crosscheck.logs.judge import Log
+    from crosscheck.logs.judge import Log, LogJudgement
 
 OUTPUT = Path("output")
 """Default parent of the folders of results."""
@@ -214,7 +214,6 @@ def _diff(asked: _Options, other: str) -> int:
 def _run(asked: _Options) -> int:
     """Compare a model in several engines, write and print the results, and return the exit status."""
     from crosscheck.compare.crosscheck import crosscheck
-    from crosscheck.compare.logs import judge_logs
     from crosscheck.engines.engine import ENGINES, choose
     from crosscheck.loading.load import load_scene, non_default_options, with_excitation
     from crosscheck.own_run.allowed import AllowedError
@@ -246,7 +245,11 @@ def _run(asked: _Options) -> int:
 
     # compute, write
     with progress_shown() as progress:
-        judged = judge_logs(asked.model, scene_options(asked.settings), logs, progress)
+        judged: dict[str, LogJudgement] = {}
+        if logs:
+            from crosscheck.compare.logs import judge_logs
+
+            judged = judge_logs(asked.model, scene_options(asked.settings), logs, progress)
         compared = crosscheck(scene, engines, progress, asked.model, options, import_report, asked.advice)
         result = replace(compared, logs=judged).with_allowed_errors(allowed)
         progress("writing")

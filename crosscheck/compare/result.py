@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from crosscheck.compare.advice import Advice
 from crosscheck.compare.check import READING, Check
@@ -29,7 +29,6 @@ from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
-from crosscheck.logs.judge import LogJudgement
 from crosscheck.own_run.allowed import OWN_RUN, AllowedError
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.versions import versions
@@ -37,6 +36,9 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.import_report import ImportedElement, ImportReport
+
+if TYPE_CHECKING:  # most comparisons have no logs
+    from crosscheck.logs.judge import LogJudgement
 
 JUDGING = "judging the file's own run"
 """Stage that judges the run with the settings of the file; notes on its failure begin with this text."""

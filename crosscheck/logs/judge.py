@@ -16,7 +16,7 @@ import numpy as np
 
 from crosscheck.logs.columns import LogData
 from crosscheck.logs.inputs import held_inputs
-from crosscheck.logs.mistakes import Mistake, find_mistakes, mistake_line
+from crosscheck.logs.mistakes import Mistake, find_mistakes
 from crosscheck.logs.names import Origin
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import loop_errors
@@ -171,7 +171,7 @@ class LogJudgement(Judgement):
             "thinned": asdict(other.thinned),
         }
         result["start_error"] = asdict(self.start_error) if self.start_error else None
-        result["mistakes"] = [asdict(mistake) | {"text": mistake_line(mistake)} for mistake in self.mistakes]
+        result["mistakes"] = [asdict(mistake) | {"text": mistake.text} for mistake in self.mistakes]
         names = (
             "name",
             "reference_stop",
@@ -225,7 +225,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         mistakes = find_mistakes(reading, options, data, None)
         if not mistakes:
             raise
-        raise reading.table.error("; ".join(map(mistake_line, mistakes))) from failure
+        raise reading.table.error("; ".join(mistake.text for mistake in mistakes)) from failure
     mistakes = find_mistakes(reading, options, data, compared)
     # the comparison ends when an element acts that the reference does not have, and of a mechanism in chaos
     events = tuple(

@@ -66,6 +66,18 @@ class Mistake:
     before: RunError | None
     after: RunError
 
+    @property
+    def text(self) -> str:
+        """One line: columns, other reading, both errors, and the option to give."""
+        first, *others = self.columns
+        columns = f"columns {quoted(first)} and {len(others)} more" if others else f"column {quoted(first)}"
+        after = f"an error of {_percent(self.after.relative)} of the motion"
+        instead = "while the log as read fits no state of the model"
+        if self.before is not None:
+            instead = f"instead of {_percent(self.before.relative)}"
+        remedy = f"; give {self.option}" if self.option else ""
+        return f"{columns}: {self.what}: {after} {instead}{remedy}"
+
 
 class OtherReading(NamedTuple):
     """Another reading of a log.
@@ -241,20 +253,6 @@ def _delay(compared: ComparedLog) -> Iterator[Mistake]:
     else:
         what = f"times {-best:.4g} s later, or without the first row"
         yield Mistake(("time",), what, "", compared.error, error)
-
-
-def mistake_line(mistake: Mistake) -> str:
-    """Format a wrong reading in one line: columns, other reading, both errors, and the option to give."""
-    first, *others = mistake.columns
-    columns = f"column {quoted(first)}"
-    if others:
-        columns = f"columns {quoted(first)} and {len(others)} more"
-    after = f"an error of {_percent(mistake.after.relative)} of the motion"
-    instead = "while the log as read fits no state of the model"
-    if mistake.before is not None:
-        instead = f"instead of {_percent(mistake.before.relative)}"
-    remedy = f"; give {mistake.option}" if mistake.option else ""
-    return f"{columns}: {mistake.what}: {after} {instead}{remedy}"
 
 
 def _percent(value: float) -> str:

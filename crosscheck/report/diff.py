@@ -261,8 +261,9 @@ def _with_unit(value: Value, unit: str) -> str:
 
 
 def size_text(row: Difference) -> str:
-    """Format the size of a difference: a length, an angle, or percent; "" if one file lacks the element."""
-    if row.quantity is Quantity.PRESENCE or (row.first is None) != (row.second is None):
+    """Format the size of a difference: a length, an angle, or percent; "" if it has none, as of words."""
+    has_numbers = not any(value is None or isinstance(value, str) for value in (row.first, row.second))
+    if row.quantity is Quantity.PRESENCE or not has_numbers:
         return ""
     if row.quantity not in ABSOLUTE:
         return percent(row.size)

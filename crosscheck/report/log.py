@@ -7,9 +7,8 @@ reference is a run of the same model in newton_euler (this project's solver), fr
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
-from crosscheck.logs.judge import LogJudgement
-from crosscheck.logs.mistakes import mistake_line
 from crosscheck.own_run.allowed import AllowedError, length
 from crosscheck.own_run.errors import Band
 from crosscheck.report.own_run import (
@@ -23,6 +22,9 @@ from crosscheck.report.own_run import (
     size,
 )
 from crosscheck.report.table import Lines
+
+if TYPE_CHECKING:  # most comparisons have no logs
+    from crosscheck.logs.judge import LogJudgement
 
 MAX_NAMES = 4
 """Largest number of names of columns or bodies in one line."""
@@ -63,7 +65,7 @@ def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator
         texts.append("inputs of the log")
     yield f"  run     {'; '.join(texts)}"
     # mistakes in reading the log: other units, orders or times with which the error is much smaller
-    yield from (f"  mistake {mistake_line(mistake)}" for mistake in judgement.mistakes)
+    yield from (f"  mistake {mistake.text}" for mistake in judgement.mistakes)
     if error.position or error.rotation:
         yield f"  errors  {'; '.join(error_texts(error, judgement.loop_error, judgement.has_energy))}"
     yield from allowed_lines(judgement, allowed)

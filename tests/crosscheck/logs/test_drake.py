@@ -28,7 +28,6 @@ from crosscheck import check
 from crosscheck.library import load
 from crosscheck.loading.load import load_scene
 from crosscheck.logs.judge import Log, judge_log
-from crosscheck.logs.mistakes import mistake_line
 from crosscheck.logs.names import Elements, identified
 from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind
 from crosscheck.own_run.errors import Band
@@ -210,7 +209,7 @@ def test_a_damaged_log_of_drake_gets_one_line_that_names_it(log, motions, damage
     except SourceError as error:
         lines = [str(error)]
     else:
-        lines = [*map(mistake_line, found.mistakes), *log_lines(found).lines]
+        lines = [*(mistake.text for mistake in found.mistakes), *log_lines(found).lines]
     assert [line for line in lines if words in line and option in line]
     if not option:  # no statement on the log makes up for columns that are missing
         assert not any("--log-" in line for line in lines)

@@ -17,7 +17,7 @@ from crosscheck.loading.load import load_scene
 from crosscheck.logs import reading
 from crosscheck.logs.inputs import with_logged_forces
 from crosscheck.logs.judge import Log, judge_log
-from crosscheck.logs.mistakes import _delay, mistake_line
+from crosscheck.logs.mistakes import _delay
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import loop_joints
 from crosscheck.logs.table import read_table
@@ -248,7 +248,7 @@ def test_a_log_that_is_read_wrongly_names_the_column_and_the_option(four_bar, da
         line = str(error)
     else:
         assert found.band is Band.WRONG
-        (line,) = map(mistake_line, found.mistakes)
+        (line,) = (mistake.text for mistake in found.mistakes)
     assert words in line
     assert option in line
     assert "\n" not in line
