@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from crosscheck.differences.alignment import Alignment
+from crosscheck.differences.alignment import Alignment, JointPair
 from newton_euler.reading.robot import FileDrive, Robot
-
-MAX_LIMIT_ERROR = 0.02
-"""rad or m: largest error of limits that are meant to be mirrored or shifted with the zero of a joint."""
 
 
 def drive_pairs(first: Robot, second: Robot, alignment: Alignment) -> list[tuple[int, int]]:
@@ -32,6 +27,21 @@ def drive_pairs(first: Robot, second: Robot, alignment: Alignment) -> list[tuple
     return pairs
 
 
+def is_meant(first: Robot, second: Robot, pair: JointPair) -> bool:
+    """Return whether the limits of a joint show that its other sense or zero in the second file is meant.
+
+    They do if they fit clearly better when they are mirrored, or shifted with the zero. Infinite limits, and
+    symmetric ones of a reversed joint, show nothing.
+    """
+    limits, other = first.joint(pair.first).limits, second.joint(pair.second).limits
+    converted = sorted(pair.sense * limit + pair.offset for limit in limits)
+    error, error_as_written = (
+        max(0.0 if one == two else abs(one - two) for one, two in zip(each, other, strict=True))
+        for each in (converted, limits)
+    )
+    return error < 0.5 * error_as_written
+
+
 class Control(NamedTuple):
     """Control of a drive of the second robot by that of the first: sense times it, plus shift."""
 
@@ -44,9 +54,8 @@ def control_of_second(
 ) -> Control:
     """Return the control of a drive of the second robot that commands the same as that of the first.
 
-    If a joint counts the other way, or from another zero, and its limits do so too, the file means it:
-    controls count as the joint does. If its limits do not, or the gear makes up for it, equal numbers command
-    the same.
+    If a joint counts the other way, or from another zero, and its limits show that this is meant, controls
+    count as the joint does. Otherwise, or if the gear makes up for it, equal numbers command the same.
 
     Args:
         first, second: the robots.
@@ -59,10 +68,7 @@ def control_of_second(
         return Control()
     sense, is_reversed, shift = senses.pop(), False, 0.0
     for pair in pairs:
-        limits = first.joint(pair.first).limits
-        other = second.joint(pair.second).limits
-        expected = sorted(pair.sense * limit + pair.offset for limit in limits)
-        if not np.allclose(expected, other, atol=MAX_LIMIT_ERROR):
+        if not is_meant(first, second, pair):
             return Control()
         gear = drive.gears[second.joint(pair.second).name]
         shift += gear * pair.offset

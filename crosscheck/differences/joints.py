@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from operator import attrgetter
 from typing import assert_never
 
 import numpy as np
 
 from crosscheck.differences.alignment import JointPair
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
+from crosscheck.differences.drive_pairs import is_meant
 from crosscheck.differences.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
 from crosscheck.differences.short_angles import is_short_pi, is_turn_by_short_pi
 from crosscheck.differences.stack import JointKey, Metric, absolute, angle, distance, dot, relative, twist
@@ -184,24 +186,30 @@ class _AxisJoint:
         yield from self._origin_row(at_child, at_parent)
         if self.place.alone:
             yield from self._zero_rows(along)
+        pair, robots = self.place.pair, (self.common.first.file.robot, self.common.second.file.robot)
+        meant = is_meant(*robots, pair)
         if self.offset:
             words = "the joint counts from another zero"
-            yield self._row(
-                Quantity.ZERO, (0.0, self.offset), (abs(self.offset), 0.0), words, convention=True
-            )
-        if self.place.pair.sense < 0:
-            words = "the joint counts the other way" + self._words_for_drives()
-            yield self._row(Quantity.SIGN, (1.0, -1.0), (1.0, 0.0), words, convention=True)
+            # a servo whose controls are not meant to count from the other zero holds another position
+            holds = not meant and self._products(attrgetter("stiffness")) > 0.0
+            words += ", its servo holds another position" if holds else ""
+            sizes = abs(self.offset), 0.0
+            yield self._row(Quantity.ZERO, (0.0, self.offset), sizes, words, convention=not holds)
+        if pair.sense < 0:
+            words = "the joint counts the other way"
+            pushes = self._products(attrgetter("gain")) > 0.0
+            words += ", its drive pushes the other way" if pushes else ""
+            yield self._row(Quantity.SIGN, (1.0, -1.0), (1.0, 0.0), words, convention=meant or not pushes)
 
-    def _words_for_drives(self) -> str:
-        """Return words for drives that push a reversed joint the other way; "" for reversed gears."""
-        pushes = []
+    def _products(self, of: Callable[[FileDrive], float]) -> float:
+        """Return the product over both robots of a drive's number times its gear, summed over drives."""
+        product = 1.0
         sides = (self.common.first, self.place.pair.first), (self.common.second, self.place.pair.second)
-        for side, (body, number) in sides:
+        for side, key in sides:
             robot = side.file.robot
-            name = robot.bodies[body].joints[number].name
-            pushes.append(sum(drive.gears.get(name, 0.0) * drive.gain for drive in robot.drives))
-        return ", its drive pushes the other way" if pushes[0] * pushes[1] > 0 else ""
+            name = robot.joint(key).name
+            product *= sum(drive.gears.get(name, 0.0) * of(drive) for drive in robot.drives)
+        return product
 
     def _points(self) -> tuple[list[Array], list[Array]]:
         """Return the point of the joint at the child and at the parent, (V, 3) for each robot.

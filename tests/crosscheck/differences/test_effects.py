@@ -65,7 +65,7 @@ def test_effect_is_the_change_by_this_number_alone(
         TREE.replace(*CHANGES[key]).replace('diaginertia=".02 .03 .04"', 'diaginertia=".02 .03 .045"')
     )
     if flipped:
-        both = RobotFile(in_other_frames(both.robot, 3, 1), format="MJCF")
+        both = RobotFile(in_other_frames(both.robot, 3, -1), format="MJCF")
     found = effect_of(first, both, flipped)
     # the same equations at the same states, in other frames
     assert found[key] == pytest.approx(compared(first, alone).change, rel=1e-8)
@@ -106,7 +106,8 @@ def test_numbers_in_other_frames_move_alike() -> None:
 
 def test_conventions_and_limits() -> None:
     limited = ARM.replace('"shoulder" axis="0 1 0"', '"shoulder" axis="0 -1 0" range="-10 20"')
-    found = effect_of(of_text(ARM), of_text(limited), ("shoulder",))
+    text = ARM.replace('"shoulder" axis="0 1 0"', '"shoulder" axis="0 1 0" range="-20 12"')
+    found = effect_of(of_text(text), of_text(limited), ("shoulder",))
     assert found["shoulder", Quantity.SIGN] == 0.0
     assert found["shoulder", Quantity.LIMITS] is None
 

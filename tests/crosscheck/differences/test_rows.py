@@ -660,16 +660,28 @@ def test_a_reversed_axis_whose_limits_are_not_mirrored_is_one_difference():
     assert (row.size, row.standing) == (1.0, Standing.DIFFERENT)
 
 
-def test_a_reversed_axis_with_symmetric_limits_is_a_convention_that_names_the_drive():
+def test_a_reversed_axis_with_symmetric_limits_differs_unless_its_gear_is_reversed():
     first = walker()
     second = reversed_axis(first, "left_hip_pitch")
     alignment = aligned(first, second, senses={"left_hip_pitch": -1})
     (row,) = differences(as_file(first), as_file(second), alignment, None)
-    assert (row.element, row.quantity, row.standing) == ("left_hip_pitch", Quantity.SIGN, Standing.CONVENTION)
+    assert (row.element, row.quantity, row.standing) == ("left_hip_pitch", Quantity.SIGN, Standing.DIFFERENT)
     assert row.cause == "the joint counts the other way, its drive pushes the other way"
     with_gear = with_drive(second, "left_hip_pitch_motor", gears={"left_hip_pitch": -1.0})
     (row,) = differences(as_file(first), as_file(with_gear), alignment, None)
-    assert row.cause == "the joint counts the other way"
+    assert (row.standing, row.cause) == (Standing.CONVENTION, "the joint counts the other way")
+
+
+@pytest.mark.parametrize(
+    ("limits", "standing"), [((-np.inf, np.inf), Standing.DIFFERENT), ((-1.0, 2.0), Standing.CONVENTION)]
+)
+def test_a_servo_at_another_zero_holds_another_position_unless_limits_show_that_it_is_meant(
+    limits: tuple[float, float], standing: Standing
+):
+    first = with_joint(arm(), "yaw", limits=limits)
+    second = with_zero(first, "yaw", 0.4)
+    (row,) = differences(as_file(first), as_file(second), aligned(first, second, offsets={"yaw": 0.4}), None)
+    assert (row.quantity, row.second, row.standing) == (Quantity.ZERO, pytest.approx(0.4), standing)
 
 
 def test_a_file_with_few_decimals_is_one_difference():
