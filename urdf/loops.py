@@ -7,13 +7,15 @@ them (`robot.yaml`). An additional key is `coupled`: sums of polynomials of join
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from newton_euler.errors import choices
 from newton_euler.model.couplings import MAX_DEGREE
-from newton_euler.model.source_file import MAX_MODEL_NUMBER, SourceError
+from newton_euler.model.source_file import MAX_MODEL_NUMBER, SourceError, read_text
 from newton_euler.model.yaml_source import parse_yaml
 from newton_euler.reading.import_report import unique_name
 from urdf.errors import LoopFileError
@@ -164,3 +166,11 @@ def _coupling(entry: Any, source: str) -> dict[str, tuple[float, ...]]:
         )
         raise LoopFileError(source, "coupled", f"{entry!r:.200} {needed}")
     return polynomials
+
+
+def loop_files_beside(path: Path) -> Iterator[Path]:
+    """Yield the loop files that are next to a URDF and have its name."""
+    for loop_file in (path.with_suffix(".loops.yaml"), path.with_suffix(".yaml")):
+        with suppress(SourceError):
+            if loop_file.is_file() and "closed_loop" in read_text(str(loop_file), "scene_size", SourceError):
+                yield loop_file

@@ -14,7 +14,6 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -51,7 +50,7 @@ from newton_euler.scalars import Array
 from urdf.errors import UrdfError
 from urdf.extensions import Extensions, PointSpringElement
 from urdf.file_run import PinocchioFile, unsupported
-from urdf.loops import NO_LOOPS, Loops
+from urdf.loops import NO_LOOPS, Loops, loop_files_beside
 from urdf.model import BASES, BaseName, ClosedLoopModel, build
 from urdf.pinocchio_reference import PinocchioReference
 from urdf.reading.bodies import W_X_Y_Z, Tree
@@ -260,16 +259,14 @@ def _import_file(
 
 def _unread_loops(path: Path) -> Iterator[Finding]:
     """Yield a finding for each loop file next to the URDF at `path`, if the URDF is imported without one."""
-    for loop_file in (path.with_suffix(".loops.yaml"), path.with_suffix(".yaml")):
-        with suppress(SourceError):
-            if loop_file.is_file() and "closed_loop" in read_text(str(loop_file), "scene_size", SourceError):
-                yield Finding(
-                    name="unread-loops",
-                    element=loop_file.name,
-                    what="a loop file is next to the URDF and was not read",
-                    consequence="its loops are open in this run",
-                    remedy=f"--set loops={loop_file} closes them",
-                )
+    for loop_file in loop_files_beside(path):
+        yield Finding(
+            name="unread-loops",
+            element=loop_file.name,
+            what="a loop file is next to the URDF and was not read",
+            consequence="its loops are open in this run",
+            remedy=f"--set loops={loop_file} closes them",
+        )
 
 
 def _import_from_memory(

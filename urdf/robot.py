@@ -35,7 +35,7 @@ from newton_euler.reading.robot import (
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError
 from urdf.extensions import Extensions
-from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops
+from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, loop_files_beside
 from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, parsed, read_loops
 from urdf.reading.vocabulary import unknown
 
@@ -103,6 +103,11 @@ def describe(
         loop_path = path_text(loops, SourceError)
         loop_content = read_loops(loop_path, read_text(loop_path, limit="scene_size", error=SourceError))
     notes: list[str] = []
+    if loops is None:
+        notes += [
+            f"its loops are open: {loop_file.name} beside it was not read; loops={loop_file} closes them"
+            for loop_file in loop_files_beside(Path(path))
+        ]
     has_additions = _has_additions(root)
     robot = _robot(path, text, root, loop_content, has_additions, notes)
     numbers = NumbersOfText(text, NUMBERS.__contains__, NUMBER_TAGS)

@@ -279,6 +279,15 @@ def test_elements_that_may_act_become_notes(tmp_path: Path) -> None:
     assert "<constraint> 'odd' is unknown, and may close a loop" in found.notes[0]
 
 
+def test_a_loop_file_beside_the_file_that_is_not_read_is_a_note(tmp_path: Path) -> None:
+    path, loops = tmp_path / "arm.urdf", tmp_path / "arm.loops.yaml"
+    path.write_text(robot(*TIPS))
+    loops.write_text(LOOPS.format(pairs="[[tip_a, tip_b]]", types="[3d]", motors="[]"))
+    (note,) = describe(path).notes
+    assert str(loops) in note
+    assert describe(path, loops).notes == ()
+
+
 def test_uncertainties_by_hand(tmp_path: Path) -> None:
     """The inertia about the hinge is m c^2 + Izz, where Izz = 1 is exact, and m and c change by 0.5e-6."""
     file = described(
