@@ -58,10 +58,10 @@ def diff_command(
     The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
     """
     options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
-    return compare_files((first, second), options, output, _pairs(names), tolerance)
+    return compare_and_show((first, second), options, output, _pairs(names), tolerance)
 
 
-def compare_files(
+def compare_and_show(
     models: tuple[str, str],
     options: tuple[Mapping[str, str], Mapping[str, str]],
     output: Path | None,

@@ -201,12 +201,12 @@ def _run_library(engines: list[str] | None, output: Path | None) -> int:
 
 def _diff(asked: _Options, other: str) -> int:
     """Compare two model files as `crosscheck diff` does, and return its exit status."""
-    from crosscheck.cli.diff import compare_files
+    from crosscheck.cli.diff import compare_and_show
 
     settings = [word for text in asked.settings for word in ("--set-first", text)]
     settings += [word for text in asked.against_settings for word in ("--set-second", text)]
     options = scene_options(asked.settings), scene_options(asked.against_settings, "--against-set")
-    status = compare_files((asked.model, other), options, asked.output)
+    status = compare_and_show((asked.model, other), options, asked.output)
     say(f"run --against goes with the next release; use {next_step('diff', asked.model, other, *settings)}")
     return status
 

@@ -107,14 +107,13 @@ class ImporterComparison:
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
-        numbers = self.comparison.summary() if self.comparison else {}
         return {
             "importer": self.reading.importer.value,
             "result": self.result.value,
             "message": self.reading.message,
             "drives_left_out": self.drives_left_out,
             "left_out": [asdict(row) for row in self.left_out],
-            **{name: numbers[name] for name in ("differences", "motion", "renamed") if numbers},
+            **(self.comparison.numbers() if self.comparison else {}),
         }
 
     def _is_limit(self, row: Difference) -> bool:

@@ -81,8 +81,8 @@ def matched_joint(one: Link, two: Link, above: Placement, own: Placement) -> Mat
     if one.kind is JointKind.HINGE:
         shift = _angle_about(one.axis, moved.rotation)
     elif one.kind is JointKind.SLIDE:
-        spot = above.position + above.rotation @ two.point
-        shift = float(one.axis @ (moved.position + moved.rotation @ spot - spot))
+        spot = above.point(two.point)
+        shift = float(one.axis @ (moved.point(spot) - spot))
     offset = two.joint.zero - sense * one.joint.zero + sense * shift
     return MatchedJoint(one.index, two.index, sense, offset if abs(offset) > ROUND_OFF else 0.0)
 

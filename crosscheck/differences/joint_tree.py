@@ -216,7 +216,7 @@ def size_of(robot: Robot) -> float:
     """Return the largest distance of bodies, joints and centers of mass from the first body, m; 1 if zero."""
     placements = robot.placements()
     points = [
-        placement.position + placement.rotation @ point
+        placement.point(point)
         for placement, body in zip(placements, robot.bodies, strict=True)
         for point in (np.zeros(3), body.center, *(joint.point for joint in body.joints))
     ]

@@ -8,7 +8,7 @@ by links without mass. Positions and directions are along the axes of the world,
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -129,13 +129,8 @@ class LinkTree:
         if key is not None:
             own = frames[key[0]]
             joint = self.robot.bodies[key[0]].joints[key[1]]
-            axis, point = own.rotation @ joint.axis, own.position + own.rotation @ joint.point
-        parts = []
-        for index in bodies:
-            body, own = self.robot.bodies[index], frames[index]
-            center = own.position + own.rotation @ body.center
-            parts.append((body.mass, center, own.rotation @ body.inertia @ own.rotation.T))
-        mass, center, inertia = composite(parts, frame.position)
+            axis, point = own.rotation @ joint.axis, own.point(joint.point)
+        mass, center, inertia = composite(placed_masses(self.robot, bodies, frames), frame.position)
         return Link(
             len(self.links), parent, key, joint, bodies, names, frame, axis, point, mass, center, inertia
         )
@@ -180,14 +175,37 @@ def composite(parts: Sequence[tuple[float, Array, Array]], without_mass: Array) 
     return mass, center, inertia
 
 
+def placed_masses(
+    robot: Robot, bodies: Sequence[int], frames: Mapping[int, Placement] | Sequence[Placement]
+) -> list[tuple[float, Array, Array]]:
+    """Return mass, center (3,) and inertia (3, 3) about the center of each of some bodies, for `composite`.
+
+    Args:
+        robot: the robot.
+        bodies: indices of the bodies.
+        frames: placement of each body's frame, by its index, in the frame of the result.
+    """
+    return [
+        (each.mass, frame.point(each.center), frame.rotation @ each.inertia @ frame.rotation.T)
+        for each, frame in ((robot.bodies[index], frames[index]) for index in bodies)
+    ]
+
+
+def relative_frames(group: Sequence[int], world: Sequence[Placement]) -> dict[int, Placement]:
+    """Return the placements of bodies in the frame of the first of them, by index.
+
+    Args:
+        group: indices of the bodies.
+        world: placements of all bodies of the robot in the world.
+    """
+    to_first = world[group[0]].inverse()
+    return {index: to_first @ world[index] for index in group}
+
+
 def mass_of_group(
     robot: Robot, group: Sequence[int], world: Sequence[Placement]
 ) -> tuple[float, Array, Array]:
     """Return mass, center and inertia about the center of a rigid group, in the frame of its first body."""
-    parts = []
-    for index in group:
-        body = robot.bodies[index]
-        place, turn = world[group[0]].inverse() @ world[index]
-        parts.append((body.mass, place + turn @ body.center, turn @ body.inertia @ turn.T))
+    parts = placed_masses(robot, group, relative_frames(group, world))
     # without mass, the mean of the centers
     return composite(parts, np.mean([center for _, center, _ in parts], axis=0))

@@ -189,7 +189,7 @@ class _Terms:
         return replace(
             joint,
             axis=pair.sense * placement.rotation @ partner.axis,
-            point=placement.position + placement.rotation @ partner.point,
+            point=placement.point(partner.point),
             damping=partner.damping,
             armature=partner.armature,
             stiffness=partner.stiffness,

@@ -122,6 +122,11 @@ class Gap:
     uncertainty: float
     unit: str
 
+    @property
+    def is_open(self) -> bool:
+        """True if the error is larger than round-off and the uncertainty."""
+        return self.error > max(self.uncertainty, ROUND_OFF)
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -284,7 +289,7 @@ class CommonStates:
         for pair, (center, _) in zip(self.pairs, self.spreads, strict=True):
             back = pair.placement.inverse()
             first[pair.first[0]] = center
-            second[pair.second[0]] = back.position + back.rotation @ center
+            second[pair.second[0]] = back.point(center)
         return first, second
 
     def states_of_first(self, drives: int) -> tuple[Array, Array, Array]:
@@ -462,8 +467,7 @@ def _nearer(first: Robot, second: Robot, pair: BodyPair, other: BodyPair) -> Bod
     center = mass_of_group(first, pair.first, first.placements())[1]
     other_center = mass_of_group(second, pair.second, second.placements())[1]
     errors = [
-        float(np.linalg.norm(each.position + each.rotation @ other_center - center))
-        for each in (pair.placement, other.placement)
+        float(np.linalg.norm(each.point(other_center) - center)) for each in (pair.placement, other.placement)
     ]
     return pair if errors[0] <= errors[1] + MIN_SHIFT else other
 

@@ -196,7 +196,7 @@ class _Comparison:
         """Return how many numbers are equal after a motion of the second link; a similar one counts less."""
         found = 0.0
         if self._has_mass:
-            center = motion.position + motion.rotation @ self.second.center
+            center = motion.point(self.second.center)
             found += agreement(_norm(center - self.first.center) / self.size)
             inertia = motion.rotation @ self.second.inertia @ motion.rotation.T
             difference = (inertia - self.first.inertia).ravel()
@@ -265,7 +265,7 @@ class _Comparison:
             for sense in (1.0, -1.0) if abs(float(aligned @ one.axis)) < 0.999 else (0.0,):
                 turn = rotation_between(aligned, sense * one.axis) if sense else np.eye(3)
                 rotation = turn @ base.rotation
-                at = base.position + base.rotation @ two.point
+                at = base.point(two.point)
                 along = one.axis * float((at - one.point) @ one.axis)
                 point = one.point + along if one.kind in LOCATED and sense else at
                 start = Placement(point - rotation @ two.point, rotation)
@@ -280,13 +280,13 @@ class _Comparison:
         joint = self._joint[0]
         angles: list[float | None] = []
         if self._has_mass:
-            here = start.position + start.rotation @ self.second.center - joint.point
+            here = start.point(self.second.center) - joint.point
             angles.append(self._angle(joint.axis, self.first.center - joint.point, here, self.size))
         for one, two in self._likely:
             if one.axis.any() and two.axis.any():
                 angle = self._angle(joint.axis, one.axis, start.rotation @ two.axis, 1.0)
                 angles += [angle, angle + math.pi] if angle is not None else []
-            here = start.position + start.rotation @ two.point - joint.point
+            here = start.point(two.point) - joint.point
             angles.append(self._angle(joint.axis, one.point - joint.point, here, self.size))
             # a point of the axis is free along the axis: the common normal of both axes has a direction
             if one.axis.any() and two.axis.any():
@@ -302,7 +302,7 @@ class _Comparison:
             turned = about_line(joint.axis, joint.point, angle) @ start
             yield turned
             if self._has_mass:  # both frames may be elsewhere along the axis
-                center = turned.position + turned.rotation @ self.second.center
+                center = turned.point(self.second.center)
                 along = joint.axis * float((self.first.center - center) @ joint.axis)
                 yield Placement(turned.position + along, turned.rotation)
 
@@ -351,7 +351,7 @@ def line_value(one: Link, two: Link, motion: Placement, size: float) -> float:
     if one.kind != two.kind or one.kind in (None, JointKind.FREE):
         return 0.0
     found = 0.0
-    point = motion.position + motion.rotation @ two.point - one.point
+    point = motion.point(two.point) - one.point
     if one.axis.any():
         found += agreement(_norm(one.axis - _signed(motion.rotation @ two.axis, one.axis)))
     if one.kind in LOCATED:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from crosscheck.compare.outcome import Outcome
@@ -34,8 +35,6 @@ class FileComparison:
             conventions.
         motion: whether the robots move alike.
         states: common states of both robots; None for robots without joints in common.
-        run: how far apart their bodies get from the same start; None for robots that cannot be in the same
-            state.
         tolerance: relative difference that counts as rounding; None for the digits of the files.
     """
 
@@ -45,7 +44,6 @@ class FileComparison:
     rows: tuple[Difference, ...]
     motion: Motion
     states: CommonStates | None
-    run: Run | None
     tolerance: float | None = None
 
     def of_standing(self, standing: Standing) -> tuple[Difference, ...]:
@@ -68,6 +66,14 @@ class FileComparison:
         is_rounded = self.motion.likeness is Likeness.ROUNDING or self.of_standing(Standing.ROUNDING)
         return Outcome.SAME_TO_ROUNDING if is_rounded else Outcome.SAME
 
+    @cached_property
+    def run(self) -> Run | None:
+        """Distance of the bodies in a run from the same start; None for robots without common states.
+
+        The robots run at the first use, since a comparison of importers shows no run.
+        """
+        return run_both(self.states, self.motion)
+
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
         files = [
@@ -77,12 +83,18 @@ class FileComparison:
         return {
             "outcome": self.outcome.value,
             "models": files,
-            "differences": [asdict(row) | {"standing": row.standing.value} for row in self.rows],
-            "motion": asdict(self.motion),
+            **self.numbers(),
             "shapes": asdict(
                 shapes((self.first, self.second), self.alignment, self.states, self.differences)
             ),
             "run": asdict(self.run) if self.run else None,
+        }
+
+    def numbers(self) -> dict[str, Any]:
+        """Rows, motion, and pairs of other names, for JSON."""
+        return {
+            "differences": [asdict(row) | {"standing": row.standing.value} for row in self.rows],
+            "motion": asdict(self.motion),
             "renamed": [list(names) for names in self.alignment.renamed],
         }
 
@@ -135,7 +147,6 @@ def compare_files(
     progress("comparing motions")
     states = common_states(first, second, alignment)
     motion = compare_motions(states)
-    run = run_both(states, motion)
     formats = first.format, second.format
     found = effects(states, rows)
     rows = [replace(row, effect=effect) for row, effect in zip(rows, found, strict=True)]
@@ -147,7 +158,7 @@ def compare_files(
     rank = list(Standing)
     # rows without a known effect, such as limits, after those with one
     rows.sort(key=lambda row: (rank.index(row.standing), 1.0 if row.effect is None else -row.effect))
-    return FileComparison(first, second, alignment, tuple(rows), motion, states, run, tolerance)
+    return FileComparison(first, second, alignment, tuple(rows), motion, states, tolerance)
 
 
 def _is_constraint(row: Difference) -> bool:

@@ -16,7 +16,6 @@ from crosscheck.differences.dynamics import Dynamics
 from crosscheck.differences.motion import (
     DIGITS_FACTOR,
     PHASES,
-    ROUND_OFF,
     CommonStates,
     Likeness,
     Motion,
@@ -70,7 +69,7 @@ def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
         states: states of both robots; None for robots without joints in common.
         motion: comparison of their accelerations.
     """
-    has_gap = any(gap.error > max(gap.uncertainty, ROUND_OFF) for gap in motion.gaps)
+    has_gap = any(gap.is_open for gap in motion.gaps)
     is_freer = motion.freedoms[0] != motion.freedoms[1]
     if states is None or motion.likeness is Likeness.UNDECIDED or has_gap or is_freer:
         return None

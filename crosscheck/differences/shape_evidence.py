@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from crosscheck.differences.difference import Difference, Evidence, Quantity, Side
-from crosscheck.differences.links import composite
+from crosscheck.differences.links import composite, placed_masses, relative_frames
 from newton_euler.errors import NewtonEulerError
 from newton_euler.reading.hulls import Hull, convex_hull
 from newton_euler.reading.robot import RobotFile
@@ -127,16 +127,9 @@ def _solid(file: RobotFile, bodies: tuple[int, ...], points: dict[int, Array]) -
         bodies: their indices.
         points: points of their shapes, by index of the body.
     """
-    frames = file.robot.placements()
-    to_first = frames[bodies[0]].inverse()
-    parts, corners = [], []
-    for k in bodies:
-        body, frame = file.robot.bodies[k], to_first @ frames[k]
-        center = frame.position + frame.rotation @ body.center
-        parts.append((body.mass, center, frame.rotation @ body.inertia @ frame.rotation.T))
-        if k in points:
-            corners.append(frame.position + points[k] @ frame.rotation.T)
-    mass, center, inertia = composite(parts, np.zeros(3))
+    frames = relative_frames(bodies, file.robot.placements())
+    mass, center, inertia = composite(placed_masses(file.robot, bodies, frames), np.zeros(3))
+    corners = [frames[k].position + points[k] @ frames[k].rotation.T for k in bodies if k in points]
     gyration = float(np.sqrt(max(0.0, 0.5 * np.trace(inertia)) / mass)) if mass > 0.0 else 0.0
     return Solid(mass, center, gyration, convex_hull(np.concatenate(corners)) if corners else None)
 

@@ -15,9 +15,9 @@ import numpy as np
 from crosscheck.differences.alignment import Alignment, JointKey
 from crosscheck.differences.connections import loop_name
 from crosscheck.differences.difference import Difference
-from crosscheck.differences.links import composite
+from crosscheck.differences.links import composite, placed_masses
 from crosscheck.differences.motion import CommonStates
-from newton_euler.reading.robot import FileBody, Placement, Robot, RobotFile
+from newton_euler.reading.robot import Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 
 SAME_PLACE = 1e-3
@@ -112,8 +112,8 @@ def shapes(
         for side, indices in enumerate(found):
             if indices:
                 body, pose = robots[side].bodies[indices[0]], poses[side][indices[0]]
-                at = body.center if row.element_kind == "body" else _joint_point(body)
-                marks.append(Mark(number, _moved(pose, at)))
+                at = body.center if row.element_kind == "body" else body.joint_point
+                marks.append(Mark(number, _numbers(pose.point(at))))
                 break
     first, second = (
         _shapes_of(
@@ -177,16 +177,6 @@ def _partners(alignment: Alignment, kind: str, bodies: Sequence[int]) -> Iterato
         yield from (second for (first, _), (second, _) in joints if first in bodies)
 
 
-def _joint_point(body: FileBody) -> Array:
-    """Return a point (3,) of a body's first joint in the frame of the body."""
-    return body.joints[0].point if body.joints else np.zeros(3)
-
-
-def _moved(pose: Placement, point: Array) -> Vector:
-    """Return a point of a body's frame in the world."""
-    return _numbers(pose.position + pose.rotation @ point)
-
-
 def _shapes_of(
     robot: Robot,
     poses: Sequence[Placement],
@@ -208,8 +198,7 @@ def _shapes_of(
     found = []
     for group in ordered:
         body, pose = robot.bodies[group[0]], poses[group[0]]
-        parts = [_in_world(robot.bodies[index], poses[index]) for index in group]
-        mass, center, inertia = composite(parts, pose.position)
+        mass, center, inertia = composite(placed_masses(robot, group, poses), pose.position)
         spread = np.zeros((3, 3))
         if mass > 0.0:
             # integral of r r^T over the mass; that of a homogeneous ellipsoid is its spread times mass / 5
@@ -218,7 +207,7 @@ def _shapes_of(
         shape = Shape(
             body.name,
             number_of.get(body.parent, -1),
-            _moved(pose, _joint_point(body)),
+            _numbers(pose.point(body.joint_point)),
             _numbers(center),
             (_numbers(spread[0]), _numbers(spread[1]), _numbers(spread[2])),
             float(mass),
@@ -228,12 +217,6 @@ def _shapes_of(
         )
         found.append(shape)
     return tuple(found)
-
-
-def _in_world(body: FileBody, pose: Placement) -> tuple[float, Array, Array]:
-    """Return mass, center of mass (3,) and inertia (3, 3) about it of a body, along the axes of the world."""
-    center = pose.position + pose.rotation @ body.center
-    return body.mass, center, pose.rotation @ body.inertia @ pose.rotation.T
 
 
 def _numbers(values: Array) -> Vector:

@@ -14,7 +14,7 @@ import numpy as np
 from crosscheck.differences.alignment import Alignment
 from crosscheck.differences.difference import Difference, Evidence, Quantity, Side
 from crosscheck.differences.element_names import words_of
-from crosscheck.differences.links import composite
+from crosscheck.differences.links import composite, placed_masses
 from newton_euler.reading.robot import Placement, Robot
 from newton_euler.scalars import Array
 
@@ -125,14 +125,7 @@ class Twins:
         the joint.
         """
         robot, frames = self._robots[side], self._frames[side]
-        parts = [
-            (
-                body.mass,
-                frame.position + frame.rotation @ body.center,
-                frame.rotation @ body.inertia @ frame.rotation.T,
-            )
-            for body, frame in ((robot.bodies[k], frames[k]) for k in bodies)
-        ]
+        parts = placed_masses(robot, bodies, frames)
         mass, center, inertia = composite(parts, parts[0][1])
         match quantity:
             case Quantity.MASS:
@@ -145,8 +138,8 @@ class Twins:
 
     def _joints(self, row: Difference) -> tuple[str, float, list[float]] | None:
         """Return the name of a twin joint, the difference of the files, and those of the twins."""
-        bodies = self._robots[0].bodies
-        keys = [key for key in self._partner if bodies[key[0]].joints[key[1]].name == row.element]
+        first = self._robots[0]
+        keys = [key for key in self._partner if first.joint(key).name == row.element]
         if not keys:
             return None
         gaps, measures = [], []
@@ -155,10 +148,8 @@ class Twins:
             if twin is None:
                 return None
             own, other = (
-                np.atleast_1d(
-                    np.array(getattr(self._robots[side].bodies[k].joints[j], JOINT_FIELDS[row.quantity]))
-                )
-                for k, j in (key, twin)
+                np.atleast_1d(np.array(getattr(self._robots[side].joint(each), JOINT_FIELDS[row.quantity])))
+                for each in (key, twin)
             )
             # a file without such a number has it nowhere
             if not np.isfinite([own, other]).all() or not own.any():
@@ -167,7 +158,7 @@ class Twins:
             versions = [other, -other[::-1]] if row.quantity is Quantity.LIMITS else [other]
             measures.append(own)
             gaps.append(min(float(np.linalg.norm(own - version)) for version in versions))
-        name = bodies[self._twin_joints[0][keys[0]][0]].joints[self._twin_joints[0][keys[0]][1]].name
+        name = first.joint(self._twin_joints[0][keys[0]]).name
         between = (
             row.size if row.quantity is Quantity.LIMITS else float(np.linalg.norm(measures[0] - measures[1]))
         )
@@ -200,6 +191,4 @@ def _twins(names: dict[Key, str]) -> dict[Key, Key]:
 
 def _point(robot: Robot, frames: Sequence[Placement], body: int) -> Array:
     """Return a point (3,) of a body's joint in the world, or the origin of a fixed body's frame."""
-    joints = robot.bodies[body].joints
-    inside = joints[0].point if joints else np.zeros(3)
-    return np.asarray(frames[body].position + frames[body].rotation @ inside)
+    return frames[body].point(robot.bodies[body].joint_point)

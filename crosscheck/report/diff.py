@@ -8,7 +8,7 @@ from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.differences.difference import Difference, Quantity, Side, Standing, Value
-from crosscheck.differences.motion import ROUND_OFF, Likeness
+from crosscheck.differences.motion import Likeness
 from crosscheck.differences.result import FileComparison
 from crosscheck.differences.run import Run
 from crosscheck.own_run.allowed import length
@@ -130,7 +130,7 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
             if motion.freedoms[0] != motion.freedoms[1]:
                 first, second = motion.freedoms
                 return f"{sides[0]} has {first} independent motions, {sides[1]} {second}"
-            if open_gaps := [gap for gap in motion.gaps if gap.error > max(gap.uncertainty, ROUND_OFF)]:
+            if open_gaps := [gap for gap in motion.gaps if gap.is_open]:
                 gap = max(open_gaps, key=lambda gap: gap.error)
                 size = length(gap.error) if gap.unit == "m" else angle(gap.error)
                 return f"poses of {sides[0]} do not fit {sides[1]}: {gap.constraint!r} is off by {size}"
@@ -210,7 +210,7 @@ def sentence(row: Difference, sides: Sides = FILES) -> str:
 
 def evidence_text(row: Difference) -> str:
     """Tell the evidence on which value of a difference is right."""
-    files = {Side.FIRST: "the first file", Side.SECOND: "the second file", Side.NEITHER: "neither file"}
+    files = {Side.FIRST: FILES[0], Side.SECOND: FILES[1], Side.NEITHER: "neither file"}
     texts = [f"speaks for {files[each.speaks_for]}: {each.text}" for each in row.evidence]
     return f"{what_differs(row)} {'; '.join(texts)}"
 

@@ -34,7 +34,11 @@ class Placement(NamedTuple):
 
     def __matmul__(self, inner: Placement) -> Placement:
         """Return where a frame inside this frame is in the other frame."""
-        return Placement(self.position + self.rotation @ inner.position, self.rotation @ inner.rotation)
+        return Placement(self.point(inner.position), self.rotation @ inner.rotation)
+
+    def point(self, point: Array) -> Array:
+        """Return where a point (3,), m, of this frame is in the other frame."""
+        return np.asarray(self.position + self.rotation @ point)
 
     def inverse(self) -> Placement:
         """Return where the other frame is in this frame."""
@@ -130,6 +134,11 @@ class FileBody:
     mass: float
     center: Array
     inertia: Array
+
+    @property
+    def joint_point(self) -> Array:
+        """Point (3,), m, of the first joint in the body's frame; the origin of a fixed body."""
+        return self.joints[0].point if self.joints else np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -132,20 +133,22 @@ def link_shapes(path: str, root: ET.Element, links: Collection[str]) -> dict[str
                         files[id(element)] = _mesh_file(Path(path), visual)
                 candidates.setdefault(name, []).append(of_tag)
     meshes = _load_meshes(list(dict.fromkeys(file for file, _ in files.values())))
+
+    def loaded(visual: _Visual, shape: Shape | None) -> Shape | Mesh | None:
+        """Return a shape, or its mesh in the frame of the link; None for a mesh that cannot be read."""
+        if shape is not None:
+            return shape
+        file, scale = files[id(visual.element)]
+        mesh = meshes[file]
+        return None if mesh is None else _placed(visual, mesh, scale)
+
     found: dict[str, list[Shape | Mesh]] = {}
     for name, alternatives in candidates.items():
         for of_tag in alternatives:
-            shapes: list[Shape | Mesh] = []
-            for visual, shape in of_tag:
-                if shape is None:
-                    file, scale = files[id(visual.element)]
-                    mesh = meshes[file]
-                    if mesh is not None:
-                        shapes.append(_placed(visual, mesh, scale))
-                else:
-                    shapes.append(shape)
-            if name not in found and len(shapes) == len(of_tag) > 0:
+            shapes = [shape for shape in starmap(loaded, of_tag) if shape is not None]
+            if len(shapes) == len(of_tag) > 0:
                 found[name] = shapes
+                break
     return found
 
 
