@@ -1,4 +1,4 @@
-"""Rows of the elements that connect bodies and joints of two robots: loops, couplings and drives."""
+"""Rows of the constraints of two robots: loops between bodies, and couplings of joint coordinates."""
 
 from __future__ import annotations
 
@@ -13,27 +13,13 @@ from crosscheck.differences.alignment import JointPair
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.frames import IN_WORLD, CommonFrames
 from crosscheck.differences.short_angles import is_turn_by_short_pi
-from crosscheck.differences.stack import Poses, absolute, angle, distance, relative
+from crosscheck.differences.stack import Poses, absolute, angle, distance
 from newton_euler.reading.robot import (
-    FileDrive,
     FileJoint,
     FileLoop,
-    JointKind,
     LoopKind,
     Robot,
 )
-from newton_euler.scalars import Array
-
-DRIVE_LIMITS = {Quantity.CONTROL_LIMITS: "control_limits", Quantity.FORCE_LIMITS: "force_limits"}
-"""Limits of a drive, with the names of their fields."""
-
-DRIVE_NUMBERS = {
-    Quantity.GAIN: "gain",
-    Quantity.KP: "stiffness",
-    Quantity.KV: "damping",
-    Quantity.CONSTANT: "constant",
-}
-"""Numbers of a drive, with the names of their fields."""
 
 
 class PairedJoint(NamedTuple):
@@ -53,8 +39,8 @@ class PairedJoint(NamedTuple):
     offset: float
 
 
-def connection_rows(common: CommonFrames, zeros: Mapping[tuple[int, int], float]) -> Iterator[Difference]:
-    """Yield the rows of loops, couplings and drives.
+def joint_partners(common: CommonFrames, zeros: Mapping[tuple[int, int], float]) -> list[PairedJoint]:
+    """Return the joints of the first robot that have partners in the second one.
 
     Args:
         common: both robots.
@@ -73,12 +59,10 @@ def connection_rows(common: CommonFrames, zeros: Mapping[tuple[int, int], float]
         first = common.first.file.robot.bodies[pair.first[0]].joints[pair.first[1]]
         second = common.second.file.robot.bodies[pair.second[0]].joints[pair.second[1]]
         joints.append(PairedJoint(pair, first, second, pair.sense, zeros.get(pair.first, pair.offset)))
-    yield from _loop_rows(common)
-    yield from _coupling_rows(common, joints)
-    yield from _drive_rows(common, joints)
+    return joints
 
 
-def _only_in_one(kind: str, name: str, value: Value, in_first: bool) -> Difference:
+def only_in_one(kind: str, name: str, value: Value, in_first: bool) -> Difference:
     """Return the row of an element that only one file has."""
     values = (value, None) if in_first else (None, value)
     return difference(name, kind, Quantity.PRESENCE, values, (1.0, 0.0))
@@ -94,7 +78,7 @@ class _LoopEnd(NamedTuple):
     frame: Poses
 
 
-def _loop_rows(common: CommonFrames) -> Iterator[Difference]:
+def loop_rows(common: CommonFrames) -> Iterator[Difference]:
     """Yield the rows of constraints that close loops."""
     first, second = common.first.file.robot, common.second.file.robot
     free = list(range(len(second.loops)))
@@ -125,7 +109,7 @@ def _loop_rows(common: CommonFrames) -> Iterator[Difference]:
     others = [second.loops[other] for other in free]
     for robot, loops in ((first, alone), (second, others)):
         for loop in loops:
-            yield _only_in_one("loop", loop_name(robot, loop), str(loop.kind), robot is first)
+            yield only_in_one("loop", loop_name(robot, loop), str(loop.kind), robot is first)
 
 
 def loop_name(robot: Robot, loop: FileLoop) -> str:
@@ -196,7 +180,7 @@ def _paired_loop(
 # Couplings
 
 
-def _coupling_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Difference]:
+def coupling_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Difference]:
     """Yield the rows of couplings of joint coordinates."""
     first, second = common.first.file, common.second.file
     by_first = {joint.first.name: joint for joint in joints}
@@ -239,7 +223,7 @@ def _coupling_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[
     for in_first, couplings in ((True, alone), (False, others)):
         for coupling in couplings:
             name = coupling.name or coupling.follower
-            yield _only_in_one("coupling", name, coupling.powers, in_first)
+            yield only_in_one("coupling", name, coupling.powers, in_first)
 
 
 def _padded(powers: tuple[float, ...]) -> list[float]:
@@ -272,191 +256,3 @@ def _in_first(
         follows = follower.sense * coordinate - follower.first.zero
     coefficients = np.asarray(follows.coef, dtype=float)
     return numbers(np.where(np.abs(coefficients) > 1e-15, coefficients, 0.0))
-
-
-# Drives
-
-
-def _drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Difference]:
-    """Yield the rows of drives, paired by their joints and then by their names."""
-    first, second = common.first.file.robot, common.second.file.robot
-    by_second = {joint.second.name: joint for joint in joints}
-    first_name = {joint.second.name: joint.first.name for joint in joints}
-    free = list(range(len(second.drives)))
-    alone = []
-    for index, drive in enumerate(first.drives):
-        acts_on = set(drive.gears)
-        rivals = [
-            other
-            for other in free
-            if {first_name.get(joint, "") for joint in second.drives[other].gears} == acts_on
-            and (acts_on or second.drives[other].name == drive.name)
-        ]
-        # Drives of one joint: the same name, then the same kind of law
-        rivals.sort(key=lambda other: _unlikeness(drive, second.drives[other]))
-        if not rivals:
-            alone.append(drive)
-            continue
-        free.remove(rivals[0])
-        yield from _paired_drive(common, index, rivals[0], by_second)
-    others = [second.drives[other] for other in free]
-    for drive in list(alone):
-        namesake = next((other for other in others if other.name == drive.name and drive.name), None)
-        if namesake is not None:
-            alone.remove(drive)
-            others.remove(namesake)
-            joints_of_both = (
-                ", ".join(drive.gears),
-                ", ".join(first_name.get(name, name) for name in namesake.gears),
-            )
-            words = "the drive acts on another joint"
-            yield difference(drive.name, "drive", Quantity.TRANSMISSION, joints_of_both, (1.0, 0.0), words)
-    for in_first, drives in ((True, alone), (False, others)):
-        for drive in drives:
-            name = drive.name or ", ".join(drive.gears)
-            yield _only_in_one("drive", name, f"on {', '.join(drive.gears) or 'a body'}", in_first)
-
-
-def _unlikeness(drive: FileDrive, other: FileDrive) -> tuple[bool, bool, bool]:
-    """Return a key that sorts drives of one joint by their likeness to a drive."""
-    return (
-        drive.name != other.name,
-        bool(drive.stiffness) != bool(other.stiffness),
-        bool(drive.damping) != bool(other.damping),
-    )
-
-
-def _paired_drive(
-    common: CommonFrames, index: int, other_index: int, by_second: Mapping[str, PairedJoint]
-) -> Iterator[Difference]:
-    """Yield the rows of two drives: as the files have them, or as forces on the joints if that is fewer."""
-    as_written = [*_rows_as_written(common, index, other_index, by_second)]
-    at_joints = [*_rows_at_joints(common, index, other_index, by_second)]
-    counts = [sum(row.size > row.uncertainty for row in rows) for rows in (as_written, at_joints)]
-    yield from at_joints if counts[1] < counts[0] else as_written
-    drive = common.first.file.robot.drives[index]
-    other = common.second.file.robot.drives[other_index]
-    for name in sorted({*drive.other, *other.other}):
-        values = drive.other.get(name), other.other.get(name)
-        if values[0] != values[1]:
-            sizes = 1.0, 0.0
-            if isinstance(values[0], float) and isinstance(values[1], float):
-                sizes = common.judge.compare(np.array([values[0]]), np.array([values[1]]), relative)
-            if sizes[0]:
-                yield difference(drive.name, "drive", Quantity.SETTING, values, sizes, name)
-
-
-def _numbers(robots: tuple[Robot, ...], index: int, field: str) -> Array:
-    """Return a number (V,) or (V, 2) of a drive of a robot and its variants, by the name of its field."""
-    return np.array([getattr(robot.drives[index], field) for robot in robots])
-
-
-def _gears(robots: tuple[Robot, ...], index: int, joints: list[str]) -> Array:
-    """Return the gears (V, n) of a drive on joints with given names."""
-    return np.array([[robot.drives[index].gears[name] for name in joints] for robot in robots])
-
-
-class _DriveNumbers(NamedTuple):
-    """Numbers of a drive of both robots and whether it acts on slides."""
-
-    robots: tuple[tuple[Robot, ...], tuple[Robot, ...]]
-    gears: tuple[Array, Array]
-    senses: Array
-    slide: bool
-
-
-def _drive_numbers(
-    common: CommonFrames, index: int, other_index: int, by_second: Mapping[str, PairedJoint]
-) -> _DriveNumbers:
-    """Return the numbers of a pair of drives, joints in the order of the second file."""
-    first, second = common.first.file, common.second.file
-    robots = (first.robot, *first.variants), (second.robot, *second.variants)
-    names = list(second.robot.drives[other_index].gears)
-    joints = [by_second[name] for name in names]
-    gears = (
-        _gears(robots[0], index, [joint.first.name for joint in joints]),
-        _gears(robots[1], other_index, names),
-    )
-    senses = np.array([float(joint.sense) for joint in joints])
-    return _DriveNumbers(robots, gears, senses, any(j.first.kind == JointKind.SLIDE for j in joints))
-
-
-def _rows_as_written(
-    common: CommonFrames, index: int, other_index: int, by_second: Mapping[str, PairedJoint]
-) -> Iterator[Difference]:
-    """Yield the rows of gears, gain, law and limits of two drives as the files have them.
-
-    Where a joint counts the other way in the second file, controls do so too.
-    """
-    given = _drive_numbers(common, index, other_index, by_second)
-    name = given.robots[0][0].drives[index].name
-    if given.senses.size:
-        sizes = common.judge.compare(*given.gears, relative)
-        if sizes[0]:
-            values = _short(given.gears[0][0]), _short(given.gears[1][0])
-            yield difference(name, "drive", Quantity.GEAR, values, sizes)
-    for quantity, field in DRIVE_NUMBERS.items():
-        first = _numbers(given.robots[0], index, field)
-        second = _numbers(given.robots[1], other_index, field)
-        sign = 1.0 if quantity == Quantity.GAIN or quantity == Quantity.CONSTANT else -1.0
-        sizes = common.judge.compare(first, second, relative)
-        if sizes[0]:
-            pair = sign * float(first[0]), sign * float(second[0])
-            yield difference(name, "drive", quantity, pair, sizes, slide=given.slide)
-    for quantity, field in DRIVE_LIMITS.items():
-        first = _numbers(given.robots[0], index, field)
-        second = _numbers(given.robots[1], other_index, field)
-        yield from _limits_row(common, name, quantity, first, second, given.slide)
-
-
-def _rows_at_joints(
-    common: CommonFrames, index: int, other_index: int, by_second: Mapping[str, PairedJoint]
-) -> Iterator[Difference]:
-    """Yield the rows of the forces that two drives make at their joints, in the signs of the first file."""
-    given = _drive_numbers(common, index, other_index, by_second)
-    name = given.robots[0][0].drives[index].name
-    if not given.senses.size:
-        yield from _rows_as_written(common, index, other_index, by_second)
-        return
-    gears = given.gears[0], given.gears[1] * given.senses
-    for quantity, field in DRIVE_NUMBERS.items():
-        at_joints = []
-        for robots, number, gear in zip(given.robots, (index, other_index), gears, strict=True):
-            force = _numbers(robots, number, field)[:, None] * gear
-            # Springs and dampers of a drive act through the gear on both sides
-            if quantity in (Quantity.KP, Quantity.KV):
-                force = -(force[:, :, None] * gear[:, None, :]).reshape(len(force), -1)
-            at_joints.append(force)
-        sizes = common.judge.compare(at_joints[0], at_joints[1], relative)
-        if sizes[0]:
-            values = _short(at_joints[0][0]), _short(at_joints[1][0])
-            yield difference(name, "drive", quantity, values, sizes, slide=given.slide)
-    for quantity, field in DRIVE_LIMITS.items():
-        first = _numbers(given.robots[0], index, field)
-        second = _numbers(given.robots[1], other_index, field)
-        if quantity == Quantity.FORCE_LIMITS and given.senses.size == 1:
-            first, second = (
-                _times_gear(limits, gear) for limits, gear in zip((first, second), gears, strict=True)
-            )
-        yield from _limits_row(common, name, quantity, first, second, given.slide)
-
-
-def _times_gear(limits: Array, gear: Array) -> Array:
-    """Return limits (V, 2) of the force on a joint from limits of a drive's force and its gear (V, 1)."""
-    forces: Array = np.sort(limits * np.where(gear == 0.0, 1.0, gear), axis=1)
-    return forces
-
-
-def _limits_row(
-    common: CommonFrames, name: str, quantity: Quantity, first: Array, second: Array, slide: bool
-) -> Iterator[Difference]:
-    """Yield the row of limits (V, 2) of a drive."""
-    sizes = common.judge.compare(first, second, relative)
-    if sizes[0]:
-        values = [numbers(limits[0]) if np.isfinite(limits[0]).any() else None for limits in (first, second)]
-        yield difference(name, "drive", quantity, (values[0], values[1]), sizes, slide=slide)
-
-
-def _short(values: Array) -> Value:
-    """Return a single number as a number and several ones as a tuple."""
-    return float(values[0]) if len(values) == 1 else numbers(values)

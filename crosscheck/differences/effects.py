@@ -13,9 +13,10 @@ from dataclasses import replace
 from typing import TypeVar
 
 from crosscheck.differences.causes import LENGTHS
+from crosscheck.differences.common_states import CommonStates
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.merged_robot import Merged, merged
-from crosscheck.differences.motion import CommonStates, relative_changes
+from crosscheck.differences.motion import relative_changes
 from newton_euler.reading.robot import FileBody, Robot
 from newton_euler.scalars import Array
 
@@ -78,7 +79,7 @@ def effects(states: CommonStates | None, rows: Sequence[Difference]) -> list[flo
     """Return the effect of each row on the motion.
 
     Args:
-        states: common states of both robots, see `crosscheck.differences.motion.common_states`.
+        states: common states of both robots, see `crosscheck.differences.common_states.common_states`.
         rows: differences of the two files.
 
     Returns:

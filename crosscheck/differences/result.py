@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.alignment import Alignment, align
 from crosscheck.differences.causes import LACKING
+from crosscheck.differences.common_states import CommonStates, common_states
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
 from crosscheck.differences.evidence import with_evidence
-from crosscheck.differences.motion import CommonStates, Likeness, Motion, common_states, compare_motions
+from crosscheck.differences.motion import Likeness, Motion, compare_motions
 from crosscheck.differences.rows import differences
 from crosscheck.differences.run import Run, run_both
 from crosscheck.differences.shapes import shapes

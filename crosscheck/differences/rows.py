@@ -14,8 +14,9 @@ import numpy as np
 from crosscheck.differences.alignment import Alignment
 from crosscheck.differences.bodies import body_rows
 from crosscheck.differences.causes import with_causes
-from crosscheck.differences.connections import connection_rows
+from crosscheck.differences.connections import coupling_rows, joint_partners, loop_rows
 from crosscheck.differences.difference import Difference, Quantity, Standing, Value, difference, numbers
+from crosscheck.differences.drives import drive_rows
 from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, joint_name
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
 from crosscheck.differences.short_angles import is_turn_by_short_pi
@@ -59,8 +60,10 @@ def differences(
         *(row for place in common.joints for row in joint_rows(common, place, zeros)),
         *(moved_joint_row(common, pair) for pair in common.moved_joints),
         *regrouped_rows(common),
-        *connection_rows(common, zeros),
+        *loop_rows(common),
     ]
+    joints = joint_partners(common, zeros)
+    rows += [*coupling_rows(common, joints), *drive_rows(common, joints)]
     at_rest = {
         first.robot.bodies[body].name
         for number in range(len(alignment.bodies))

@@ -12,15 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crosscheck.differences.common_states import DIGITS_FACTOR, PHASES, CommonStates, Phase
 from crosscheck.differences.dynamics import Dynamics
-from crosscheck.differences.motion import (
-    DIGITS_FACTOR,
-    PHASES,
-    CommonStates,
-    Likeness,
-    Motion,
-    Phase,
-)
+from crosscheck.differences.motion import Likeness, Motion
 from crosscheck.differences.vectors import apply, cross, rotation_matrix, rotation_vector
 from newton_euler.compiled.rates import integrate_rates
 from newton_euler.integrators.options import Options

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from crosscheck.differences.alignment import Alignment, JointKey
+from crosscheck.differences.common_states import CommonStates
 from crosscheck.differences.connections import loop_name
 from crosscheck.differences.difference import Difference
 from crosscheck.differences.links import composite, placed_masses
-from crosscheck.differences.motion import CommonStates
 from newton_euler.reading.robot import Placement, Robot, RobotFile
 from newton_euler.scalars import Array
 

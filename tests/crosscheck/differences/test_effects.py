@@ -10,10 +10,11 @@ from paired_robots import pairs_by_name
 from test_dynamics import TREE, two_chains
 from test_motion import ARM, COUPLINGS, LOOP, PARALLELOGRAM, compared, in_other_frames, of_text, pendulum
 
+from crosscheck.differences.common_states import CommonStates, common_states
 from crosscheck.differences.difference import Difference, Quantity
 from crosscheck.differences.effects import effects
 from crosscheck.differences.merged_robot import merged
-from crosscheck.differences.motion import CommonStates, common_states, relative_changes
+from crosscheck.differences.motion import relative_changes
 from crosscheck.differences.rows import differences
 from newton_euler.reading.robot import FileCoupling, LoopKind, RobotFile
 

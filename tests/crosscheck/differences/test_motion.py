@@ -12,16 +12,8 @@ from paired_robots import pairs_by_name
 from test_dynamics import TREE
 
 from crosscheck.differences.alignment import align
-from crosscheck.differences.motion import (
-    PHASES,
-    STATES,
-    CommonStates,
-    Likeness,
-    Motion,
-    Phase,
-    common_states,
-    compare_motions,
-)
+from crosscheck.differences.common_states import PHASES, STATES, CommonStates, Phase, common_states
+from crosscheck.differences.motion import Likeness, Motion, compare_motions
 from crosscheck.differences.vectors import rotation_matrix
 from mjcf.robot import describe
 from newton_euler.reading.robot import FileBody, FileJoint, JointKind, Placement, Robot, RobotFile

@@ -11,7 +11,8 @@ from mujoco_robots import to_mujoco
 from paired_robots import pairs_by_name
 from test_dynamics import TREE
 
-from crosscheck.differences.motion import PHASES, CommonStates, Phase, compare_motions
+from crosscheck.differences.common_states import PHASES, CommonStates, Phase
+from crosscheck.differences.motion import compare_motions
 from crosscheck.differences.run import INTEGRATION_ERROR, Run, run_both
 from mjcf.robot import describe
 from newton_euler.reading.robot import RobotFile
