@@ -25,7 +25,8 @@ from crosscheck.compare.activity import acted, watched_in_new_run, what_acted
 from crosscheck.compare.check import Check
 from crosscheck.compare.outcome import Outcome
 from crosscheck.regress.baseline import Baseline, StoredQuantity, UpdateRecord
-from crosscheck.regress.measure import MAIN_FORMULATION, measure_group, regress_scene
+from crosscheck.regress.measure import measure_group
+from crosscheck.regress.plan import MAIN_FORMULATION, regress_scene
 from crosscheck.support.versions import versions
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportedElement, ImportReport

@@ -33,14 +33,8 @@ from crosscheck.regress.baseline import (
     read_baseline,
 )
 from crosscheck.regress.compare import Comparison, compare, unsimulated
-from crosscheck.regress.measure import (
-    GROUPS,
-    MAIN_FORMULATION,
-    main_run,
-    make_plan,
-    measure_group_with_errors,
-    regress_scene,
-)
+from crosscheck.regress.measure import GROUPS, measure_group_with_errors
+from crosscheck.regress.plan import MAIN_FORMULATION, main_run, make_plan, regress_scene
 from crosscheck.regress.report import as_json, junit, report
 from crosscheck.report.render import markdown
 from crosscheck.support.errors import CrosscheckError
