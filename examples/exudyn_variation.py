@@ -27,7 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crosscheck.library import load
-from crosscheck.studies.benchmark.batch import NewtonEulerBatch, fastest_setting
+from crosscheck.studies.benchmark.batch_engines import NewtonEulerBatch
+from crosscheck.studies.benchmark.batch_settings import fastest_setting
 from crosscheck.studies.benchmark.ladders import poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from newton_euler.equations.cartesian import Cartesian

@@ -1,61 +1,44 @@
 """Batch benchmark: runs per second of newton_euler and MuJoCo at an error, on one thread and on all cores.
 
-A batch is many runs of one scene. They start from random states that satisfy all constraints. For each
-engine, a sample of these runs selects the fastest setting whose largest error is at most the given error. A
-setting is a method with its step or tolerance. newton_euler computes the poses of all bodies at all output
-times. `mujoco.rollout` returns MuJoCo's full physics state (time, qpos, qvel) after every step; qpos at the
-output times is kept, and no poses are computed. Generation of the states, and their conversion for each
-engine, is not timed.
+A batch is many runs of one scene. They start from random states that satisfy all constraints. For each engine
+of `crosscheck.studies.benchmark.batch_engines`, a sample of these runs selects the fastest setting whose
+largest error is at most the given error. Generation of the states, and their conversion for each engine, is
+not timed.
 
-newton_euler simulates several runs at once, one in each lane (element) of the processor's vector registers.
-One run in `SCALAR_SAMPLE_EVERY` is also simulated by scalar code, which has bitwise identical results.
+newton_euler simulates several runs at once in vector registers. One run in `SCALAR_SAMPLE_EVERY` is also
+simulated by scalar code, which has bitwise identical results.
 
 Errors are the largest distance, m, or angle, rad, between the poses of a run and its reference motion.
 """
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from crosscheck.report.table import Lines, Part, Rows, Table, number_columns, text_columns
-from crosscheck.studies.benchmark.ladders import (
-    BASELINE_ENGINE,
-    STEPS_PER_OUTPUT,
-    Ladder,
-    Options,
-    Poses,
-    adaptive_ladders,
-    mujoco_ladders,
-    output_interval,
-    poses_only,
+from crosscheck.studies.benchmark.batch_engines import (
+    CompletedBatch,
+    Engine,
+    MuJoCoRollout,
+    NewtonEulerBatch,
+    NewtonEulerScalar,
 )
-from crosscheck.studies.benchmark.reference import batch_references, pose_errors
+from crosscheck.studies.benchmark.batch_settings import TriedSetting, fastest_setting
+from crosscheck.studies.benchmark.ladders import BASELINE_ENGINE, poses_only
+from crosscheck.studies.benchmark.reference import batch_references
 from crosscheck.studies.benchmark.timing import Progress, Timed, time_alternately
-from crosscheck.studies.bisection import smallest
 from crosscheck.support.errors import CrosscheckError, reason_of
-from crosscheck.support.time_limits import time_limit
-from newton_euler.codegen.compile import garbage_collection_off
-from newton_euler.compiled.formulations import FORMULATIONS
-from newton_euler.compiled.lanes import load_lanes
-from newton_euler.compiled.outputs import named
-from newton_euler.compiled.run import Integrator
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.options import STABILIZATIONS
-from newton_euler.integrators.options import Options as IntegratorOptions
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import IntegrationError
 from newton_euler.reading.excitation import random_states
-from newton_euler.runs.batch import simulate_batch, thread_count
-from newton_euler.runs.simulate import compile_scene
+from newton_euler.runs.batch import thread_count
 
 BATCH_REPEATS = 5
 """Number of times that every batch is timed; engines and numbers of threads alternate."""
@@ -66,195 +49,12 @@ SAMPLE_RUNS = 20
 MAX_POSE_BYTES = 150_000_000
 """Largest memory of the poses of one batch, bytes; larger batches have fewer outputs per run."""
 
-MUJOCO_TIME_LIMIT = 10.0
-"""Longest duration of MuJoCo's batch on one thread, s; if all runs would take longer, the batch has fewer
-runs."""
-
 SCALAR_SAMPLE_EVERY = 8
 """Scalar code simulates every 8th run of a batch, since it needs several times as long as vector code."""
 
-SAMPLE_TIME_LIMIT = 20.0
-"""Longest duration of the sample at one setting, s; slower settings are given up."""
-
-TOLERANCES_PER_DECADE = 8
-"""Number of newton_euler's tolerances per factor of ten, as dense as MuJoCo's steps."""
-
-SAMPLE_TRIES = 2
-"""Number of times that the sample is timed at a setting that reaches the error; the shorter time counts."""
-
-
-# Engines
-
-
-class CompletedBatch(NamedTuple):
-    """A batch that was simulated.
-
-    Attributes:
-        seconds: duration of the simulation, s.
-        setup: duration before the simulation of loading the scene and converting states for the engine, s.
-        poses: computes the poses of each run, positions and quaternions of all bodies at all output times;
-            raises the error of a run that failed.
-        failed: number of runs that failed.
-    """
-
-    seconds: float
-    setup: float
-    poses: Callable[[], list[Poses]]
-    failed: int = 0
-
-
-class Engine(Protocol):
-    """An engine that simulates batches of one scene.
-
-    Attributes:
-        name: name of the engine.
-        delivers: description of the results whose computation is included in the time.
-    """
-
-    name: str
-    delivers: str
-
-    def ladders(self) -> Iterator[Ladder]:
-        """Yield a ladder for each method: its settings, numbered from coarse to fine."""
-
-    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
-        """Simulate one run from each state, with the options of a setting, on a number of threads."""
-
-
-class NewtonEulerBatch:
-    """newton_euler with several runs at once in vector registers.
-
-    The settings are those of the integrators with error control; fixed steps are slower at every error. A
-    formulation is a choice of coordinates (of joints or of bodies), a stabilization a method that keeps
-    constraint violations small.
-    """
-
-    name = BASELINE_ENGINE
-    delivers = "poses of all bodies at all outputs"
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-
-    def ladders(self) -> Iterator[Ladder]:
-        """Yield the settings of each formulation, stabilization and integrator; compile their code."""
-        for formulation, stabilization in product(FORMULATIONS, STABILIZATIONS):
-            compiled = compile_scene(self._scene, formulation, stabilization)
-            equations = {"formulation": formulation, "stabilization": stabilization}
-            for ladder in adaptive_ladders(formulation, stabilization, TOLERANCES_PER_DECADE):
-                load_lanes(compiled, ladder.common["integrator"])  # compile before a sample is timed
-                # `common` has the options that all settings of the ladder share
-                yield ladder._replace(common=ladder.common | equations)
-
-    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
-        """Simulate one run from each state."""
-        start = time.perf_counter()
-        batch = simulate_batch(self._scene, states, threads=threads, **options)
-        return CompletedBatch(
-            seconds=batch.wall_time,
-            setup=time.perf_counter() - start - batch.wall_time,
-            poses=lambda: [(run.position, run.quaternion) for run in batch],
-            failed=len(batch.errors),
-        )
-
-
-class NewtonEulerScalar(NewtonEulerBatch):
-    """newton_euler's scalar code, which simulates one run after another."""
-
-    name = f"{BASELINE_ENGINE}, one by one"
-    delivers = "the same, by scalar code"
-
-    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
-        """Simulate one run from each state on one thread; `threads` is not used."""
-        # Setup: compile the scene, and convert the states to its coordinates
-        start = time.perf_counter()
-        equations = {name: options[name] for name in ("formulation", "stabilization")}
-        compiled = compile_scene(self._scene, **equations)
-        chosen = IntegratorOptions(
-            **{name: value for name, value in options.items() if name not in equations}
-        )
-        # an input vector x has coordinates and velocities, `compiled.size` numbers, then the time and more
-        starts = np.tile(compiled.start, (len(states), 1))
-        for x, state in zip(starts, states, strict=True):
-            x[: compiled.size] = np.concatenate(compiled.system.coordinates(state))
-        integrator = Integrator(compiled, self._scene.times, chosen)
-        results, failed = np.empty((len(states), *integrator.outputs.shape)), 0
-        # Simulation: integrate from x, then compute the outputs of the run
-        run_start = time.perf_counter()
-        for x, result in zip(starts, results, strict=True):
-            try:
-                integrator(x)
-                integrator.outputs(result)
-            except IntegrationError:
-                failed += 1
-        seconds = time.perf_counter() - run_start
-
-        def poses() -> list[Poses]:
-            """Return the poses of all runs; `named` divides the flat outputs of a run into arrays by name."""
-            arrays = [named(compiled, result) for result in results]
-            return [(each["position"], each["quaternion"]) for each in arrays]
-
-        return CompletedBatch(seconds, setup=run_start - start, poses=poses, failed=failed)
-
-
-class MuJoCoRollout:
-    """`mujoco.rollout`, MuJoCo's function for batches. It writes the full physics state after every step."""
-
-    name = "mujoco"
-    delivers = "time, qpos and qvel after every step, of which qpos at outputs is kept"
-
-    def __init__(self, scene: Scene, period: float) -> None:
-        """Compile the scene for MuJoCo.
-
-        Args:
-            scene: the scene of the batch.
-            period: output period of the benchmark of whole runs, s. The shortest step of that benchmark is
-                also the shortest step of batches.
-        """
-        from mjcf.benchmark_kernels import compiled
-
-        self._system = compiled(scene)
-        self._interval = output_interval(scene)
-        self._max_steps = max(1, round(self._interval / period * STEPS_PER_OUTPUT[-1]))
-
-    def ladders(self) -> Iterator[Ladder]:
-        """Yield the settings of each integrator: all numbers of steps per output interval."""
-        yield from mujoco_ladders(self._interval, range(1, self._max_steps + 1))
-
-    def run(self, options: Options, states: Sequence[State], threads: int) -> CompletedBatch:
-        """Simulate one run from each state."""
-        from mjcf.benchmark_kernels import Rollout, physics_states
-
-        # Setup
-        start = time.perf_counter()
-        rollout = Rollout(self._system, **options, threads=threads)
-        coordinates = [self._system.coordinates(state) for state in states]
-        starts = physics_states(self._system, *map(np.array, zip(*coordinates, strict=True)))
-        # Simulation
-        run_start = time.perf_counter()
-        runs = rollout(starts)
-        seconds = time.perf_counter() - run_start
-        return CompletedBatch(
-            seconds, setup=run_start - start, poses=lambda: [rollout.poses(qpos) for qpos in runs]
-        )
-
-
-# Settings
-
-
-class TriedSetting(NamedTuple):
-    """A setting with which the sample was simulated.
-
-    Attributes:
-        name: name of the setting.
-        options: options of the setting.
-        error: largest error in the sample, m or rad; infinite if a run failed.
-        seconds: duration of the whole sample, s.
-    """
-
-    name: str
-    options: Options
-    error: float
-    seconds: float
+MUJOCO_TIME_LIMIT = 10.0
+"""Longest duration of MuJoCo's batch on one thread, s; if all runs would take longer, the batch has fewer
+runs."""
 
 
 class Batch(NamedTuple):
@@ -269,72 +69,6 @@ class Batch(NamedTuple):
     engine: Engine
     setting: TriedSetting
     states: Sequence[State]
-
-
-def fastest_setting(
-    engine: Engine, states: Sequence[State], exact: Sequence[Poses], error: float, progress: Progress
-) -> TriedSetting:
-    """Find the fastest setting of an engine whose largest error over the states is at most `error`.
-
-    Args:
-        engine: the engine.
-        states: initial states of the sample.
-        exact: reference poses of each run of the sample.
-        error: the largest allowed error, m and rad.
-        progress: called with the name of each method.
-
-    Raises:
-        CrosscheckError: if no setting reaches the error.
-    """
-    tried: list[TriedSetting] = []
-    reaching: list[TriedSetting] = []
-    for ladder in engine.ladders():
-        progress(f"{len(states)} runs of {engine.name}: {ladder.method}")
-        # settings that take longer than the fastest one that reaches the error need not be tried
-        longest = min((choice.seconds for choice in reaching), default=SAMPLE_TIME_LIMIT)
-
-        def ends_search(n: int, ladder: Ladder = ladder, longest: float = longest) -> bool:
-            """Try the n-th setting that the ladder allows.
-
-            Returns:
-                True if the setting is accurate enough or too slow, as all finer settings are.
-            """
-            number = ladder.numbers[n - 1]  # a larger number has a smaller step or tolerance
-            tried.append(_try_setting(engine, *ladder.setting(number), states, exact, error))
-            return tried[-1].error <= error or tried[-1].seconds > longest
-
-        # find the smallest n by doubling and bisection; `tried` records all settings on the way
-        smallest(ends_search, len(ladder.numbers))
-        reaching = [choice for choice in tried if choice.error <= error]
-    if not reaching:
-        smallest_error = min(choice.error for choice in tried)
-        reason = f"does not reach an error of {error:g} on all {len(states)} runs in {SAMPLE_TIME_LIMIT:g} s"
-        raise CrosscheckError(f"{engine.name} {reason}; its smallest error is {smallest_error:.1e}")
-    return min(reaching, key=lambda choice: choice.seconds)
-
-
-def _try_setting(
-    engine: Engine, name: str, options: Options, states: Sequence[State], exact: Sequence[Poses], error: float
-) -> TriedSetting:
-    """Simulate the sample at a setting, `SAMPLE_TRIES` times if the setting reaches the error.
-
-    Arguments other than the name and the options of the setting are those of `fastest_setting`.
-    """
-    seconds, largest_error = math.inf, math.inf
-    for _ in range(SAMPLE_TRIES):
-        start = time.perf_counter()
-        try:
-            with garbage_collection_off(), time_limit(SAMPLE_TIME_LIMIT):
-                done = engine.run(options, states, threads=1)
-            # errors in position, m, and orientation, rad, of each run
-            errors = [pose_errors(*pair) for pair in zip(done.poses(), exact, strict=True)]
-            largest_error = max(max(each) for each in errors)
-        except (NewtonEulerError, CrosscheckError):
-            return TriedSetting(name, options, math.inf, time.perf_counter() - start)
-        seconds = min(seconds, done.seconds)
-        if not largest_error <= error:
-            break
-    return TriedSetting(name, options, largest_error, seconds)
 
 
 # Rates

@@ -11,12 +11,13 @@ import pytest
 import newton_euler
 from crosscheck.studies.benchmark import batch, rhs
 from crosscheck.studies.benchmark import reference as benchmark_reference
-from crosscheck.studies.benchmark.batch import (
+from crosscheck.studies.benchmark.batch_engines import (
     CompletedBatch,
     MuJoCoRollout,
     NewtonEulerBatch,
-    fastest_setting,
+    NewtonEulerScalar,
 )
+from crosscheck.studies.benchmark.batch_settings import fastest_setting
 from crosscheck.studies.benchmark.ladders import Ladder, intervals, poses_only
 from crosscheck.studies.benchmark.reference import batch_references, pose_errors
 from crosscheck.studies.benchmark.rhs import Timing, fastest_other, time_right_hand_sides
@@ -189,7 +190,7 @@ def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
     assert own[0].error < other[0].error < 1e-5
     assert result.uncertainty < 1e-9
     table, lines = batch.parts(result)
-    assert (result.rates[-1].engine, result.rates[-1].threads) == (batch.NewtonEulerScalar.name, 1)
+    assert (result.rates[-1].engine, result.rates[-1].threads) == (NewtonEulerScalar.name, 1)
     assert len(table.rows) == 2 * len(counts) + 1
     assert lines.lines[2].startswith("newton_euler: method, setting (error ")
     for rate in result.rates:
@@ -199,7 +200,7 @@ def test_a_batch_is_measured_for_every_engine(monkeypatch, tracker):
 
 def test_an_engine_that_does_not_reach_the_error_takes_no_part(monkeypatch, tracker):
     result = quick_batch(monkeypatch, tracker, 1e-7)
-    assert {rate.engine for rate in result.rates} == {NewtonEulerBatch.name, batch.NewtonEulerScalar.name}
+    assert {rate.engine for rate in result.rates} == {NewtonEulerBatch.name, NewtonEulerScalar.name}
     _, lines = batch.parts(result)
     assert re.match(r"mujoco.*1e-07.*2 runs", lines.lines[-1])
 
