@@ -2,9 +2,10 @@
 
 A level is a group of checks; these checks compare two engines at the same states of a mechanism. Effective
 inertia and force are the mass matrix and the force vector projected onto the velocities that the constraints
-allow. They do not depend on an engine's choice of coordinates (`free_motion` in `samples.py`). Velocities are
-divided by units, so that effective inertias are in kg m^2 and effective forces in N m. `States.noise` is the
-relative error of the constraint equations, from round-off or nearly redundant equations.
+allow. They do not depend on an engine's choice of coordinates (`free_motion` in `allowed_motions.py`).
+Velocities are divided by units, so that effective inertias are in kg m^2 and effective forces in N m.
+`States.noise` is the relative error of the constraint equations, from round-off or nearly redundant
+equations.
 """
 
 from __future__ import annotations

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from crosscheck.compare.allowed_motions import admissible_basis
 from crosscheck.compare.check import reach, round_off
-from crosscheck.compare.samples import Samples, States, admissible_basis
+from crosscheck.compare.samples import Samples, States
 from crosscheck.regress.baseline import COUNT_SUFFIXES, GroupName, MeasurementPlan, StoredQuantity
 from newton_euler.compiled.formulations import FORMULATIONS, formulate
 from newton_euler.equations.system import Evaluation, System, at_time

@@ -15,13 +15,13 @@ from operator import ne
 import numpy as np
 
 from crosscheck.compare.activity import acted
+from crosscheck.compare.allowed_motions import admissible_basis, body_units
 from crosscheck.compare.check import FILE, Check, not_compared, unconverged_reason
 from crosscheck.compare.coverage import Coverage
 from crosscheck.compare.outcome import Verdict
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.result import EngineComparison
 from crosscheck.compare.runs import displacements
-from crosscheck.compare.samples import admissible_basis, body_units
 from crosscheck.engines.stiffness import explicit_steps, fastest_decay
 from crosscheck.library.model_files import fates_line, report_lines
 from crosscheck.own_run.allowed import OWN_RUN

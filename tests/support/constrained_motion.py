@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.compare.samples import admissible_basis, body_units
+from crosscheck.compare.allowed_motions import admissible_basis, body_units
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
