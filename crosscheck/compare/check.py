@@ -43,6 +43,10 @@ POSES = ("positions, m", "orientations, rad")
 CONSTRAINT_VIOLATION = "constraint violation, m or rad"
 """Quantity at the level "drift": largest residual of the joint constraints in a run."""
 
+MOMENTUM_BALANCE = "momentum balance, rel"
+"""Quantity of a check of one engine: residual of Newton's and Euler's equations of each body. The check tests
+the engine's equations of motion, although its level is "energy" like that of checks of runs."""
+
 ERROR_PER_CHANGE = 4.0
 """Bound on the error of a run, divided by the change between the run and a refined run.
 

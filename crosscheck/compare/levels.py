@@ -83,7 +83,7 @@ def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iter
     """Compare the equations of every pair of engines, and the formulations of each engine with each other.
 
     Formulations that differ are also compared with every other engine, and each gets a check of its momentum
-    balance, so that `crosscheck.compare.diagnosis` can find the wrong one. An engine with soft constraints
+    balance, so that `crosscheck.compare.outlier` can find the wrong one. An engine with soft constraints
     gets a check of their effect on its reactions, if the first state is the initial state of the scene.
     """
     pairs = (

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.compare.check import Check, round_off
+from crosscheck.compare.check import MOMENTUM_BALANCE, Check, round_off
 from crosscheck.compare.samples import Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.mechanism import Mechanism
@@ -38,7 +38,7 @@ def momentum_check(name: str, samples: Samples) -> Check:
     # the round-off of the tolerance if it is larger
     tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
     body = samples.states.scene.mechanism.body_names[1 + worst]  # without the ground
-    return Check("energy", "momentum balance, rel", (name,), value, tolerance, where=body)
+    return Check("energy", MOMENTUM_BALANCE, (name,), value, tolerance, where=body)
 
 
 def momentum_residuals(samples: Samples) -> Array:

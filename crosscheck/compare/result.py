@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, Self
 from crosscheck.compare.advice import Advice
 from crosscheck.compare.check import READING, Check
 from crosscheck.compare.coverage import Coverage
-from crosscheck.compare.diagnosis import Diagnosis, diagnose
+from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.outcome import Outcome
+from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.reference_values import ReferenceCheck
 from crosscheck.compare.runs import nothing_moves_in_rigid_runs
 from crosscheck.compare.singularity import SingularConfigurations

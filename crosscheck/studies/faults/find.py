@@ -22,8 +22,9 @@ from itertools import combinations
 import numpy as np
 
 from crosscheck.compare.check import Check
-from crosscheck.compare.diagnosis import Diagnosis, diagnose
+from crosscheck.compare.diagnosis import Diagnosis
 from crosscheck.compare.levels import EQUATION_LEVELS, Level, compare_pair
+from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.studies.faults import INJECTED_ENGINES

@@ -13,11 +13,11 @@ from verdicts import verdicts
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.compare.check import LEVELS_OF_EQUATIONS, LEVELS_OF_RUNS, Check
+from crosscheck.compare.check import FILE, LEVELS_OF_EQUATIONS, LEVELS_OF_RUNS, READING, Check
 from crosscheck.compare.crosscheck import crosscheck
-from crosscheck.compare.diagnosis import FILE, READING, diagnose
 from crosscheck.compare.levels import compare_equations
 from crosscheck.compare.momentum import momentum_check
+from crosscheck.compare.outlier import diagnose
 from crosscheck.compare.samples import Samples, States
 from crosscheck.engines.engine import ENGINES
 from crosscheck.engines.engine_runs import collecting_errors
