@@ -200,8 +200,8 @@ def modes_command(
     SCENE is the name of a library scene or a model file (see run).
     """
     from crosscheck.design.modes import report, table
-    from crosscheck.recording.log import recorded
     from crosscheck.recording.modes import log_modes
+    from crosscheck.recording.stream import recorded
     from crosscheck.report.output import record, usual_folder
     from crosscheck.report.render import markdown_table
     from crosscheck.support.files import check_no_source, check_writable, write_files

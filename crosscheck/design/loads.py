@@ -133,7 +133,8 @@ def loads(
         CrosscheckError: naming the path that cannot be written, or the case that takes too long.
         NewtonEulerError: for a scene that cannot be simulated.
     """
-    from crosscheck.recording.log import log_run, recorded
+    from crosscheck.recording.log import log_run
+    from crosscheck.recording.stream import recorded
 
     table, results, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "json", "png", "rrd"))
     check_writable(table, results, plot, recording)

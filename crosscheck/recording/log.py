@@ -20,31 +20,32 @@ paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a num
     /verdict                     the verdict and the tables of the crosscheck, as text
     /worst                       the check closest to failing of each level (group of checks, from the model
                                  to whole runs), as text at its time
-
-Poses and arrows are stored in single precision, scalars in double precision. Rerun's quaternions have the
-order (x, y, z, w); `crosscheck.recording.shapes.xyzw` converts them.
-
-All recordings of a scene have the same application id, and each has a different recording id. A viewer that
-opens several recordings of a scene shows them in the same layout, and the user can switch between them.
 """
 
 from __future__ import annotations
 
-import os
-import uuid
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
-from rerun import bindings
 
 from crosscheck.own_run.judge import Judgement
-from crosscheck.recording.blueprint import TIME, blueprint, send_layout
+from crosscheck.recording.blueprint import blueprint, send_layout
 from crosscheck.recording.mesh_budget import engines_with_meshes, without_meshes
 from crosscheck.recording.own_run import YOUR_SETTINGS, displaced, error_plots
-from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
-from crosscheck.recording.shapes import Style, drawn_points, log_shapes, xyzw
+from crosscheck.recording.plots import Plot, Tolerances, plots
+from crosscheck.recording.scene_view import (
+    PLAIN_COLOR,
+    log_bodies,
+    log_ground,
+    log_joints,
+    log_labels,
+    log_tilt,
+    log_wind,
+    reaction_arrow_scale,
+)
+from crosscheck.recording.shapes import Style, drawn_points
+from crosscheck.recording.stream import log_text, send_columns
 from crosscheck.support.palette import palette, rgb
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
@@ -54,49 +55,14 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
-# colors are red, green and blue, from 0 to 255
-GROUND_COLOR = (128, 128, 128)
-PLAIN_COLOR = (220, 220, 220)
-"""Color of joint points, labels and targets of controllers."""
-
-WIND_COLOR = (86, 180, 233)
-
-ARROW_COLOR = (240, 228, 66)
-"""Color of reactions and of the vertical."""
-
-DIRECTION_COLOR = (230, 159, 0)
-"""Color of given directions, for example towards the sun."""
-
 MIN_VISIBLE_DISTANCE = 0.002
 """Smallest distance of a body in two engines that a user can see, in multiples of the mechanism's size."""
 
 LINE_WIDTH = 1.5
 """Width of the thinnest lines of engines in plots, points."""
 
-LONGEST_ARROW = 1.0
-"""Length of the arrow of the largest reaction force, in multiples of the mechanism's size."""
-
 MAX_LABELS = 8
 """Largest number of bodies for which their names are shown at first."""
-
-RERUN_SWITCH = "RERUN"
-"""Environment variable by which users turn off Rerun's logging; it has no effect on these recordings."""
-
-
-def application_id(scene: Scene) -> str:
-    """Return the application id that all recordings of a scene share."""
-    return f"crosscheck_{scene.name}"
-
-
-def new_recording(scene: Scene) -> rr.RecordingStream:
-    """Make an empty recording of a scene, with a new recording id."""
-    rr.set_strict_mode(True)  # errors raise instead of printing a warning
-    users_switch = os.environ.pop(RERUN_SWITCH, None)
-    try:
-        return rr.RecordingStream(application_id(scene), recording_id=uuid.uuid4())
-    finally:
-        if users_switch is not None:
-            os.environ[RERUN_SWITCH] = users_switch
 
 
 def log_run(
@@ -133,7 +99,7 @@ def log_run(
     engines = list(trajectories)
     styles = _styles(engines)
     shown_plots = plots(scene, trajectories, tolerances or {})
-    arrow_scale = _arrow_scale(mechanism, trajectories)
+    arrow_scale = reaction_arrow_scale(mechanism, trajectories)
     first = next(iter(trajectories.values()), None) or _initial_pose(mechanism)
     output_times = {engine: run.time for engine, run in trajectories.items()}
     drawn, ghosts = dict(trajectories), engines[1:]
@@ -175,39 +141,16 @@ def log_run(
         shown_mechanism = mechanism if name in meshed else bare
         log_bodies(recording, ["mechanism", name], shown_mechanism, run, styles[name])
     for engine, run in trajectories.items():
-        _log_joints(recording, mechanism, engine, run, arrow_scale)
-    _log_labels(recording, mechanism, first)
+        log_joints(recording, mechanism, engine, run, arrow_scale)
+    log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown_plots):
-        _log_tilt(recording, mechanism, first, directions or {})
+        log_tilt(recording, mechanism, first, directions or {})
     for force in scene.forces:
         if isinstance(force, WindLoad):
-            _log_wind(recording, mechanism, first, force)
+            log_wind(recording, mechanism, first, force)
 
     for plot in shown_plots:
         _log_plot(recording, plot, output_times, styles)
-
-
-def recorded(log: Callable[..., None], scene: Scene, *args: Any, **more: Any) -> bytes:
-    """Make a recording of a scene, and return the content of its file (.rrd).
-
-    Args:
-        log: function that writes to the recording, such as `log_run`; called with the recording, the scene
-            and the further arguments.
-        scene: the scene.
-        args, more: further arguments of `log`.
-    """
-    # Rerun starts two threads for each recording. Only the three steps in `finally` end the threads and free
-    # the memory: disconnect, drop all references to the recording, clean up.
-    recording = new_recording(scene)
-    try:
-        memory = recording.memory_recording()
-        log(recording, scene, *args, **more)
-        return bytes(memory.drain_as_bytes())
-    finally:
-        recording.disconnect()
-        memory = None
-        del recording
-        bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def _styles(engines: list[str]) -> dict[str, Style]:
@@ -269,160 +212,6 @@ def _heading(title: str, engines: list[str], distances: dict[str, float], hidden
         within = max(distances[name] for name in hidden)
         parts.append(f"{', '.join(hidden)} hidden, within {within:.0e} m")
     return f"{title}: {'; '.join(parts)}"
-
-
-def send_columns(
-    recording: rr.RecordingStream,
-    path: str,
-    time: Array,
-    columns: Callable[..., Any],
-    **values: Array | Sequence[str],
-) -> None:
-    """Record values over time.
-
-    Args:
-        recording: recording to write to.
-        path: path of the entity.
-        time: times (n,), s.
-        columns: Rerun's function for this kind of entity, such as `rr.Scalars.columns`.
-        values: arguments of that function, each of length n.
-    """
-    nanoseconds = np.round(time * 1e9).astype("timedelta64[ns]")
-    recording.send_columns(path, [rr.TimeColumn(TIME, duration=nanoseconds)], columns(**values))
-
-
-def send_pose(
-    recording: rr.RecordingStream, path: str, time: Array, position: Array, quaternion: Array
-) -> None:
-    """Record positions (n, 3), m, and quaternions (n, 4), (w, x, y, z), of an entity at times (n,), s."""
-    pose = rr.Transform3D.columns
-    send_columns(recording, path, time, pose, translation=position, quaternion=xyzw(quaternion))
-
-
-def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
-    """Record a text, Markdown, that does not change over time."""
-    recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-
-
-def log_ground(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
-    """Draw the fixed body, which is body 0, in its pose in a run."""
-    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
-    send_pose(recording, "/ground", run.time[:1], run.position[:1, 0], run.quaternion[:1, 0])
-
-
-def log_bodies(
-    recording: rr.RecordingStream, folder: Sequence[str], mechanism: Mechanism, run: Trajectory, style: Style
-) -> None:
-    """Draw the moving bodies of a run over time.
-
-    Args:
-        recording: recording to write to.
-        folder: parts of the path below which each body is an entity by its name.
-        mechanism: mechanism with the shapes and meshes of the bodies.
-        run: run with the poses of the bodies.
-        style: color and look of the bodies.
-    """
-    for k in range(1, len(mechanism.bodies)):
-        path = rr.new_entity_path([*folder, mechanism.body_names[k]])
-        log_shapes(recording, path, mechanism, k, style)
-        send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
-
-
-def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
-    """Label bodies at their centers of mass, and the ground at its lowest point, below the other bodies."""
-    ground_points = drawn_points(mechanism, 0, run)[0]  # at the first output
-    lowest = ground_points[[np.argmin(ground_points[:, 2])]]
-    for k, name in enumerate(mechanism.body_names):
-        path = rr.new_entity_path(["labels", name])
-        label = rr.Points3D(np.zeros(3), labels=name, colors=PLAIN_COLOR, radii=0.0)
-        recording.log(path, label, static=True)
-        position = lowest if k == 0 else run.position[:, k]
-        count = len(position)  # 1 for the ground
-        send_pose(recording, path, run.time[:count], position, run.quaternion[:count, k])
-
-
-def _log_tilt(
-    recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, directions: Mapping[str, Array]
-) -> None:
-    """Draw arrows from the center of mass of the platform, the body whose tilt is plotted.
-
-    The arrows are the body's normal (its z axis), the vertical, and given directions.
-
-    Args:
-        recording: recording to write to.
-        mechanism: the mechanism.
-        run: run with the poses of the body.
-        directions: unit vectors (n, 3), world frame, by name.
-    """
-    # platforms are bodies with three or more joints; the tilt of the last one is plotted
-    body, size = platforms(mechanism)[-1], mechanism.size
-    position, quaternion = run.position[:, body], run.quaternion[:, body]
-    upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternion.shape)
-    # arrows along the z axis of an entity that is rotated like the body, or upright
-    for name, orientation, length, color in (
-        ("normal", quaternion, 0.6 * size, PLAIN_COLOR),
-        ("vertical", upright, 0.9 * size, ARROW_COLOR),
-    ):
-        arrow = rr.Arrows3D(vectors=[0.0, 0.0, length], labels=name, colors=color, radii=0.02 * size)
-        recording.log(f"/tilt/{name}", arrow, static=True)
-        send_pose(recording, f"/tilt/{name}", run.time, position, orientation)
-    for name, directions_over_time in directions.items():
-        look = rr.Arrows3D.from_fields(labels=[name], colors=DIRECTION_COLOR, radii=0.02 * size)
-        recording.log(f"/tilt/{name}", look, static=True)
-        vectors, columns = 1.2 * size * directions_over_time, rr.Arrows3D.columns
-        send_columns(recording, f"/tilt/{name}", run.time, columns, origins=position, vectors=vectors)
-
-
-def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, load: WindLoad) -> None:
-    """Draw the wind velocity over time, as an arrow that ends in front of the plate that the wind acts on."""
-    body = mechanism.body_index(load.body)
-    arm = mechanism.bodies[body].pose.point_to_body(load.point)
-    centers = run.position[:, body] + rotated(run.quaternion[:, body], arm)
-    velocities = np.array([load.velocity(float(time)) for time in run.time])
-    fastest = float(np.max(np.linalg.norm(velocities, axis=1)))
-    vectors = LONGEST_ARROW * mechanism.size / (fastest or 1.0) * velocities
-    path = rr.new_entity_path(["wind", load.name])
-    look = rr.Arrows3D.from_fields(colors=WIND_COLOR, radii=0.01 * mechanism.size, labels=load.name)
-    recording.log(path, look, static=True)
-    # the arrow ends upwind of the plate, at half of the plate's diagonal from its center
-    offset = 0.5 * np.linalg.norm(load.lengths) * load.direction / np.linalg.norm(load.direction)
-    origins = centers - offset - vectors
-    send_columns(recording, path, run.time, rr.Arrows3D.columns, origins=origins, vectors=vectors)
-
-
-def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:
-    """Compute the length of reaction arrows, m per N; None if there are no reactions or all are zero."""
-    forces = [run.reaction_force for run in trajectories.values() if run.reaction_force is not None]
-    if not forces:
-        return None
-    largest = max(float(np.max(np.linalg.norm(force, axis=2), initial=0.0)) for force in forces)
-    return LONGEST_ARROW * mechanism.size / largest if largest > 0.0 else None
-
-
-def _log_joints(
-    recording: rr.RecordingStream,
-    mechanism: Mechanism,
-    engine: str,
-    run: Trajectory,
-    arrow_scale: float | None,
-) -> None:
-    """Draw joint points and reaction forces of an engine's run over time; `arrow_scale` is in m per N."""
-    for j, joint in enumerate(mechanism.joints):
-        second = mechanism.body_index(joint.second)
-        arm = mechanism.reaction_arms[j]  # from the second body's center of mass to the joint point
-        points = run.position[:, second] + rotated(run.quaternion[:, second], arm)
-        path = rr.new_entity_path(["joints", engine, joint.name])
-        look = rr.Points3D.from_fields(colors=PLAIN_COLOR, radii=0.03 * mechanism.size)
-        recording.log(path, look, static=True)
-        send_columns(recording, path, run.time, rr.Points3D.columns, positions=points)
-        if run.reaction_force is not None and arrow_scale is not None:
-            path = rr.new_entity_path(["reactions", engine, joint.name])
-            arrow_look = rr.Arrows3D.from_fields(colors=ARROW_COLOR, radii=0.02 * mechanism.size)
-            recording.log(path, arrow_look, static=True)
-            vectors = arrow_scale * run.reaction_force[:, j]
-            arrows = rr.Arrows3D.columns
-            send_columns(recording, path, run.time, arrows, origins=points, vectors=vectors)
 
 
 def _log_plot(

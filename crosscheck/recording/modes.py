@@ -16,8 +16,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
-from crosscheck.recording.log import log_bodies, log_ground, log_text
+from crosscheck.recording.scene_view import log_bodies, log_ground
 from crosscheck.recording.shapes import Style
+from crosscheck.recording.stream import log_text
 from crosscheck.support.palette import palette, rgb
 from newton_euler.analysis.linear.linear_model import LinearModel, Modes
 from newton_euler.model.euler_parameters import from_rotation_vector, product

@@ -9,7 +9,7 @@ from typing import Any
 
 from rerun import bindings
 
-from crosscheck.recording.log import new_recording
+from crosscheck.recording.stream import new_recording
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.processes import safe_path
 from newton_euler.model.scene import Scene

@@ -223,7 +223,8 @@ def check_baselines(
     Raises:
         CrosscheckError: for a baseline that is missing or damaged, and a file that cannot be written.
     """
-    from crosscheck.recording.log import log_run, recorded
+    from crosscheck.recording.log import log_run
+    from crosscheck.recording.stream import recorded
 
     # find all errors of files before any scene is run
     baselines = [each.baseline() for each in guarded]

@@ -78,7 +78,8 @@ def write(
     Raises:
         CrosscheckError: if a file cannot be written; the message names the path.
     """
-    from crosscheck.recording.log import log_run, recorded
+    from crosscheck.recording.log import log_run
+    from crosscheck.recording.stream import recorded
 
     contents = {folder / f"{engine}.npz": run.archive() for engine, run in result.trajectories.items()}
     contents[recording] = recorded(log_run, *to_record(result, report))

@@ -285,7 +285,8 @@ def write(day: Day, report: Report, folder: Path) -> list[Path]:
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    from crosscheck.recording.log import log_run, recorded
+    from crosscheck.recording.log import log_run
+    from crosscheck.recording.stream import recorded
 
     paths = files_of(folder, several=False)
     text = f"# {report.title}\n\n{report.verdict}\n"

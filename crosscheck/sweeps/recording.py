@@ -23,8 +23,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
-from crosscheck.recording.log import PLAIN_COLOR, log_bodies, log_ground, log_text, send_columns
+from crosscheck.recording.scene_view import PLAIN_COLOR, log_bodies, log_ground
 from crosscheck.recording.shapes import Style
+from crosscheck.recording.stream import log_text, send_columns
 from crosscheck.support.palette import palette, rgb
 from crosscheck.sweeps.analysis import QUANTILE_LEVELS
 from newton_euler.model.scene import Scene

@@ -478,7 +478,7 @@ def write(found: Findings, made: Report, folder: Path) -> list[Path]:
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    from crosscheck.recording.log import recorded
+    from crosscheck.recording.stream import recorded
     from crosscheck.sweeps.recording import log_sweep
 
     paths = [folder / name for name in SWEEP_FILES]

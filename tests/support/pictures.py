@@ -36,8 +36,9 @@ import newton_euler
 from crosscheck.cli import main
 from crosscheck.engines.engine import ENGINES, Engine
 from crosscheck.library import load
-from crosscheck.recording.log import log_run, recorded
+from crosscheck.recording.log import log_run
 from crosscheck.recording.screenshot import MECHANISM, screenshots
+from crosscheck.recording.stream import recorded
 from crosscheck.report import page
 from crosscheck.report.page import PAGE, key_times
 from crosscheck.studies.faults import injection

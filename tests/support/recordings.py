@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from rerun.chunk import RrdReader
 
-from crosscheck.recording.log import log_run, recorded
+from crosscheck.recording.log import log_run
+from crosscheck.recording.stream import recorded
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.geometry import Box, Capsule

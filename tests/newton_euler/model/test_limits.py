@@ -20,8 +20,9 @@ import newton_euler
 from crosscheck.library import SCENES, load
 from crosscheck.library.model_files import MJCF_OPTIONS, URDF_OPTIONS
 from crosscheck.library.options import options_of
-from crosscheck.recording.log import log_run, recorded
+from crosscheck.recording.log import log_run
 from crosscheck.recording.mesh_budget import engines_with_meshes
+from crosscheck.recording.stream import recorded
 from mjcf.errors import ModelError
 from newton_euler.errors import OptionError, UnknownNameError, listed
 from newton_euler.limits import ENVIRONMENT_VARIABLE, LIMITS, changed, exceeded, limit, too_small
