@@ -26,6 +26,8 @@ from crosscheck.regress.compare import (
     compare,
     divergence_time,
 )
+from crosscheck.regress.plan import main_run, regress_scene
+from crosscheck.regress.quantities import Measurement
 from crosscheck.regress.run import GuardedScene
 
 ROOT = Path(__file__).parents[3]
@@ -73,7 +75,7 @@ def test_a_group_with_a_quantity_that_is_not_finite_is_left_out(monkeypatch, mea
 
 
 def test_a_count_may_grow_by_two_percent(swing, measured):
-    count = measure.Measurement("relative", swing, measured.plan).count("steps", 101)
+    count = Measurement("relative", swing, measured.plan).count("steps", 101)
     assert count.tolerance == [3.0]  # 2 % rounded up
 
 
@@ -302,7 +304,7 @@ def test_a_recording_holds_both_runs(swing, measured):
     heavier = replace(swing, gravity=swing.gravity * 1.01)
     now, before = regress.both_runs(heavier, measured).values()
     # the baseline's own scene gives the baseline's poses, to what its tolerance says
-    swing_now = measure.main_run(measure.regress_scene(swing), 1e-12)
+    swing_now = main_run(regress_scene(swing), 1e-12)
     assert before.position == pytest.approx(swing_now.position, abs=1e-11)
     assert np.max(np.abs(now.position - before.position)) > 1e-3  # 1 % more gravity, for a second
     assert regress.both_runs(load("four_bar"), measured) == {}  # of other bodies

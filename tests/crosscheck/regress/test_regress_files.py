@@ -13,7 +13,6 @@ from command_line import run
 
 from crosscheck.cli.shared import cli
 from crosscheck.library import SCENES
-from crosscheck.regress import measure
 from crosscheck.regress import run as regress
 from crosscheck.regress.baseline import (
     Baseline,
@@ -23,6 +22,7 @@ from crosscheck.regress.baseline import (
     UpdateRecord,
     read_baseline,
 )
+from crosscheck.regress.plan import OUTPUT_COUNT
 from crosscheck.support.checksum import with_checksum
 from newton_euler.model.state import State
 
@@ -109,7 +109,7 @@ def test_the_library_has_a_baseline_for_each_scene():
         found = read_baseline(regress.usual_path(name))
         assert (found.scene, found.options) == (name, {})
         assert found.groups[:2] == ["model", "relative"]
-        assert len(found.find("relative", "position over time").rows) == measure.OUTPUT_COUNT + 1
+        assert len(found.find("relative", "position over time").rows) == OUTPUT_COUNT + 1
 
 
 # The action and the guide
