@@ -26,8 +26,8 @@ from newton_euler.reading.robot import (
     RobotFile,
 )
 from newton_euler.scalars import Array
-from urdf.reading.given import MAX_FINITE_LIMIT, Given, PinocchioModel
-from urdf.reading.source import SourceError
+from urdf.reading.given import Given, PinocchioModel
+from urdf.reading.source import SourceError, finite_or_infinite
 
 SINGLE_MOTION = re.compile(
     "JointModel(R|RUB|P)[XYZ]|JointModel(Revolute|RevoluteUnbounded|Prismatic)Unaligned"
@@ -198,7 +198,8 @@ class _Description:
         dry = max(model.friction[in_v], -model.lowerDryFrictionLimit[in_v], model.upperDryFrictionLimit[in_v])
         limits = (-math.inf, math.inf)
         if in_q is not None:
-            limits = _finite(model.lowerPositionLimit[in_q]), _finite(model.upperPositionLimit[in_q])
+            ends = model.lowerPositionLimit[in_q], model.upperPositionLimit[in_q]
+            limits = finite_or_infinite(ends[0]), finite_or_infinite(ends[1])
         return FileJoint(
             name,
             kind,
@@ -208,8 +209,8 @@ class _Description:
             armature=float(model.armature[in_v]),
             friction=float(dry),
             limits=limits,
-            effort=_finite(model.upperEffortLimit[in_v]),
-            speed=_finite(model.upperVelocityLimit[in_v]),
+            effort=finite_or_infinite(model.upperEffortLimit[in_v]),
+            speed=finite_or_infinite(model.upperVelocityLimit[in_v]),
         )
 
     def loops(self, source: PinocchioModel) -> Iterator[FileLoop]:
@@ -249,8 +250,3 @@ def _without(whole: Any, part: Any) -> Any:
 def _placement(placement: Any) -> Placement:
     """Convert a `pinocchio.SE3`."""
     return Placement(np.array(placement.translation), np.array(placement.rotation))
-
-
-def _finite(limit: float) -> float:
-    """Return a limit, infinite if Pinocchio has its largest number for it."""
-    return float(limit) if abs(limit) < MAX_FINITE_LIMIT else math.copysign(math.inf, limit)

@@ -36,7 +36,7 @@ from newton_euler.scalars import Array
 from urdf.errors import LoopFileError
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, loop_files_beside
-from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, parsed, read_loops
+from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, finite_or_infinite, parsed, read_loops
 from urdf.reading.vocabulary import unknown
 
 if TYPE_CHECKING:
@@ -266,11 +266,9 @@ def _motions(joint: ET.Element, types: dict[str, str], extensions: Extensions) -
             friction=_number(dynamics, "friction"),
             stiffness=stiffness,
             rest=rest,
-            limits=(_number(limit, "lower"), _number(limit, "upper"))
-            if has_limits
-            else (-math.inf, math.inf),
-            effort=_number(limit, "effort", math.inf),
-            speed=_number(limit, "velocity", math.inf),
+            limits=(_limit(limit, "lower"), _limit(limit, "upper")) if has_limits else (-math.inf, math.inf),
+            effort=_limit(limit, "effort", math.inf),
+            speed=_limit(limit, "velocity", math.inf),
         )
 
 
@@ -348,6 +346,11 @@ def _loops(robot: Robot, root: ET.Element, extensions: Extensions, loops: Loops)
 def _number(element: ET.Element | None, name: str, default: float = 0.0) -> float:
     """Return the number of an attribute; the default if the element or the attribute is missing."""
     return default if element is None else float(element.get(name, default))
+
+
+def _limit(element: ET.Element | None, name: str, default: float = 0.0) -> float:
+    """Return a limit of a joint, infinite if the number stands for no limit; see `_number`."""
+    return finite_or_infinite(_number(element, name, default))
 
 
 def _vector(element: ET.Element, name: str) -> Array:

@@ -3,7 +3,7 @@
 The frame of a link has its origin at the joint to its parent, and is parallel to the world at the initial
 pose. Therefore every rpy of joints and inertials is zero, no number is converted through an angle, and joint
 coordinates are those of newton_euler's spanning tree. A joint of several motions becomes a chain of hinges
-and slides through massless links.
+and slides through massless links. Joints have no limits.
 
 A URDF can describe neither closed loops nor ball joints. The loop file names frames that coincide and joints
 that are balls. Its keys are those of Gepetto's example-parallel-robots
@@ -45,6 +45,7 @@ from newton_euler.model.spanning_tree import (
 from newton_euler.model.written_file import atomic_file
 from newton_euler.scalars import Array
 from urdf.errors import NameClashError, UrdfError
+from urdf.reading.source import NO_LIMIT
 
 MATERIAL_COLORS = {
     "grey": (0.6, 0.6, 0.6),
@@ -66,9 +67,6 @@ INERTIA_ATTRIBUTES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 CLOSURE_TYPES_OF_JOINTS: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
 """Type of a loop closure in the loop file by class of joint; all other closing joints are balls, "3d"."""
-
-WRITTEN_LIMIT = "1000"
-"""Limit of coordinate, effort and velocity of every joint: URDF requires limits, and scenes have none."""
 
 
 @checked
@@ -268,14 +266,9 @@ def _add_chain(
         kind = "prismatic" if motion.kind == "slide" else "revolute"
         element = _add_joint(robot, kind, name, parent, link, point - origin)
         SubElement(element, "axis", xyz=numbers(_axis(motion)))
-        SubElement(
-            element,
-            "limit",
-            lower=f"-{WRITTEN_LIMIT}",
-            upper=WRITTEN_LIMIT,
-            effort=WRITTEN_LIMIT,
-            velocity=WRITTEN_LIMIT,
-        )
+        # URDF requires limits, and scenes have none
+        limit = repr(NO_LIMIT)
+        SubElement(element, "limit", lower=f"-{limit}", upper=limit, effort=limit, velocity=limit)
         if name in dampings:
             SubElement(element, "dynamics", damping=repr(dampings[name]))
         parent, origin = link, point

@@ -32,7 +32,7 @@ OTHER_UNITS = {1e6: "m^2 against mm^2", 1e9: "kg m^2 against g mm^2", 180.0 / ma
 """Factors between units of other quantities, with words for the units."""
 
 LACKING = {
-    "URDF": (Quantity.ARMATURE, Quantity.STIFFNESS, Quantity.PRESENCE),
+    "URDF": (Quantity.ARMATURE, Quantity.STIFFNESS, Quantity.GRAVITY, Quantity.PRESENCE),
     "MJCF": (Quantity.SPEED,),
     "Pinocchio": (Quantity.STIFFNESS, Quantity.PRESENCE),
 }

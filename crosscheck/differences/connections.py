@@ -11,7 +11,7 @@ from numpy.polynomial import Polynomial
 
 from crosscheck.differences.alignment import JointPair
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
-from crosscheck.differences.frames import IN_WORLD, CommonFrames
+from crosscheck.differences.frames import IN_WORLD, LOOP_ENDS, CommonFrames
 from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import Poses, absolute, angle, distance
 from newton_euler.reading.robot import (
@@ -122,16 +122,12 @@ def _loop_ends(common: CommonFrames, index: int, side: int) -> tuple[_LoopEnd, _
     """Return both ends of a loop of the first robot (side 0) or the second robot (side 1)."""
     source = (common.first, common.second)[side]
     number_of = (common.first_of, common.second_of)[side]
-    robots = (source.file.robot, *source.file.variants)
     ends = []
-    for which in ("first", "second"):
-        body = getattr(robots[0].loops[index], which)
-        given = [getattr(robot.loops[index], f"{which}_frame") for robot in robots]
-        inside = Poses(np.array([f.rotation for f in given]), np.array([f.position for f in given]))
+    for which in LOOP_ENDS:
+        body, world = source.loop_end(index, which)
         number = number_of.get(body, IN_WORLD)
         frame = common.frames.get(number, common.frames[IN_WORLD])
         at_body = (frame.first, frame.second)[side]
-        world = source.world[body] @ inside if body >= 0 else inside
         ends.append(_LoopEnd(number, at_body.inverse() @ world))
     return ends[0], ends[1]
 

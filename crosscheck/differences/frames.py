@@ -38,6 +38,9 @@ IN_WORLD = -1
 MIN_OFFSET = 1e-6
 """rad or m, smallest distance of two zeros that is reported."""
 
+LOOP_ENDS = ("first", "second")
+"""Names of the ends of a loop in `FileLoop`."""
+
 
 @dataclass
 class CommonFrame:
@@ -120,6 +123,7 @@ class CommonFrames:
         self.joints: list[JointPlace] = []
         self.moved_joints: list[JointPair] = []
         self._place_joints()
+        self._loop_points = list(self._points_of_loops())
         self.frames: dict[int, CommonFrame] = {IN_WORLD: CommonFrame(GROUND, GROUND, IN_PLACE)}
         for number in range(len(alignment.bodies)):
             if alignment.bodies[number].first and alignment.bodies[number].second:
@@ -147,6 +151,25 @@ class CommonFrames:
         for place in places:
             between = [each for each in places if (each.parent, each.child) == (place.parent, place.child)]
             self.joints.append(replace(place, alone=len(between) == 1))
+
+    def _points_of_loops(self) -> Iterator[tuple[int, Poses, Poses]]:
+        """Yield the ends of loops that have one name and kind in both robots.
+
+        Yields:
+            Number of the pair of bodies at the end, and the frame of the end in the world of each robot.
+        """
+        others = {(loop.name, loop.kind): k for k, loop in enumerate(self.second.file.robot.loops)}
+        for index, loop in enumerate(self.first.file.robot.loops):
+            other = others.get((loop.name, loop.kind))
+            if not loop.name or other is None:
+                continue
+            for end in LOOP_ENDS:
+                body, frame = self.first.loop_end(index, end)
+                number = self.first_of.get(body)
+                for other_end in LOOP_ENDS:
+                    other_body, other_frame = self.second.loop_end(other, other_end)
+                    if number is not None and number == self.second_of.get(other_body):
+                        yield number, frame, other_frame
 
     def parent(self, number: int) -> int:
         """Return the number of the pair of bodies that carries a pair, in the first robot."""
@@ -263,6 +286,10 @@ class CommonFrames:
                 yield self._turn_size(place)
             if number == place.child and place.alone and place.kind == JointKind.HINGE:
                 yield self._shift_size(place)
+        for at, one, two in self._loop_points:
+            if at == number:
+                inside = frame.first.inverse() @ one, frame.second.inverse() @ two
+                yield self.compare(number, inside[0].position, inside[1].position, distance)
 
     def _turn_size(self, place: JointPlace) -> tuple[float, float]:
         """Return the angle, rad, between zeros of a hinge, or of a slide about its axis; its uncertainty."""

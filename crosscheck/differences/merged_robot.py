@@ -180,20 +180,25 @@ class _Terms:
     def _joint(self, joint: FileJoint, key: tuple[int, int]) -> FileJoint:
         """Return a joint with the numbers of its partner."""
         pair = self.joints.get(key)
-        if pair is None or pair.second[0] not in self.of_second:
+        if pair is None:
             return joint
         partner = self.two.joint(pair.second)
         if partner.kind is not joint.kind:
             return joint
-        placement = self.of_second[pair.second[0]].placement
-        return replace(
+        changed = replace(
             joint,
-            axis=pair.sense * placement.rotation @ partner.axis,
-            point=placement.point(partner.point),
             damping=partner.damping,
             armature=partner.armature,
             stiffness=partner.stiffness,
             rest=pair.sense * (partner.rest - pair.offset),
+        )
+        if pair.second[0] not in self.of_second:  # a massless link of a chain of joints has no partner
+            return changed
+        placement = self.of_second[pair.second[0]].placement
+        return replace(
+            changed,
+            axis=pair.sense * placement.rotation @ partner.axis,
+            point=placement.point(partner.point),
         )
 
     def drive(self, drive: FileDrive, own: FileDrive | None) -> FileDrive:

@@ -130,6 +130,21 @@ class Side:
         body, joint = key
         return np.array([getattr(robot.bodies[body].joints[joint], name) for robot in self._robots])
 
+    def loop_end(self, index: int, end: str) -> tuple[int, Poses]:
+        """Return one end of a loop.
+
+        Args:
+            index: of the loop.
+            end: "first" or "second".
+
+        Returns:
+            Index of the body, -1 for the ground, and the frame of the constraint in the world.
+        """
+        body = int(getattr(self.file.robot.loops[index], end))
+        given = [getattr(robot.loops[index], f"{end}_frame") for robot in self._robots]
+        inside = Poses(np.array([f.rotation for f in given]), np.array([f.position for f in given]))
+        return body, self.world[body] @ inside if body >= 0 else inside
+
     def mass_properties(self, bodies: tuple[int, ...], frame: Poses) -> MassProperties:
         """Return the mass properties of bodies that are fixed to each other, in a frame of the world."""
         masses, centers, inertias = [], [], []

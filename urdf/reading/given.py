@@ -19,7 +19,7 @@ from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.scalars import Array
 from urdf.loops import NO_LOOPS, closure_names
 from urdf.model import PINOCCHIO_GROUND, ClosedLoopModel
-from urdf.reading.source import JointLimits, JointProperties, SourceError
+from urdf.reading.source import JointProperties, SourceError, joint_limits
 
 PinocchioModel: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
 """Model in memory, alone or with its constraints."""
@@ -42,9 +42,6 @@ CLOSURE_TYPE_OF_CONTACT = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CON
 
 MAX_ROTATION_ERROR = 1e-9
 """Largest entry of R^T R - 1 of a placement, which allows rounded numbers in rotation matrices R."""
-
-MAX_FINITE_LIMIT = 1e300
-"""Magnitude above which a limit counts as infinite: Pinocchio uses infinity or the largest double."""
 
 
 class Given:
@@ -200,8 +197,7 @@ class Given:
                 float(values[joint.idx_q]) for values in (model.lowerPositionLimit, model.upperPositionLimit)
             )
             speed = float(model.upperVelocityLimit[joint.idx_v])
-            if max(abs(low), abs(high)) < MAX_FINITE_LIMIT:
-                limits = JointLimits(low, high, speed if speed < MAX_FINITE_LIMIT else np.inf)
+            limits = joint_limits(low, high, speed)
         # prismatic; only limits have the unit, and JointModelPlanar has none
         is_slide = joint.shortname().startswith("JointModelP")
         unit = "m" if is_slide else "rad"

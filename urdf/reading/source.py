@@ -37,6 +37,11 @@ JOINT_VELOCITIES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, 
 """Number of velocities by type of joint; other types are unknown."""
 
 
+NO_LIMIT = 1e300
+"""Magnitude from which on a number counts as no limit. A URDF must have limits of slides and of revolute
+joints, and no number in it may be infinite: `urdf.write` writes this number, Pinocchio the largest double."""
+
+
 class SourceError(source_file.SourceError, UrdfError):
     """File that is not a usable model. The message has the file, the place in the file and the problem."""
 
@@ -52,6 +57,22 @@ class JointLimits(NamedTuple):
     low: float
     high: float
     speed: float
+
+
+def finite_or_infinite(limit: float) -> float:
+    """Return a limit of a joint, infinite if the number stands for no limit."""
+    return float(limit) if abs(limit) < NO_LIMIT else math.copysign(math.inf, limit)
+
+
+def joint_limits(low: float, high: float, speed: float) -> JointLimits | None:
+    """Return the limits of a joint; None for a coordinate without limits.
+
+    Args:
+        low, high: smallest and largest coordinate in the model, m or rad.
+        speed: largest rate in the model, m/s or rad/s.
+    """
+    limits = JointLimits(*map(finite_or_infinite, (low, high, speed)))
+    return limits if math.isfinite(limits.low) and math.isfinite(limits.high) else None
 
 
 class JointProperties(NamedTuple):
@@ -93,7 +114,7 @@ def joint_properties(root: ET.Element) -> list[JointProperties]:
         )
         limits = None
         if limit is not None and joint.get("type") in ("revolute", "prismatic"):
-            limits = JointLimits(*(float(limit.get(name, 0.0)) for name in ("lower", "upper", "velocity")))
+            limits = joint_limits(*(float(limit.get(name, 0.0)) for name in ("lower", "upper", "velocity")))
         unit = "m" if joint.get("type") == "prismatic" else "rad"
         joints.append(
             JointProperties(
