@@ -214,10 +214,21 @@ class MujocoSmallMotions(SmallMotions[_Settings]):
 
         return self._differences(data, evaluate)
 
-    def step(self, state: int, settings: _Settings, without: Collection[int] = ()) -> Array:
-        """Return the map M (n, n) of one time step, x_next = M x; for the arguments see `rates`."""
+    def step(
+        self,
+        state: int,
+        settings: _Settings,
+        without: Collection[int] = (),
+        start: Array | None = None,
+    ) -> Array:
+        """Return the map M (n, n) of one time step, x_next = M x, or small motions (n, k) after one step.
+
+        Args:
+            state, settings, without: see `rates`.
+            start: (n, k) small motions before the step, for the result M start; None for M.
+        """
         model, data = self._prepared(state, settings, without)
-        start, now = (data.qpos.copy(), data.qvel.copy(), data.act.copy()), data.time
+        base_start, now = (data.qpos.copy(), data.qvel.copy(), data.act.copy()), data.time
         change, base_end = np.zeros(model.nv), None
 
         def evaluate(q: Array, v: Array, activation: Array) -> Array:
@@ -231,10 +242,10 @@ class MujocoSmallMotions(SmallMotions[_Settings]):
             return np.concatenate([change, data.qvel, data.act])
 
         # configuration to which a step moves the base state
-        evaluate(*start)
+        evaluate(*base_start)
         base_end = data.qpos.copy()
-        data.qpos[:], data.qvel[:], data.act[:] = start
-        return self._differences(data, evaluate)
+        data.qpos[:], data.qvel[:], data.act[:] = base_start
+        return self._differences(data, evaluate, start)
 
     def _prepared(self, state: int, settings: _Settings, without: Collection[int]) -> tuple[Any, Any]:
         """Return the model with these settings and without some elements, and its data at a state.
@@ -259,20 +270,30 @@ class MujocoSmallMotions(SmallMotions[_Settings]):
                 data.qvel[:] = 0.0
         return model, data
 
-    def _differences(self, data: Any, evaluate: Callable[[Array, Array, Array], Array]) -> Array:
-        """Return the derivatives (n, n) of a function (n,) by small motions about the state in `data`.
+    def _differences(
+        self,
+        data: Any,
+        evaluate: Callable[[Array, Array, Array], Array],
+        directions: Array | None = None,
+    ) -> Array:
+        """Return the derivatives of a function by small motions about the state in `data`.
 
-        `evaluate` takes configuration (nq,), velocities (nv,) and activations (na,).
+        Args:
+            data: MuJoCo's data at the state.
+            evaluate: function (n,) of configuration (nq,), velocities (nv,) and activations (na,).
+            directions: (n, k) small motions with elements of order 1; None for the derivatives (n, n) by
+                each element of a small motion.
         """
         model = self._model
         q, v, activation = data.qpos.copy(), data.qvel.copy(), data.act.copy()
+        if directions is None:
+            directions = np.eye(2 * model.nv + model.na)
         columns = []
         with collected_warnings():
-            for k in range(2 * model.nv + model.na):
+            for direction in directions.T:
                 values = []
                 for sign in (1.0, -1.0):
-                    motion = np.zeros(2 * model.nv + model.na)
-                    motion[k] = sign * DIFFERENCE
+                    motion = sign * DIFFERENCE * direction
                     moved = q.copy()
                     mujoco.mj_integratePos(model, moved, motion[: model.nv], 1.0)
                     moved_v = v + motion[self.velocities]

@@ -247,14 +247,16 @@ class ModeAtFault:
             right: right eigenvector (n,) of the mode.
         """
         motions, state = self.steps.motions, self.steps.state
-        step = motions.step(state, self._settings)
-        changed = left @ step @ right - 1.0
-        made = np.array(
-            [
-                left @ (step - motions.step(state, self._settings, (k,))) @ right
-                for k in range(len(motions.elements))
-            ]
-        )
+        start = np.column_stack([right.real, right.imag])
+
+        def after_step(without: Collection[int]) -> Any:
+            """Return left M right, M of the model without some elements."""
+            real, imaginary = left @ motions.step(state, self._settings, without, start)
+            return real + 1j * imaginary
+
+        whole = after_step(())
+        changed = whole - 1.0
+        made = np.array([whole - after_step((k,)) for k in range(len(motions.elements))])
         shares: Array = np.real(made * np.conj(changed)) / np.maximum(np.abs(changed) ** 2, 1e-300)
         return shares
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from newton_euler.equations.dense import least_squares
 from newton_euler.model.balls import SPIN, joint_bodies
+from newton_euler.model.constraints import Frame
 from newton_euler.model.forces import Spring
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
@@ -72,7 +73,8 @@ def _limit_check(placed: ScenePlacement) -> ReadingCheck:
         limits = reference.force_limits(place.sample.q, place.sample.v)
         names = [limit.element for limit in limits]
         # `watched`: limit and force as the reader imported them. Different limits count as an infinite gap
-        forces = [_limited_force(placed, place, limit.watched) for limit in limits]
+        frames = place.state.frames()
+        forces = [_limited_force(placed, frames, limit.watched) for limit in limits]
         scales.append([scale for _, scale in forces])
         gaps.append(
             [
@@ -86,16 +88,19 @@ def _limit_check(placed: ScenePlacement) -> ReadingCheck:
     return worst_entry("limits of forces, rel", relative, np.array(placed.force_tolerances)[:, None], names)
 
 
-def _limited_force(placed: ScenePlacement, place: SamplePlacement, bounds: Bounds) -> tuple[float, float]:
+def _limited_force(placed: ScenePlacement, frames: list[Frame], bounds: Bounds) -> tuple[float, float]:
     """Compute a limited force constant + by_value * x + by_rate * dx/dt, N or N m, at a sample.
 
-    x is the sum of joint coordinates times factors that `bounds.terms` lists.
+    Args:
+        placed: bodies of the scene at the poses of the file.
+        frames: pose and velocity of each body at the sample.
+        bounds: the imported limit; x is the sum of joint coordinates times factors, `bounds.terms`.
 
     Returns:
         The force, and the sum of the magnitudes of its terms.
     """
     assert not isinstance(bounds.constant, TimeFunction)  # control inputs of the samples are constant
-    force, frames = bounds.constant, place.state.frames()
+    force = bounds.constant
     scale = abs(force)
     for (joint, index), factor in bounds.terms:
         equations = placed.mechanism.joint_equations(joint)

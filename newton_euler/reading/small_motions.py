@@ -87,13 +87,20 @@ class SmallMotions(ABC, Generic[SettingsT]):
         """
 
     @abstractmethod
-    def step(self, state: int, settings: SettingsT, without: Collection[int] = ()) -> Array:
-        """Return the map M (n, n) of one time step, x_next = M x.
+    def step(
+        self,
+        state: int,
+        settings: SettingsT,
+        without: Collection[int] = (),
+        start: Array | None = None,
+    ) -> Array:
+        """Return the map M (n, n) of one time step, x_next = M x, or small motions (n, k) after one step.
 
         Args:
             state: index of the state in `times`.
             settings: settings of the engine, with its time step and integrator.
             without: indices of the `elements` that are removed.
+            start: (n, k) small motions before the step, for the result M start; None for M.
         """
 
     @abstractmethod

@@ -31,16 +31,20 @@ TOP = """<mujoco><option timestep="0.0005" integrator="{integrator}" gravity="0 
   <keyframe><key name="go" qvel="1 0 60"/></keyframe></mujoco>"""
 
 
-def mode(tmp_path, text):
+def small_motions(tmp_path, text):
     path = tmp_path / "model.xml"
     path.write_text(text)
     _, report = load_scene(str(path), {"duration": str(DURATION)})
     assert report is not None
     simulation = report.simulation
     assert simulation is not None
-    settings = simulation.settings
-    motions = simulation.small_motions(simulation.run(settings, 1, 1, True), [0])
+    motions = simulation.small_motions(simulation.run(simulation.settings, 1, 1, True), [0])
     assert motions is not None
+    return motions, simulation.settings
+
+
+def mode(tmp_path, text):
+    motions, settings = small_motions(tmp_path, text)
     return ModeAtFault(motions, settings, settings.timestep, DURATION)
 
 
@@ -107,6 +111,21 @@ def test_limit_of_a_top(tmp_path):
     growth = 0.5 * math.log(1.0 + (found.limit * precession) ** 2) / found.limit * DURATION
     assert growth == pytest.approx(math.log(MAX_GROWTH), rel=PERCENT)
     assert mode(tmp_path, TOP.format(integrator="implicit")).found.limit == math.inf
+
+
+def test_small_motions_after_one_step(tmp_path):
+    """Semi-implicit Euler steps of an oscillator with frequency w: v + h (-w^2 x), then x + h v."""
+    frequency = 50.0
+    text = SLIDE.format(step=STEP, integrator="Euler", stiffness=MASS * frequency**2, damping=0.0, more="")
+    motions, settings = small_motions(tmp_path, text)
+    map_of_step = np.array([[1.0 - (STEP * frequency) ** 2, STEP], [-STEP * frequency**2, 1.0]])
+    start = np.array([[1.0, 0.5], [2.0, -1.0]])
+    # central differences of 1e-6 have a relative round-off of about 1e-10
+    assert motions.step(0, settings) == pytest.approx(map_of_step, rel=1e-8, abs=1e-8)
+    after = motions.step(0, settings, start=start)
+    assert after == pytest.approx(map_of_step @ start, rel=1e-8)
+    free = motions.step(0, settings, without=(0,), start=start)
+    assert free == pytest.approx(np.array([[1.0, STEP], [0.0, 1.0]]) @ start, rel=1e-8)
 
 
 def test_shape_of_a_mode(tmp_path):
