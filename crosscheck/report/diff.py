@@ -70,6 +70,8 @@ def report(comparison: FileComparison) -> Report:
         short.append(Lines("evidence", evidence[:MAX_LISTED]))
     short.append(Lines("", list(_notes(comparison, len(different) - MAX_LISTED))))
     parts: list[Part] = [Lines("evidence", evidence)] if evidence else []
+    if elements := list(_elements_of_rows(different)):
+        parts.append(Lines("elements of rows that stand for several", elements))
     if comparison.rows:
         files = comparison.first, comparison.second
         # the shortest names that tell the files apart
@@ -181,6 +183,13 @@ def long_table(title: str, comparison: FileComparison, names: tuple[str, str]) -
     return Table(title, columns, found)
 
 
+def _elements_of_rows(rows: Sequence[Difference]) -> Iterator[str]:
+    """Yield the names of all elements of each row that stands for several, with the number of the row."""
+    for number, row in enumerate(rows, start=1):
+        if len(row.elements) > 1:
+            yield f"{number}  {row.quantity.value}: {', '.join(row.elements)}"
+
+
 def _short_row(row: Difference, sides: Sides) -> list[str | Cell]:
     """Make the cells of a difference for the terminal: effect, size, and a sentence."""
     return [effect_text(row), Cell(size_text(row), "fails"), Cell(sentence(row, sides), about=row.element)]
@@ -255,9 +264,8 @@ def value_text(value: Value) -> str:
 
 
 def _with_unit(value: Value, unit: str) -> str:
-    """Format a value with its unit; words have none."""
-    text = value_text(value)
-    return text if value is None or isinstance(value, str) else f"{text} {unit}".strip()
+    """Format a value with its unit; words have the unit ""."""
+    return value_text(value) if value is None else f"{value_text(value)} {unit}".strip()
 
 
 def size_text(row: Difference) -> str:

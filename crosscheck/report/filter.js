@@ -37,6 +37,7 @@ for (const table of document.querySelectorAll("table.filtered")) {
     if (!heading.classList.contains("choice")) return;
     const value = (row) => row.cells[column].dataset.value;
     const values = [...new Set(rows.map(value))].sort();
+    if (values.length === 1) return;
     addChoice(`${heading.textContent}: all`, values, (row, chosen) => value(row) === chosen);
   });
   if (headings.length > 1) {

@@ -102,7 +102,8 @@ def terminal(parts: Iterable[Part]) -> str:
                 console.print(Text(wrapped(part.title), style="bold"), soft_wrap=True)
             if isinstance(part, Table):
                 for block in _split_columns(part, console.width):
-                    console.print(_rich_table(block, console.width))
+                    for drawn in _rich_tables(block, console.width):
+                        console.print(drawn)
                     console.print()
             else:
                 for number, line in enumerate(part.lines):
@@ -144,11 +145,9 @@ def _split_columns(table: Table, width: int) -> Iterator[Table]:
     Each table begins with the columns of text at the beginning of the original table.
     """
     min_widths = [_min_width(table, number) + GUTTER for number in range(len(table.columns))]
-    # columns of text that all tables begin with; only the first if these take more than half of the width
-    texts_first = takewhile(lambda number: not table.columns[number].numeric, range(len(min_widths)))
-    repeated = list(texts_first) or [0]
-    if sum(min_widths[number] for number in repeated) > width / 2:
-        repeated = repeated[:1]
+    # columns of text that all tables begin with: at least one column, and at most half of the width
+    texts_first = takewhile(lambda number: not table.columns[number].numeric, range(1, len(min_widths)))
+    repeated = [0, *takewhile(lambda number: sum(min_widths[: number + 1]) <= width / 2, texts_first)]
     # add further columns until the width is exceeded
     chosen = list(repeated)
     for number in range(len(repeated), len(min_widths)):
@@ -163,19 +162,20 @@ def _split_columns(table: Table, width: int) -> Iterator[Table]:
 def _column_lines(table: Table, number: int) -> list[tuple[str, int]]:
     """Return the lines of all cells of a column, the heading first, each with its indentation, characters.
 
-    Rows of a table are lists of cells, or a text that is the heading of the rows below. Such headings are in
-    the first column; the cells below them are indented.
+    Rows of a table are lists of cells, or a text that is the heading of the rows below, which are indented.
     """
     column = table.columns[number]
     lines = [(line, 0) for line in column.heading.split("\n")]
-    has_sections = number == 0 and any(isinstance(row, str) for row in table.rows)
+    indent = INDENT if number == 0 and _has_headings(table) else 0
     for row in table.rows:
-        if isinstance(row, str):
-            lines += [(printable(row), 0)] if number == 0 else []
-        elif number < len(row):
-            of_cell = printable(_text(row[number])).split("\n")
-            lines += [(line, INDENT if has_sections else 0) for line in of_cell]
+        if not isinstance(row, str) and number < len(row):
+            lines += [(line, indent) for line in printable(_text(row[number])).split("\n")]
     return lines
+
+
+def _has_headings(table: Table) -> bool:
+    """Return True if the table has headings of rows."""
+    return any(isinstance(row, str) for row in table.rows)
 
 
 def _min_width(table: Table, number: int) -> int:
@@ -237,12 +237,36 @@ def _heading(table: Table, number: int) -> str:
     return "\n".join(textwrap.fill(line, width) for line in column.heading.split("\n"))
 
 
-def _rich_table(table: Table, width: int) -> RichTable:
-    """Convert a table to a table of the package rich, at most `width` characters wide."""
+def _rich_tables(table: Table, width: int) -> Iterator[RichTable | Text]:
+    """Convert a table to tables of the package rich, at most `width` characters wide.
+
+    Each table has the rows below a heading of rows, which is a text between the tables. Only the first table
+    has the headings of the columns.
+    """
+    drawn = _empty_rich_table(table, width)
+    drawn.show_header = any(column.heading for column in table.columns)
+    indent = INDENT if _has_headings(table) else 0
+    for row in table.rows:
+        if isinstance(row, str):
+            if drawn.rows or drawn.show_header:
+                yield drawn
+            if drawn.rows:
+                yield Text()
+            yield Text(textwrap.fill(printable(row), width), style="bold")
+            drawn = _empty_rich_table(table, width)
+        else:
+            cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
+            shown = [Text(printable(cell.text), style=STYLES[cell.verdict]) for cell in cells]
+            drawn.add_row(Padding(shown[0], (0, 0, 0, indent)), *shown[1:])
+    yield drawn
+
+
+def _empty_rich_table(table: Table, width: int) -> RichTable:
+    """Return a table of the package rich with the columns of a table, without rows and header."""
     drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    drawn.show_header = False
     if not table.title:  # no rule below the headings
         drawn.box, drawn.padding = None, (0, GUTTER, 0, 0)
-    drawn.show_header = any(column.heading for column in table.columns)
     column_widths = _column_widths(table, width)
     for number, (column, column_width) in enumerate(zip(table.columns, column_widths, strict=True)):
         drawn.add_column(
@@ -252,15 +276,6 @@ def _rich_table(table: Table, width: int) -> RichTable:
             overflow="fold",
             width=column_width,
         )
-    indent = INDENT if any(isinstance(row, str) for row in table.rows) else 0
-    for row in table.rows:
-        if isinstance(row, str):
-            drawn.add_section()
-            drawn.add_row(Text(printable(row), style="bold"))
-        else:
-            cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
-            shown = [Text(printable(cell.text), style=STYLES[cell.verdict]) for cell in cells]
-            drawn.add_row(Padding(shown[0], (0, 0, 0, indent)), *shown[1:])
     return drawn
 
 
@@ -315,7 +330,7 @@ def _markdown_row(cells: Iterable[str | Cell], links: Mapping[str, str]) -> str:
         if cell.about in links:
             name = _escaped(cell.about)
             text = text.replace(name, f"[{name}]({links[cell.about]})", 1)
-        texts.append(f"**{text}**" if cell.verdict in ("fails", "doubtful") else text)
+        texts.append(f"**{text}**" if text and cell.verdict in ("fails", "doubtful") else text)
     return f"| {' | '.join(texts)} |"
 
 

@@ -99,7 +99,7 @@ def levels_table(result: EngineComparison) -> Table:
         short_level = level.partition(" and ")[0]
         rows.append([short_level, count, *map(_worst_value, of_each_engine), nearest(at_level)])
     headings = [Column("worst of"), *number_columns("checks", *shown_engines)]
-    return Table("", [*headings, Column("% of tolerance, where")], rows)
+    return Table("", [*headings, Column("% of tolerance, where", below=True)], rows)
 
 
 def _worst_value(checks: Sequence[Check]) -> Cell:

@@ -71,6 +71,20 @@ def test_tolerance_replaces_the_digits(arm):
     assert crosscheck.diff(arm("first"), arm("other", mass="1.52"), tolerance=0.02).same
 
 
+def test_all_elements_of_a_row_are_listed(capsys, tmp_path):
+    damped = ARM.replace('name="elbow"', 'name="elbow" damping="0.3"').format(mass="1.5", gear="10")
+    (tmp_path / "damped.xml").write_text(damped)
+    (tmp_path / "free.xml").write_text(damped.replace('damping="0.3"', "").replace('damping="0.2"', ""))
+    out = tmp_path / "out"
+    _, text, _ = run(
+        capsys, "diff", tmp_path / "damped.xml", tmp_path / "free.xml", "--verbose", "--output", out
+    )
+    assert re.search(r"^1  damping: (shoulder, elbow|elbow, shoulder)$", text, re.MULTILINE)
+    # a range of values has a unit, too
+    assert re.search(r"0\.2 to 0\.3\s+N m\s+s/rad", text)
+    assert "<b>1</b> damping: " in (out / "report.html").read_text()
+
+
 def test_names_that_the_user_pairs(capsys, arm, tmp_path):
     other = arm("other")
     with open(other) as file:

@@ -52,7 +52,7 @@ def test_it_is_the_first_after_the_verdict(verdict):
     assert f"- **your settings  {headline(own)}**" in told
     assert told.index("your settings") < told.index("engines compared")
     html = verdict._repr_html_()
-    assert f'<li class="doubtful">your settings  {headline(own)}</li>' in html
+    assert f'<li class="doubtful"><b>your settings</b> {headline(own)}</li>' in html
 
 
 def test_json_has_the_judgement_and_the_error_over_time(folder, verdict):

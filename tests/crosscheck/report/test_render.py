@@ -11,7 +11,7 @@ import pytest
 
 from crosscheck.report.page import PageEntry, rendered
 from crosscheck.report.plots import speed
-from crosscheck.report.render import as_json, junit, markdown, shorten_words, terminal
+from crosscheck.report.render import as_json, junit, markdown, markdown_table, shorten_words, terminal
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -77,6 +77,26 @@ def test_what_is_printed_fits_the_terminal(monkeypatch, columns):
     assert all(f"{k}.0e-09 < 1e-06" in text for k in range(1, 9))
     *_, indented = text.split("\n    words")
     assert all(line.startswith(" " * 6) for line in indented.splitlines()[1:])
+
+
+def test_a_heading_of_rows_is_wider_than_the_first_column(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    columns = [
+        *text_columns("", "element"),
+        Column("value"),
+        *number_columns("difference, m", "motion, m/s^2"),
+    ]
+    heading = "rounding: within the digits of the files"
+    rows = [heading, ["1", "left_shoulder_roll_joint", "0.00146452 0.0112843", "0.1", "0.2"]]
+    lines = terminal([Table("rows", columns, rows)]).splitlines()
+    assert lines.count(heading) == 2  # the columns do not fit side by side: two tables
+    # both tables name the element, so that their rows can be told apart
+    assert sum("left_shoulder_roll_joint" in line for line in lines) == 2
+
+
+def test_an_empty_cell_is_not_bold_in_markdown():
+    table = Table("", [Column("quantity"), *number_columns("size")], [["base", Cell("", "fails")]])
+    assert list(markdown_table(table))[-1] == "| base |  |"
 
 
 def test_sentences_in_files_are_a_line_each():
