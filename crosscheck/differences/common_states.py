@@ -148,7 +148,7 @@ class CommonStates:
         self.spreads = [_spread(one, pair.first, length) for pair in self.pairs]
         self._driven = np.array([phase is Phase.DRIVEN for phase in PHASES], float)
         random = np.random.default_rng(0)
-        self.coordinates, self.is_closed = _closed_states(self.one, random)
+        self.coordinates, self.is_closed = closed_states(self.one, random)
         rate = np.sqrt(max(float(np.linalg.norm(self.gravity)), 1.0) / length)
         moving = np.array([phase is not Phase.REST for phase in PHASES], float)
         # such velocities need accelerations that are about as large as gravity
@@ -368,7 +368,7 @@ def _spread(robot: Robot, group: Sequence[int], length: float) -> tuple[Array, f
     return (center, float(np.sqrt(np.trace(inertia) / 2 / mass))) if mass > 0 else (np.zeros(3), 0.1 * length)
 
 
-def _closed_states(robot: Dynamics, random: np.random.Generator) -> tuple[Array, bool]:
+def closed_states(robot: Dynamics, random: np.random.Generator) -> tuple[Array, bool]:
     """Draw coordinates (1, states, coordinates) that fulfill the constraints.
 
     A robot with loops is moved from the pose of the file in small steps, so that the loops are not assembled

@@ -53,6 +53,7 @@ class Quantity(StrEnum):
     LOOP_POINT = "loop point"
     LOOP_AXIS = "loop axis"
     LOOP_LENGTH = "loop length"
+    LOOP_CUT = "loop cut"
 
 
 class Standing(StrEnum):
@@ -171,6 +172,7 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             | Quantity.CONTROL_LIMITS
             | Quantity.SETTING
             | Quantity.COUPLING
+            | Quantity.LOOP_CUT
             | Quantity.TRANSMISSION
             | Quantity.INTEGRATOR
         ):

@@ -14,6 +14,7 @@ from crosscheck.differences.common_states import CommonStates, common_states
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
 from crosscheck.differences.evidence import with_evidence
+from crosscheck.differences.loop_cuts import with_same_cuts
 from crosscheck.differences.motion import Likeness, Motion, compare_motions
 from crosscheck.differences.rows import differences
 from crosscheck.differences.run import Run, run_both
@@ -143,8 +144,13 @@ def compare_files(
     """
     progress("pairing bodies and joints")
     alignment = align(first.robot, second.robot, names)
+    if cuts := with_same_cuts(first, second, alignment):
+        first, second = cuts.first, cuts.second
+        alignment = align(first.robot, second.robot, names)
     progress("comparing numbers")
     rows = differences(first, second, alignment, tolerance)
+    if cuts:
+        rows = [*cuts.judged(rows, alignment), cuts.row()]
     progress("comparing motions")
     states = common_states(first, second, alignment)
     motion = compare_motions(states)
@@ -163,8 +169,8 @@ def compare_files(
 
 
 def _is_constraint(row: Difference) -> bool:
-    """Return whether a row is about a loop or a coupling that only one file has."""
-    return row.quantity is Quantity.PRESENCE and row.element_kind in ("loop", "coupling")
+    """Return whether a row is about a loop or coupling of one file only, or a loop of another kind."""
+    return row.quantity in (Quantity.PRESENCE, Quantity.KIND) and row.element_kind in ("loop", "coupling")
 
 
 def _is_unsaid(row: Difference, formats: tuple[str, str]) -> bool:
