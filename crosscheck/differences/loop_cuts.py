@@ -103,10 +103,10 @@ def with_same_cuts(first: RobotFile, second: RobotFile, alignment: Alignment) ->
         first, second: the files.
         alignment: pairs of their bodies; those of equal names need none.
     """
+    if not (first.robot.loops and second.robot.loops):
+        return None
     one, two = _graphs(first.robot, second.robot, alignment)
-    if not (one.loops and two.loops) or (
-        one.keys(one.loops) == two.keys(two.loops) and one.welds == two.welds
-    ):
+    if one.keys(one.loops) == two.keys(two.loops) and one.welds == two.welds:
         return None
     kept = one.keys(one.needed_joints) | two.keys(two.needed_joints)
     first_tree = one.tree(kept, set())
@@ -137,8 +137,8 @@ class _Graph:
 
     Attributes:
         robot: the robot.
-        part: number of the rigid part of each body and of the ground, -1; equal parts of two robots have equal
-            numbers.
+        part: number of the rigid part of each body and of the ground, -1. Equal parts of two robots have
+            equal numbers.
     """
 
     robot: Robot
