@@ -29,7 +29,7 @@ from newton_euler.model.forces import Force
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text
+from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text, read_xml
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.reading import plausibility
 from newton_euler.reading.activity import Bounds, FrictionWatch, Watch
@@ -193,7 +193,7 @@ def _import_file(
 ) -> Reading:
     """Import a URDF file; for the arguments see `read`."""
     source_name = path_text(path, SourceError)
-    text = read_text(source_name, limit="file_size", error=SourceError)
+    text = read_xml(source_name, SourceError)
     root = parsed(source_name, text)
     if text.startswith("<?xml"):  # Pinocchio would decode the text by the encoding in the declaration
         text = text[text.index("?>") + 2 :]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from newton_euler.model.source_file import element_lines, path_text, read_text
+from newton_euler.model.source_file import element_lines, path_text, read_text, read_xml
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.robot import (
@@ -96,7 +96,7 @@ def describe(
 
         return describe_model(source)
     path = path_text(source, SourceError)
-    text = read_text(path, limit="file_size", error=SourceError)
+    text = read_xml(path, SourceError)
     root = parsed(path, text)
     loop_content = NO_LOOPS
     if loops is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Cylinder, Mesh, Shape, Sphere
-from newton_euler.model.source_file import read_text
+from newton_euler.model.source_file import read_xml
 from newton_euler.reading.hulls import box_points, ellipsoid_points, rim_points
 from newton_euler.scalars import Array
 from urdf.reading.source import SourceError, parsed
@@ -27,7 +27,7 @@ def shape_points(path: str, bodies: Collection[str]) -> dict[str, Array]:
     Raises:
         SourceError: for a file that cannot be read.
     """
-    root = parsed(path, read_text(path, limit="file_size", error=SourceError))
+    root = parsed(path, read_xml(path, SourceError))
     shapes = link_shapes(path, root, bodies)
     return {name: np.concatenate([*map(_points, those)]) for name, those in shapes.items() if those}
 

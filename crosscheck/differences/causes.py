@@ -326,7 +326,9 @@ def _rounded_off(rows: list[Difference]) -> Iterator[Hypothesis]:
                 values = [_numbers(value) for value in (row.first, row.second)]
                 if row.quantity in quantities and _is_rounded(values[fine], values[coarse], decimals):
                     group.append(index)
-            if len({rows[index].element for index in group}) > 2:
+            # zeros alone are numbers that one file lacks
+            has_numbers = any(np.any(_numbers((rows[k].first, rows[k].second)[coarse])) for k in group)
+            if has_numbers and len({rows[index].element for index in group}) > 2:
                 cause = f"{len(group)} numbers are rounded to {decimals} decimals in the {name} file"
                 yield Hypothesis(frozenset(group), _merged([rows[index] for index in group], cause))
 

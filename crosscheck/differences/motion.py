@@ -26,6 +26,9 @@ from newton_euler.scalars import Array
 SLOW_BODY = 1e-3
 """Acceleration of a body, relative to the fastest one, below which differences count less."""
 
+NO_ACCELERATION = 1e-6
+"""m/s^2, acceleration of a balanced robot, such as a wheel, by round-off."""
+
 
 class Likeness(StrEnum):
     """Result of a comparison of motions."""
@@ -150,7 +153,7 @@ def relative_changes(one: Array, others: Array) -> Array:
     Returns:
         (robots, phases, pairs) root mean square of the difference over the states of a phase, by the larger
         root mean square of both. Bodies that barely accelerate count as if they accelerated by a thousandth
-        of the robot's fastest body.
+        of the robot's fastest body, and at least by `NO_ACCELERATION`.
     """
 
     def by_phase(values: Array) -> Array:
@@ -161,4 +164,4 @@ def relative_changes(one: Array, others: Array) -> Array:
     size = np.maximum(by_phase(one), by_phase(others))
     fastest = by_phase(one).max(axis=-1, keepdims=True)
     floor = np.maximum(SLOW_BODY * fastest, SLOW_BODY**2 * fastest.max(axis=1, keepdims=True))
-    return np.asarray(by_phase(others - one) / np.maximum(np.maximum(size, floor), np.finfo(float).tiny))
+    return np.asarray(by_phase(others - one) / np.maximum(np.maximum(size, floor), NO_ACCELERATION))

@@ -7,6 +7,7 @@ contacts and pictures. MuJoCo compiles what remains to the same bodies in a few 
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from pathlib import PurePosixPath
@@ -27,6 +28,9 @@ TEMPLATES = ("composite", "flexcomp")
 
 SHAPE_ASSETS = ("mesh", "hfield")
 """Tags of assets that shapes refer to, by an attribute of the same name."""
+
+INHERITED = ("mesh", "mass", "density")
+"""Attributes of shapes, or of the defaults of their classes, that tell whether a mesh has mass."""
 
 NO_MASS = {"pos": "0 0 0", "mass": "1e-14", "diaginertia": "1e-14 1e-14 1e-14"}
 """Inertia of a body whose shapes are missing, the smallest that MuJoCo accepts for a moving body."""
@@ -62,41 +66,56 @@ def essential_texts(files: XmlTexts, shapes_of: frozenset[str] = frozenset()) ->
     for path, element in elements:
         if (path, element.get("file", "")) in files.included and element.tag in ("include", "model"):
             element.set("file", name_of[files.included[path, element.get("file", "")]])
-    _write_meshes(list(roots.values()))
+    _write_defaults(list(roots.values()))
+    # shapes of the world have no mass; those of an attached model's world may belong to a body
+    attaches = any(each.tag == "model" for _, each in elements)
     for number, root in enumerate(roots.values()):
-        # shapes of the world have no mass; those of an attached model's world may belong to a body
-        _reduce(root, False, number > 0, keeps_all, wrapped, shapes_of)
+        _reduce(root, False, attaches and number > 0, keeps_all, wrapped, shapes_of)
     loaded, missing = _reduce_assets(list(roots.values()), files.find_asset, shapes_of)
     _remove_empty({name_of[path]: root for path, root in roots.items()})
     texts = {name_of[path]: ET.tostring(root, encoding="unicode") for path, root in roots.items()}
     return Essentials(texts, tuple(loaded), tuple(missing))
 
 
-def _write_meshes(roots: list[ET.Element]) -> None:
-    """Write the meshes that shapes get from the defaults of their classes into the shapes themselves."""
-    mesh_of_class: dict[str, str] = {}
+def _write_defaults(roots: list[ET.Element]) -> None:
+    """Write the meshes, and masses and densities of 0, that shapes get from their classes into the shapes."""
+    of_class: dict[str, dict[str, str]] = {}
 
-    def read_defaults(section: ET.Element, mesh: str) -> None:
+    def read_defaults(section: ET.Element, inherited: dict[str, str]) -> None:
         for geom in section.findall("geom"):
-            mesh = geom.attrib.pop("mesh", mesh)
-        mesh_of_class[section.get("class", "main")] = mesh
+            inherited = inherited | {name: geom.attrib[name] for name in INHERITED if name in geom.attrib}
+            geom.attrib.pop("mesh", None)
+        of_class[section.get("class", "main")] = inherited
         for inner in section.findall("default"):
-            read_defaults(inner, mesh)
+            read_defaults(inner, inherited)
 
     def write(element: ET.Element, childclass: str) -> None:
         childclass = element.get("childclass", childclass)
         for child in element:
-            if child.tag == "geom" and (mesh := mesh_of_class.get(child.get("class", childclass))):
-                child.attrib.setdefault("mesh", mesh)
+            if child.tag == "geom":
+                for name, value in of_class.get(child.get("class", childclass), {}).items():
+                    # other numbers stay in the defaults, so that one number counts once
+                    if name == "mesh" or _is_zero(value):
+                        child.attrib.setdefault(name, value)
             elif child.tag not in ("default", "tendon"):
                 write(child, childclass)
 
     for root in roots:
         for section in root.findall("default"):
-            read_defaults(section, mesh="")
-    if any(mesh_of_class.values()):
+            read_defaults(section, of_class.get("main", {}))
+    if any(of_class.values()):
         for root in roots:
             write(root, "main")
+
+
+def _is_massless(geom: ET.Element) -> bool:
+    """Return whether a shape has no mass, by its mass, or else by its density."""
+    return _is_zero(geom.get("mass", geom.get("density", "")))
+
+
+def _is_zero(number: str) -> bool:
+    """Return whether a text is the number 0."""
+    return bool(re.fullmatch(r"\s*[+-]?(0+\.?0*|\.0+)(e[+-]?\d+)?\s*", number, re.IGNORECASE))
 
 
 def _remove_empty(roots: dict[str, ET.Element]) -> None:
@@ -168,7 +187,16 @@ def _reduce_assets(
     geoms = [
         (parent.tag, geom) for root in roots for parent in root.iter() for geom in parent.findall("geom")
     ]
-    shapes = [geom for parent, geom in geoms if parent not in ("default", "spatial")]
+    bodies = [each for root in roots for each in root.iter("body")]
+    # meshes without mass, such as those that are only drawn
+    massless = {
+        geom
+        for body in bodies
+        if body.get("name") not in shapes_of
+        for _, geom in _own_shapes(body)
+        if _is_massless(geom)
+    }
+    shapes = [geom for parent, geom in geoms if parent not in ("default", "spatial") and geom not in massless]
     templates = [geom for parent, geom in geoms if parent == "default"]
     # a shape may get its mesh from the defaults of its class
     needed = {geom.get(tag) for geom in (*shapes, *(templates if shapes else ())) for tag in SHAPE_ASSETS}
@@ -190,20 +218,20 @@ def _reduce_assets(
         compiler.attrib.pop("strippath", None)
     # bodies whose shapes are meshes
     loaded_bodies, missing_bodies = [], []
-    for body in (each for root in roots for each in root.iter("body")):
+    for body in bodies:
         has_inertia = body.find("inertial") is not None
-        if has_inertia and body.get("name") not in shapes_of:
-            continue
         own_shapes = list(_own_shapes(body))
-        meshes = {str(geom.get("mesh")) for _, geom in own_shapes if "mesh" in geom.attrib}
+        of_mesh = [(parent, geom) for parent, geom in own_shapes if "mesh" in geom.attrib]
+        meshes = {geom.get("mesh") for _, geom in of_mesh if geom not in massless}
+        for parent, geom in of_mesh:
+            if geom in massless or geom.get("mesh") in missing:
+                parent.remove(geom)
+        if has_inertia:
+            continue
         if meshes & missing:
-            for parent, geom in own_shapes:
-                if geom.get("mesh") in missing:
-                    parent.remove(geom)
-            if not has_inertia:
-                missing_bodies.append(body.get("name", ""))
-                ET.SubElement(body, "inertial", NO_MASS)
-        elif meshes and not has_inertia:
+            missing_bodies.append(body.get("name", ""))
+            ET.SubElement(body, "inertial", NO_MASS)
+        elif meshes:
             loaded_bodies.append(body.get("name", ""))
     return loaded_bodies, missing_bodies
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 
-from newton_euler.model.source_file import SourceError, read_text, scan
+from newton_euler.model.source_file import SourceError, read_xml, scan
 
 EQUALITY_TAGS = ("connect", "weld")
 """Tags that only equalities have."""
@@ -53,7 +53,7 @@ def equalities_with_own_softness(path: str) -> tuple[str, ...]:
 
     while pending_files:
         file = pending_files[0]
-        text = read_text(file, limit="file_size", error=SourceError)
+        text = read_xml(file, SourceError)
         any_root = None  # included files have any root element
         scan(file, text, any_root, check_element, SourceError)
         pending_files.pop(0)

@@ -31,7 +31,7 @@ from newton_euler.errors import quoted
 from newton_euler.free_memory import free_memory
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.model import source_file
-from newton_euler.model.source_file import MAX_MODEL_NUMBER, NON_FINITE_WORDS, read_text, scan
+from newton_euler.model.source_file import MAX_MODEL_NUMBER, NON_FINITE_WORDS, read_xml, scan
 
 MAX_WAIT_S = 300.0
 """Largest waiting time for the compiler in addition to its CPU time, s; the machine may be busy."""
@@ -311,7 +311,7 @@ class _Reference:
 
     Attributes:
         where: path of the XML file.
-        line: line in the XML file.
+        line: line in the XML file; 0 if it is not known.
         element: tag of the element that refers to the file.
         target: path of the referenced file, as the XML file has it.
     """
@@ -323,8 +323,8 @@ class _Reference:
 
     def refused(self, problem: str) -> SourceError:
         """Return the error for this reference, with its line, element and path."""
-        text = f"line {self.line}: {self.element} file {self.target!r:.200} {problem}"
-        return SourceError(self.where, text)
+        line = f"line {self.line}: " if self.line else ""
+        return SourceError(self.where, f"{line}{self.element} file {self.target!r:.200} {problem}")
 
     def within(self, root: str, folder: str) -> str:
         """Return the real path of the referenced file; raises `SourceError` for a path outside the root.
@@ -335,7 +335,7 @@ class _Reference:
         """
         path = os.path.realpath(os.path.join(folder, self.target))
         if os.path.commonpath((root, path)) != root:
-            around = os.path.commonpath((os.path.realpath(folder), path))  # smallest root that allows it
+            around = os.path.commonpath((root, path))  # smallest root that allows it
             raise self.refused(f"leads outside of {root!r}; if you trust the file: --set root={around}")
         if "\\" in self.target:
             raise self.refused("holds a backslash; needed: / between folders")
@@ -432,7 +432,7 @@ class _Scan:
                 elif name.startswith("file") and tag in ASSET_ELEMENTS:
                     self._assets.append(_Reference(path, line, tag, value))
 
-        text = read_text(path, "file_size", SourceError, before=self._bytes)
+        text = read_xml(path, SourceError, before=self._bytes)
         self._bytes += len(text)
         self.texts[real_path] = text
         # the root element of an included file can have any tag

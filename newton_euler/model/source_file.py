@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import re
 import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -135,6 +136,20 @@ def read_text(
         raise error(os.fspath(path), "not a UTF-8 text file") from failure
 
 
+def read_xml(path: str | os.PathLike[str], error: type[SourceError] = SourceError, before: int = 0) -> str:
+    """Read an XML file, with spaces for its comments; arguments and errors are those of `read_content`.
+
+    XML forbids two hyphens in a comment, but MuJoCo and Pinocchio accept them, and public models have them.
+    """
+    text = read_text(path, "file_size", error, before)
+    return re.sub("<!--.*?(-->|$)", _blank, text, flags=re.DOTALL)
+
+
+def _blank(comment: re.Match[str]) -> str:
+    """Return spaces for a comment, on as many lines; a comment without end stays, for an error message."""
+    return re.sub(r"[^\n]", " ", comment[0]) if comment[1] else comment[0]
+
+
 class Row(NamedTuple):
     """A row of a CSV file: its line number, from 1, and the text of its cells."""
 
@@ -252,6 +267,9 @@ def check_names(path: str, header: Sequence[str]) -> None:
 MAX_XML_DEPTH = 400
 """Largest number of XML elements inside of each other; recursive parsers overflow the stack at more."""
 
+MAX_EXCERPT_BYTES = 40
+"""Length of the text in an error message about XML that is not well-formed."""
+
 MAX_MODEL_NUMBER = 1e15
 """Largest magnitude of any number in a model file, so that squares and triple products stay finite."""
 
@@ -306,7 +324,9 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
         parser.Parse(text, True)
     except expat.ExpatError as failure:
         problem = expat.errors.messages[failure.code]
-        raise error(path, f"not XML: line {failure.lineno}: {problem}") from failure
+        rest = text.encode()[parser.ErrorByteIndex :][:MAX_EXCERPT_BYTES].decode(errors="replace")
+        place = f" at {rest.splitlines()[0]!r}" if rest.strip() else ""
+        raise error(path, f"not XML: line {failure.lineno}: {problem}{place}") from failure
 
 
 class SourceLine(NamedTuple):

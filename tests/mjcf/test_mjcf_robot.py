@@ -234,6 +234,49 @@ def test_meshes_are_loaded_only_for_masses(tmp_path: Path) -> None:
     assert lost.notes[1] == "masses count as 0 because meshes are missing, of bodies: lost"
 
 
+DRAWN = """<mujoco><default><geom density="500"/><default class="drawn"><geom MASSLESS contype="0"/></default>
+  </default><asset><mesh name="drawn" file="gone.obj"/></asset><worldbody><body name="trunk"><freejoint/>
+  <geom class="drawn" type="mesh" mesh="drawn"/><geom type="box" size=".1 .2 .3"/></body>
+  </worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("massless", ['density="0"', 'mass="0"', 'density="7" mass="0.0"'])
+def test_a_missing_mesh_without_mass_takes_none_from_its_body(tmp_path: Path, massless: str) -> None:
+    """A box of 0.048 m^3 at 500 kg/m^3 is left."""
+    path = tmp_path / "model.xml"
+    path.write_text(DRAWN.replace("MASSLESS", massless))
+    found = describe(path)
+    assert found.robot.bodies[0].mass == pytest.approx(24.0, rel=1e-14)
+    assert found.notes == ()
+    # with a density of its own, or of the class above, the mesh counts
+    path.write_text(DRAWN.replace("MASSLESS", "").replace('class="drawn" type', "type"))
+    assert describe(path).notes == ("masses count as 0 because meshes are missing, of bodies: trunk",)
+
+
+def test_a_missing_mesh_of_the_world_of_an_included_file_does_not_matter(tmp_path: Path) -> None:
+    mesh = '<geom type="mesh" mesh="drawn"/>'
+    text = DRAWN.replace("MASSLESS", "").replace('<geom class="drawn" type="mesh" mesh="drawn"/>', "")
+    (tmp_path / "robot.xml").write_text(text.replace("<worldbody>", f"<worldbody>{mesh}"))
+    path = tmp_path / "scene.xml"
+    path.write_text('<mujoco><include file="robot.xml"/><worldbody><light/></worldbody></mujoco>')
+    assert describe(path).robot.bodies[0].mass == pytest.approx(24.0, rel=1e-14)
+
+
+def test_comments_with_two_hyphens_are_read_as_by_mujoco(tmp_path: Path) -> None:
+    """XML forbids them, but MuJoCo does not, and public models have them; lines are those of the file."""
+    path = tmp_path / "model.xml"
+    path.write_text("<!-- arm -- of\n two -- links -->" + ARM)
+    assert mujoco.MjSpec.from_file(str(path)).modelname == mujoco.MjSpec.from_string(ARM).modelname
+    commented = describe(path)
+    path.write_text("\n" + ARM)
+    plain = describe(path)
+    assert [body.mass for body in commented.robot.bodies] == [body.mass for body in plain.robot.bodies]
+    assert commented.lines == plain.lines
+    path.write_text(ARM + "<!-- no end")
+    with pytest.raises(SourceError, match="unclosed token at '<!-- no end'"):
+        describe(path)
+
+
 def test_a_model_in_memory_is_described_without_variants() -> None:
     spec = mujoco.MjSpec.from_string(ARM)
     for source in (spec, mujoco.MjModel.from_xml_string(ARM)):

@@ -64,17 +64,17 @@ URDF_EDITS: dict[str, tuple[str, str, str]] = {
     "mimics nothing": (
         ROCKER,
         ROCKER + '<mimic joint="none"/>',
-        "joint 'axle': mimics 'none'; needed: another joint",
+        "joint 'axle': mimics 'none', which does not exist",
     ),
     "mimics itself": (
         ROCKER,
         ROCKER + '<mimic joint="axle"/>',
-        "joint 'axle': mimics 'axle'; needed: another",
+        "joint 'axle': mimics 'axle', itself",
     ),
     "mimics without a name": (
         ROCKER,
         ROCKER + "<mimic/>",
-        "joint 'axle': mimics None; needed: another joint",
+        "joint 'axle': mimics None, which does not exist",
     ),
     "mimics in words": (ROCKER, ROCKER + '<mimic joint="motor" multiplier="two"/>', "has multiplier='two'"),
     "a limit missing": (
@@ -101,7 +101,11 @@ URDF_EDITS: dict[str, tuple[str, str, str]] = {
         ROCKER.replace("rocker", "\u202erekcor"),
         "child link '\\u202erekcor' does not exist",
     ),
-    "a prefix of nothing": ("</robot>", "<x:link/></robot>", "not XML: unbound prefix: line"),
+    "a prefix of nothing": (
+        "</robot>",
+        "<x:link/></robot>",
+        ": a prefix of a tag or attribute has no namespace",
+    ),
     "a null as a number": ("<robot", "<robot version='&#0;'", "not XML"),
 }
 

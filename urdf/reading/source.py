@@ -162,8 +162,10 @@ def parsed(path: str, text: str) -> ET.Element:
     scan(path, text, any_root, check_expanded(path, SourceError), SourceError)
     try:
         root = ET.fromstring(text)
-    except ET.ParseError as error:  # a prefix without namespace
-        raise SourceError(path, f"not XML: {error}") from error
+    except ET.ParseError as error:  # `scan`, like Pinocchio and MuJoCo, does not look at namespaces
+        needed = 'declare it in the root element, such as <robot name="arm" xmlns:sensor="sensor">'
+        problem = f"line {error.position[0]}: a prefix of a tag or attribute has no namespace; {needed}"
+        raise SourceError(path, problem) from error
     for what in ("link", "joint"):
         names = [element.get("name") for element in root.findall(what)]
         if not all(names):
@@ -240,7 +242,8 @@ def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: s
             raise SourceError(path, f"{where}: {end} link {link!r:.100} does not exist")
     for mimic in joint.findall("mimic"):
         if mimic.get("joint") not in joints - {joint.get("name")}:
-            raise SourceError(path, f"{where}: mimics {mimic.get('joint')!r:.100}; needed: another joint")
+            problem = "itself" if mimic.get("joint") in joints else "which does not exist"
+            raise SourceError(path, f"{where}: mimics {mimic.get('joint')!r:.100}, {problem}")
 
 
 def _check_tree(path: str, root: ET.Element) -> None:

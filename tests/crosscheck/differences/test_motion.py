@@ -99,6 +99,18 @@ def in_other_frames(robot: Robot, seed: int, gear: int) -> Robot:
     return replace(robot, bodies=tuple(bodies), loops=loops, drives=drives)
 
 
+def test_round_off_of_a_balanced_wheel_is_no_difference() -> None:
+    """Neither gravity nor rotation accelerates a wheel about its axis of inertia, whatever its mount is."""
+    wheel = """<mujoco><worldbody><body name="mount" euler="{0}" pos="0.1 -0.2 0.3"><body name="wheel"
+      euler="{1}"><joint name="turn"/><inertial pos="0 0 0" mass="0.3" diaginertia="1 1 1.5"/></body></body>
+      </worldbody></mujoco>"""
+    first = of_text(wheel.format("10 20 30", "40 -50 60"))
+    found = compared(first, RobotFile(in_other_frames(first.robot, 0, 1), format="MJCF"))
+    assert found.likeness is Likeness.EQUAL
+    # round-off of accelerations, 1e-15 m/s^2, relative to `NO_ACCELERATION`
+    assert found.change < 1e-8
+
+
 def test_reversed_joints_without_limits_whose_gears_are_not_reversed_move_otherwise() -> None:
     first = of_text(TREE)
     second = RobotFile(in_other_frames(first.robot, 0, 1), format="MJCF")

@@ -696,6 +696,16 @@ def test_a_file_with_few_decimals_is_one_difference():
     assert row.size < 0.5e-3 * np.sqrt(3)
 
 
+def test_masses_that_one_file_lacks_are_not_rounded():
+    first = walker()
+    for number, each in enumerate(first.bodies):
+        first = with_body(first, each.name, mass=1e-4 * (number + 1))
+    second = first
+    for each in first.bodies:
+        second = with_body(second, each.name, mass=0.0)
+    assert not any("rounded" in row.cause for row in rows_of(first, second))
+
+
 def test_a_moved_zero_without_moved_limits_is_one_difference():
     first = arm()
     second = with_joint(first, "bend", zero=0.5)
