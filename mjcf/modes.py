@@ -21,6 +21,7 @@ import numpy as np
 
 from mjcf.errors import collected_warnings
 from mjcf.layout import element_name
+from mjcf.run_settings import MujocoSettings
 from newton_euler.reading.small_motions import ForceElement, ModelChange, MovingBody, SmallMotions
 from newton_euler.scalars import Array
 
@@ -37,9 +38,6 @@ CONVERGED_ITERATIONS = 100
 
 _Entries = tuple[tuple[str, Any], ...]
 """Pairs of the name of an array of the model, and an index of entries of the array."""
-
-_Settings = Any
-"""Settings of a run, `mjcf.file_run.MujocoSettings`; that module imports this one."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +140,7 @@ def _scale(model: Any, removable: _RemovableElement, factor: float) -> None:
             getattr(model, array)[index] *= factor
 
 
-class MujocoSmallMotions(SmallMotions[_Settings]):
+class MujocoSmallMotions(SmallMotions[MujocoSettings]):
     """Small motions of an MJCF file about states of a run in MuJoCo.
 
     Attributes:
@@ -153,7 +151,7 @@ class MujocoSmallMotions(SmallMotions[_Settings]):
 
     def __init__(
         self,
-        settings: _Settings,
+        settings: MujocoSettings,
         model: Any,
         active: Array,
         times: Array,
@@ -181,11 +179,11 @@ class MujocoSmallMotions(SmallMotions[_Settings]):
         self.elements = tuple(each.element for each in self._removable)
         self.velocities = slice(model.nv, 2 * model.nv)
 
-    def at_timestep(self, settings: _Settings, timestep: float) -> _Settings:
+    def at_timestep(self, settings: MujocoSettings, timestep: float) -> MujocoSettings:
         """Return settings with another time step, s."""
         return replace(settings, timestep=timestep)
 
-    def rates(self, state: int, settings: _Settings, without: Collection[int] = ()) -> Array:
+    def rates(self, state: int, settings: MujocoSettings, without: Collection[int] = ()) -> Array:
         """Return the matrix A (n, n) of dx/dt = A x.
 
         Args:
@@ -217,7 +215,7 @@ class MujocoSmallMotions(SmallMotions[_Settings]):
     def step(
         self,
         state: int,
-        settings: _Settings,
+        settings: MujocoSettings,
         without: Collection[int] = (),
         start: Array | None = None,
     ) -> Array:
@@ -247,7 +245,7 @@ class MujocoSmallMotions(SmallMotions[_Settings]):
         data.qpos[:], data.qvel[:], data.act[:] = base_start
         return self._differences(data, evaluate, start)
 
-    def _prepared(self, state: int, settings: _Settings, without: Collection[int]) -> tuple[Any, Any]:
+    def _prepared(self, state: int, settings: MujocoSettings, without: Collection[int]) -> tuple[Any, Any]:
         """Return the model with these settings and without some elements, and its data at a state.
 
         The model keeps the settings, and lacks the elements, until the next call.

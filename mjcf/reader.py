@@ -27,7 +27,7 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import collected_warnings
-from mjcf.file_run import Inputs, MujocoFile
+from mjcf.file_run import MujocoFile
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.forces import Forces, armatures
@@ -40,6 +40,7 @@ from mjcf.reading.softness import equalities_with_own_softness
 from mjcf.reading.source import UNNAMED, SourceError, check_memory, compile_file, copy_model, model_name
 from mjcf.reading.start import ModelAtStart, ModelToImport
 from mjcf.reference import MjcfReference
+from mjcf.run_settings import Inputs
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.model.euler_parameters import conjugate, product, rotation
