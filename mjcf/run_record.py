@@ -1,4 +1,4 @@
-"""What a run in MuJoCo records at its outputs: poses, energies, loop errors, and events.
+"""Outputs of a file's run in MuJoCo: poses, energies, loop errors, and events.
 
 An event is the first action of a contact, limit or dry friction, which the scene imported from the file does
 not have. `mjcf.file_run` makes the runs.
