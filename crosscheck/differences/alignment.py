@@ -106,6 +106,26 @@ class Alignment:
     groups: tuple[JointGroups, ...] = ()
     loops: tuple[LoopPair, ...] = ()
 
+    def reversed(self) -> Alignment:
+        """Return the same correspondence with the second robot as the first."""
+        first_base, separator, second_base = self.base.partition(" in the first, ")
+        second_base = second_base.removesuffix(" in the second")
+        return Alignment(
+            tuple(BodyPair(pair.second, pair.first, pair.placement.inverse()) for pair in self.bodies),
+            tuple(
+                JointPair(pair.second, pair.first, pair.sense, -pair.sense * pair.offset)
+                for pair in self.joints
+            ),
+            self.second_bodies,
+            self.first_bodies,
+            self.second_joints,
+            self.first_joints,
+            f"{second_base}{separator}{first_base} in the second" if self.base else "",
+            tuple((other, name) for name, other in self.renamed),
+            tuple(JointGroups(group.second, group.first) for group in self.groups),
+            tuple(replace(pair, in_first=not pair.in_first) for pair in self.loops),
+        )
+
 
 def align(first: Robot, second: Robot, names: Mapping[str, str]) -> Alignment:
     """Find which bodies and joints of two robots play the same role.

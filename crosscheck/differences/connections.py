@@ -16,9 +16,7 @@ from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import Poses, absolute, angle, distance
 from newton_euler.reading.robot import (
     FileJoint,
-    FileLoop,
     LoopKind,
-    Robot,
 )
 
 
@@ -109,13 +107,7 @@ def loop_rows(common: CommonFrames) -> Iterator[Difference]:
     others = [second.loops[other] for other in free]
     for robot, loops in ((first, alone), (second, others)):
         for loop in loops:
-            yield only_in_one("loop", loop_name(robot, loop), str(loop.kind), robot is first)
-
-
-def loop_name(robot: Robot, loop: FileLoop) -> str:
-    """Return the name of a loop, or those of its bodies for a loop without name."""
-    bodies = [robot.bodies[body].name if body >= 0 else "the ground" for body in (loop.first, loop.second)]
-    return loop.name or " and ".join(bodies)
+            yield only_in_one("loop", robot.loop_name(loop), str(loop.kind), robot is first)
 
 
 def _loop_ends(common: CommonFrames, index: int, side: int) -> tuple[_LoopEnd, _LoopEnd]:
@@ -142,7 +134,7 @@ def _paired_loop(
     """Yield the rows of two loops that play the same role, given by their indices in the two robots."""
     first, second = common.first.file, common.second.file
     loop, other = first.robot.loops[index], second.robot.loops[other_index]
-    name = loop_name(first.robot, loop)
+    name = first.robot.loop_name(loop)
     if loop.kind != other.kind:
         yield difference(name, "loop", Quantity.KIND, (str(loop.kind), str(other.kind)), (1.0, 0.0))
         return

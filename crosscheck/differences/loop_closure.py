@@ -77,7 +77,11 @@ class ClosedTree(JointTree):
             if WIDTHS[joint.kind] == 1
         }
         self._couplings = []
-        self.rows = [(loop.name, unit) for loop in self.robot.loops for unit in ROWS[loop.kind].split()]
+        self.rows = [
+            (self.robot.loop_name(loop), unit)
+            for loop in self.robot.loops
+            for unit in ROWS[loop.kind].split()
+        ]
         for k, coupling in enumerate(self.robot.couplings):
             degree = max(len(r.couplings[k].powers) for r in robots)
             powers = [
@@ -85,7 +89,7 @@ class ClosedTree(JointTree):
             ]
             leader = self.column[coupling.leader] if coupling.leader else None
             follows_length = self.is_length[self.column[coupling.follower]]
-            self.rows.append((coupling.name, "m" if follows_length else "rad"))
+            self.rows.append((coupling.name or coupling.follower, "m" if follows_length else "rad"))
             self._couplings.append((self.column[coupling.follower], leader, stacked(powers)))
 
     def constraints(self, coordinates: Array, velocities: Array, moving: Kinematics) -> Constraints:

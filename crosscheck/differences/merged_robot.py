@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crosscheck.differences.alignment import Alignment
-from crosscheck.differences.connections import loop_name
 from crosscheck.differences.drive_pairs import Control, control_of_second, drive_pairs
 from crosscheck.differences.dynamics import Dynamics
 from crosscheck.differences.links import mass_of_group
@@ -56,7 +55,7 @@ def _named(robot: Robot) -> Robot:
     """Return a robot whose loops, couplings and drives have the names that rows of differences give them."""
     return replace(
         robot,
-        loops=tuple(replace(loop, name=loop_name(robot, loop)) for loop in robot.loops),
+        loops=tuple(replace(loop, name=robot.loop_name(loop)) for loop in robot.loops),
         couplings=tuple(replace(c, name=c.name or c.follower) for c in robot.couplings),
         drives=tuple(replace(drive, name=drive.name or ", ".join(drive.gears)) for drive in robot.drives),
     )

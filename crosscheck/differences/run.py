@@ -1,18 +1,20 @@
 """One run of two robots from the same start: how far apart their bodies get.
 
 In: the `CommonStates` of two robots. Out: a `Run`. Both robots start at the same state, with the same
-controls, and move for the time in which a body falls by the length of the robot: about its own length, and
-too short for chaos. One integration has both robots and their variants with other last digits, so
-that all of them have the same steps.
+controls; if only one of them has a constraint, such as a mimic joint, the state fulfills it. They move for
+the time in which a body falls by the length of the robot: about its own length, and too short for chaos. One
+integration has both robots and their variants with other last digits, so that all of them have the same
+steps.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from crosscheck.differences.common_states import DIGITS_FACTOR, PHASES, CommonStates, Phase
+from crosscheck.differences.common_states import DIGITS_FACTOR, PHASES, CommonStates, Gap, Phase
 from crosscheck.differences.dynamics import Dynamics
 from crosscheck.differences.motion import Likeness, Motion
 from crosscheck.differences.vectors import apply, cross, rotation_matrix, rotation_vector
@@ -57,16 +59,42 @@ class Run:
 
 
 def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
-    """Run two robots from their first driven state; None if they cannot be in the same states.
+    """Run two robots from the same state; None if they cannot be in the same states.
 
     Args:
         states: states of both robots; None for robots without joints in common.
         motion: comparison of their accelerations.
     """
-    has_gap = any(gap.is_open for gap in motion.gaps)
-    is_freer = motion.freedoms[0] != motion.freedoms[1]
-    if states is None or motion.likeness is Likeness.UNDECIDED or has_gap or is_freer:
+    if states is None or motion.likeness is Likeness.UNDECIDED:
         return None
+    first = states.files[0].robot
+    if _fit(motion.gaps, motion.freedoms):
+        return _run(states, [first.bodies[pair.first[0]].name for pair in states.pairs])
+    # the second robot may have constraints that the first does not have: its states may fit both
+    files = states.files
+    states = CommonStates(files[1], files[0], states.alignment.reversed())
+    if not states.is_closed or not _fit(states.gaps(*states.variants), states.freedoms()):
+        return None
+    return _run(states, [first.bodies[pair.second[0]].name for pair in states.pairs])
+
+
+def _fit(gaps: Iterable[Gap], freedoms: tuple[int, int]) -> bool:
+    """Return whether the states of the first robot are states of the second one, too.
+
+    Args:
+        gaps: errors of the constraints of the second robot in the states of the first.
+        freedoms: number of independent motions of the first and the second robot.
+    """
+    return freedoms[0] <= freedoms[1] and not any(gap.is_open for gap in gaps)
+
+
+def _run(states: CommonStates, names: Sequence[str]) -> Run:
+    """Run two robots from their first driven state.
+
+    Args:
+        states: states of both robots, which fulfill the constraints of both.
+        names: name of each pair of bodies.
+    """
     length = states.one.length
     at = PHASES.index(Phase.DRIVEN)
     one, two = states.one.robot, states.two.robot
@@ -100,7 +128,7 @@ def run_both(states: CommonStates | None, motion: Motion) -> Run | None:
     step = int(np.argmax(distances[:, worst]))
     return Run(
         float(times[-1]),
-        states.files[0].robot.bodies[states.pairs[worst].first[0]].name,
+        names[worst],
         float(distances[step, worst]),
         float(times[step]),
         float(uncertainties[step, worst]),

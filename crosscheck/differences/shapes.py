@@ -14,7 +14,6 @@ import numpy as np
 
 from crosscheck.differences.alignment import Alignment, JointKey
 from crosscheck.differences.common_states import CommonStates
-from crosscheck.differences.connections import loop_name
 from crosscheck.differences.difference import Difference
 from crosscheck.differences.links import composite, placed_masses
 from newton_euler.reading.robot import Placement, Robot, RobotFile
@@ -156,7 +155,7 @@ def _bodies(robot: Robot, row: Difference, name: str) -> Iterator[int]:
             return
         case "loop":
             for loop in robot.loops:
-                if loop_name(robot, loop) == name:
+                if robot.loop_name(loop) == name:
                     yield from (end for end in (loop.first, loop.second) if end >= 0)
             return
         case "drive":

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.differences.difference import Difference, Quantity, Side, Standing, Value
-from crosscheck.differences.motion import Likeness
+from crosscheck.differences.motion import Likeness, Motion
 from crosscheck.differences.result import FileComparison
 from crosscheck.differences.run import Run
 from crosscheck.own_run.allowed import length
@@ -103,6 +103,8 @@ def verdict(comparison: FileComparison) -> str:
     rounded = comparison.of_standing(Standing.ROUNDING)
     words = comparison.outcome.value
     match comparison.outcome:
+        case Outcome.SAME if motion.likeness is Likeness.UNDECIDED:
+            return f"{words}: all numbers are equal; motions were not compared"
         case Outcome.SAME:
             if comparison.of_standing(Standing.CONVENTION):
                 return f"{words}: all motions are equal; what differs does not change them"
@@ -132,10 +134,8 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
             if motion.freedoms[0] != motion.freedoms[1]:
                 first, second = motion.freedoms
                 return f"{sides[0]} has {first} independent motions, {sides[1]} {second}"
-            if open_gaps := [gap for gap in motion.gaps if gap.is_open]:
-                gap = max(open_gaps, key=lambda gap: gap.error)
-                size = length(gap.error) if gap.unit == "m" else angle(gap.error)
-                return f"poses of {sides[0]} do not fit {sides[1]}: {gap.constraint!r} is off by {size}"
+            if any(gap.is_open for gap in motion.gaps):
+                return f"poses of {sides[0]} do not fit {sides[1]}: {gap_text(motion)}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
         case Likeness.EQUAL:
             return "both move alike"
@@ -145,13 +145,27 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
             return "motions were not compared"
 
 
+def gap_text(motion: Motion) -> str:
+    """Tell which constraint of the second robot the poses of the first violate most."""
+    gap = max(motion.gaps, key=lambda gap: (gap.is_open, gap.error))
+    size = length(gap.error) if gap.unit == "m" else angle(gap.error)
+    return f"{gap.constraint!r} is off by {size}"
+
+
 def run_text(run: Run) -> str:
-    """Tell how far apart the robots get in a run from the same start."""
-    found = f"run for {run.duration:.2g} s from the same start:"
+    """Tell how far apart the same body of both robots gets in a run from the same start."""
+    found = f"both robots simulated for {run.duration:.2g} s from the same start:"
+    rounding = f"{length(run.uncertainty, 2)} that rounding can cause"
     if run.distance <= run.uncertainty:
-        return f"{found} bodies are less than {length(run.uncertainty, 2)} apart, the uncertainty of the run"
-    certain = f"{length(run.distance)} apart at {run.time:.2g} s"
-    return f"{found} {run.body} is {certain}, with an uncertainty of {length(run.uncertainty, 2)}"
+        return f"{found} no body gets farther from its counterpart than the {rounding}"
+    apart = f"{length(run.distance)} from its counterpart, at {run.time:.2g} s"
+    return f"{found} {run.body} gets {apart}, beside the {rounding}"
+
+
+def no_run_text(motion: Motion) -> str:
+    """Tell why two robots cannot run from the same start."""
+    why = f": {gap_text(motion)}" if motion.gaps else ""
+    return f"not simulated: no pose fits both robots{why}"
 
 
 def _title(file: RobotFile) -> str:
@@ -293,7 +307,7 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     if comparison.run:
         yield run_text(comparison.run)
     elif comparison.motion.likeness is not Likeness.UNDECIDED:
-        yield "no run: the robots cannot move through the same poses"
+        yield no_run_text(comparison.motion)
     if conventions := comparison.of_standing(Standing.CONVENTION):
         texts = [sentence(row) for row in conventions[:MAX_CONVENTIONS]]
         others = len(conventions) - MAX_CONVENTIONS

@@ -21,7 +21,8 @@ from pydantic import BaseModel, ConfigDict
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.motion import Likeness
 from crosscheck.differences.result import FileComparison, compare_models
-from crosscheck.report.diff import sentence
+from crosscheck.own_run.allowed import length
+from crosscheck.report.diff import no_run_text, sentence
 from crosscheck.report.own_run import percent
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
@@ -84,13 +85,15 @@ class PairResult(BaseModel):
         verdict: `SAME`, `SAME TO ROUNDING`, `DIFFERENT`, or `REFUSED` for a file that cannot be read.
         text: the largest differences, or the error.
         motion: difference of the motions.
-        wall_time: of reading and comparing, s.
+        run: largest distance of a body from its counterpart in a run from the same start.
+        processor_time: of reading and comparing, s.
     """
 
     verdict: str
     text: str
     motion: str
-    wall_time: float
+    run: str
+    processor_time: float
 
 
 def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
@@ -100,13 +103,15 @@ def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
         folder: folder of the repositories.
         pair: the pair.
     """
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         paths = pair.first.path(folder), pair.second.path(folder)
         comparison = compare_models(paths, ({}, {}), {}, None, lambda stage: None)
     except (CrosscheckError, NewtonEulerError) as error:
         text = str(error).replace(f"{folder}/", "")
-        return PairResult(verdict=REFUSED, text=text, motion="", wall_time=time.perf_counter() - start)
+        return PairResult(
+            verdict=REFUSED, text=text, motion="", run="", processor_time=time.process_time() - start
+        )
     rows = comparison.differences
     texts = [sentence(row) for row in rows[:MAX_SENTENCES]]
     if more := len(rows) - len(texts):
@@ -115,7 +120,8 @@ def compare_pair(folder: Path, pair: ListedPair) -> PairResult:
         verdict=comparison.outcome.value,
         text="; ".join(texts),
         motion=_motion(comparison),
-        wall_time=time.perf_counter() - start,
+        run=_run(comparison),
+        processor_time=time.process_time() - start,
     )
 
 
@@ -132,6 +138,15 @@ def _motion(comparison: FileComparison) -> str:
             return percent(comparison.motion.change)
 
 
+def _run(comparison: FileComparison) -> str:
+    """Format the distance of a run, or why there is none."""
+    run = comparison.run
+    if run is None:
+        is_compared = comparison.motion.likeness is not Likeness.UNDECIDED
+        return no_run_text(comparison.motion) if is_compared else "not compared"
+    return length(run.distance) if run.distance > run.uncertainty else "rounding"
+
+
 def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator[str]:
     """Yield the lines of Markdown: counts of verdicts, and a table of all pairs in the order of the list.
 
@@ -141,9 +156,9 @@ def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator
     """
     counts = Counter(result.verdict for result in found.values())
     order = (Outcome.SAME.value, Outcome.SAME_TO_ROUNDING.value, Outcome.DIFFERENT.value, REFUSED)
-    slowest = max((result.wall_time for result in found.values()), default=math.nan)
+    slowest = max((result.processor_time for result in found.values()), default=math.nan)
     yield f"{len(found)} pairs: {', '.join(f'{counts[each]} {each}' for each in order if counts[each])}."
-    yield f"The slowest took {slowest:.1f} s."
+    yield f"The slowest took {slowest:.1f} s of processor time."
     yield ""
     rows: Rows = []
     for pair in pairs:
@@ -156,9 +171,9 @@ def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator
         ]
         independent = "" if pair.independent is None else f"{pair.independent:.1e}"
         text = "; ".join(filter(None, [result.text, pair.why]))
-        rows.append([pair.name, *places, result.verdict, result.motion, independent, text])
+        rows.append([pair.name, *places, result.verdict, result.motion, result.run, independent, text])
     heads = text_columns(
-        "pair", "first", "second", "verdict", "motion", "engine alone", "largest differences"
+        "pair", "first", "second", "verdict", "motion", "run", "engine alone", "largest differences"
     )
     yield from markdown_table(Table("", heads, rows))
 
@@ -175,7 +190,7 @@ def main(pairs: Path, folder: Path, only: str, target: Path | None) -> None:
         found = {}
         for pair in listed:
             found[pair.name] = result = compare_pair(folder, pair)
-            click.echo(f"{pair.name}: {result.wall_time:.1f} s: {result.verdict} {result.motion}")
+            click.echo(f"{pair.name}: {result.processor_time:.1f} s: {result.verdict} {result.motion}")
         if target is not None:
             write(target, list(table(listed, found)))
             click.echo(f"wrote {target}")

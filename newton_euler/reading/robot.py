@@ -237,6 +237,11 @@ class Robot:
         """Return a joint by the index of its body and its own index in `FileBody.joints`."""
         return self.bodies[key[0]].joints[key[1]]
 
+    def loop_name(self, loop: FileLoop) -> str:
+        """Return the name of a loop, or those of its bodies for a loop without name."""
+        ends = (self.bodies[body].name if body >= 0 else "the ground" for body in (loop.first, loop.second))
+        return loop.name or " and ".join(ends)
+
     def placements(self) -> list[Placement]:
         """Return where the frame of each body is in the world, in the pose of the file."""
         found: list[Placement] = []

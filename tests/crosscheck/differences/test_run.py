@@ -14,6 +14,7 @@ from test_dynamics import TREE
 from crosscheck.differences.common_states import PHASES, CommonStates, Phase
 from crosscheck.differences.motion import compare_motions
 from crosscheck.differences.run import INTEGRATION_ERROR, Run, run_both
+from crosscheck.report.diff import no_run_text
 from mjcf.robot import describe
 from newton_euler.reading.robot import RobotFile
 from newton_euler.scalars import Array
@@ -117,14 +118,53 @@ def test_stiff_robots_run_for_a_shorter_time() -> None:
     assert 0.0 < run.duration < 1e-3
 
 
-@pytest.mark.parametrize(
-    "equality", ['<joint joint1="jb" joint2="ja" polycoef="0 -1 0 0 0"/>', '<joint joint1="jb"/>']
-)
-def test_no_run_of_robots_of_other_freedom(equality: str) -> None:
-    first = of_text(HALVES.replace("EQUALITY", ""))
-    second = of_text(HALVES.replace("EQUALITY", equality))
-    assert run_of(first, second)[1] is None
-    assert run_of(second, first)[1] is None
+def ends_by_mujoco(text: str, coordinates: Array, velocities: Array, duration: float) -> tuple[Array, Array]:
+    """Return how the last body moves and turns in a run by MuJoCo, along its axes at the start."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.integrator, steps = mujoco.mjtIntegrator.mjINT_RK4, 2000
+    model.opt.timestep = duration / steps
+    data = mujoco.MjData(model)
+    data.qpos, data.qvel = coordinates[: model.nq], velocities[: model.nv]
+    mujoco.mj_forward(model, data)
+    start, turn = data.xipos[-1].copy(), data.xmat[-1].reshape(3, 3).copy()
+    mujoco.mj_step(model, data, steps)
+    mujoco.mj_forward(model, data)
+    return turn.T @ (data.xipos[-1] - start), turn.T @ data.xmat[-1].reshape(3, 3)
+
+
+def test_a_coupling_of_one_robot_holds_at_the_start_of_both() -> None:
+    """A joint that one file holds at zero and the other leaves free; without it, the bodies are one."""
+    free, held = (of_text(HALVES.replace("EQUALITY", each)) for each in ("", '<joint joint1="jb"/>'))
+    states, run = run_of(held, free)
+    assert run is not None
+    # the state of the robot with the coupling serves both, whichever file is the first
+    assert run_of(free, held)[1] == run
+    at = PHASES.index(Phase.DRIVEN)
+    start = states.coordinates[0, at], states.velocities[0, at]
+    assert start[0][1] == pytest.approx(0.0, abs=1e-9)  # rad, where the closing of couplings ends
+    two_bodies = HALVES.replace("EQUALITY", "")
+    one_body = two_bodies.replace('<joint name="jb" axis="0 1 0"/>', "")
+    moved = [ends_by_mujoco(text, *start, run.time) for text in (two_bodies, one_body)]
+    body = free.robot.bodies[1]
+    cosine = (np.trace(moved[0][1].T @ moved[1][1]) - 1) / 2
+    radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
+    distance = np.hypot(np.linalg.norm(moved[0][0] - moved[1][0]), radius * np.arccos(cosine))
+    assert run.body == "b"
+    # the tolerance of a step, 1e-6, of some steps
+    assert run.distance == pytest.approx(distance, rel=1e-5)
+
+
+def test_no_run_without_a_pose_that_fits_both() -> None:
+    """The files hold one joint 0.2 rad apart."""
+    one, other = (
+        of_text(HALVES.replace("EQUALITY", f'<joint joint1="jb" polycoef="{each} 0 0 0 0"/>'))
+        for each in (0, 0.2)
+    )
+    states, run = run_of(one, other)
+    assert run is None
+    assert no_run_text(compare_motions(states)) == (
+        "not simulated: no pose fits both robots: 'jb' is off by 11 deg"
+    )
 
 
 def test_no_run_without_states() -> None:
