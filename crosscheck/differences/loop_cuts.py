@@ -14,7 +14,6 @@ import numpy as np
 
 from crosscheck.differences.alignment import Alignment, BodyPair, JointPair
 from crosscheck.differences.common_states import closed_states, common_states
-from crosscheck.differences.connections import loop_name
 from crosscheck.differences.difference import Difference, Quantity, difference
 from crosscheck.differences.dynamics import Dynamics
 from crosscheck.differences.joint_tree import size_of
@@ -182,7 +181,7 @@ class _Graph:
 
     def loop_names(self, some: Iterable[Edge]) -> tuple[str, ...]:
         """Return the names of those of some edges that are loops."""
-        return tuple(loop_name(self.robot, self.robot.loops[edge.loop]) for edge in some if edge.loop >= 0)
+        return tuple(self.robot.loop_name(self.robot.loops[edge.loop]) for edge in some if edge.loop >= 0)
 
     def tree(self, kept: set[Key], wanted: set[Key]) -> set[Edge]:
         """Return a tree of joints.
@@ -270,7 +269,7 @@ def _recut(file: RobotFile, tree: set[Edge], as_points: Sequence[Edge]) -> Robot
     joined = [e.loop for e in tree if e.loop >= 0 and robot.loops[e.loop].kind is LoopKind.POINT]
     axes = _axes(robots, joined)
     named = [
-        replace(each, loops=tuple(replace(loop, name=loop_name(robot, loop)) for loop in each.loops))
+        replace(each, loops=tuple(replace(loop, name=robot.loop_name(loop)) for loop in each.loops))
         for each in (robot, *file.variants)
     ]
     for points in (as_points, ()):

@@ -22,7 +22,7 @@ from crosscheck.loading.convert import scene_report, write_as
 from crosscheck.loading.load import load_scene
 from urdf.robot import describe
 
-FAST = ("tracker", "pendulum", "four_bar", "stewart", "free_top")
+FAST = ("tracker", "pendulum", "four_bar", "bricard", "stewart", "free_top")
 
 LOST = {
     # springs of legs; a URDF has none
@@ -33,9 +33,6 @@ LOST = {
     ("tracker_wind", ".xml"): {("drive", Q.GAIN), ("drive", Q.CONSTANT), ("drive", Q.PRESENCE)},
     ("tracker_computed_torque", ".xml"): {("drive", Q.PRESENCE)},
     ("tracker_sun_day", ".xml"): {("drive", Q.PRESENCE)},
-    # files halve a body, because neither format can close a loop at a hinge
-    ("bricard", ".xml"): {("body", Q.PRESENCE), ("body", Q.MASS)},
-    ("bricard", ".urdf"): {("body", Q.PRESENCE), ("body", Q.MASS)},
     # the description of a scene has no forces on bodies; the MJCF has a motor
     ("andrews", ".xml"): {("drive", Q.PRESENCE)},
 }
