@@ -15,6 +15,7 @@ from typing import assert_never
 
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.units import significant, with_unit
 
 OWN_RUN = "your settings"
 """Name of the run with the settings of the model file, beside the names of logs."""
@@ -178,18 +179,17 @@ def in_unit(value: float, kind: ErrorKind, digits: int = 3) -> str:
     """Word an error of a kind with its unit and three digits."""
     match kind:
         case ErrorKind.RELATIVE | ErrorKind.ENERGY:
-            return f"{100.0 * value:.{digits}g} %"
+            return f"{significant(100.0 * value, digits)} %"
         case ErrorKind.POSITION | ErrorKind.OPENING:
             return length(value, digits)
         case ErrorKind.ROTATION | ErrorKind.LOOP_ANGLE:
-            return f"{math.degrees(value):.{digits}g} deg"
+            return f"{significant(math.degrees(value), digits)} deg"
         case _:
             assert_never(kind)
 
 
 def length(value: float, digits: int = 3) -> str:
     """Format a length in m, mm, um, nm or pm with three digits."""
-    for unit, scale in LENGTH_UNITS.items():
-        if value >= scale:
-            return f"{value / scale:.{digits}g} {unit}"
-    return "below 1 pm" if value else "0 m"
+    if value < LENGTH_UNITS["pm"]:
+        return "below 1 pm" if value else "0 m"
+    return with_unit(value, LENGTH_UNITS, digits)

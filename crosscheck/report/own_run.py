@@ -24,6 +24,7 @@ from crosscheck.own_run.judge import Judgement
 from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.table import Cell, Lines, Rows
+from crosscheck.support.units import SECONDS_AND_MS, significant, with_unit
 from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import CONTACTS, LIMITS
 from newton_euler.reading.small_motions import MovingBody
@@ -238,12 +239,13 @@ def _stability(mode: Stability) -> Iterator[str]:
     Args:
         mode: the fastest mode of the linearized motion, and the limit of stable time steps.
     """
-    limit, step = f"{1e3 * mode.limit:.2g} ms", f"{1e3 * mode.timestep:g} ms"
+    limit, step = with_unit(mode.limit, SECONDS_AND_MS, digits=2), f"{1e3 * mode.timestep:g} ms"
     if mode.is_stable:
         if mode.timestep * mode.rate >= FAST_MODE:
             by = f", made by {_elements(mode)}," if mode.elements else ""
             until = f"; steps are stable up to {limit}" if mode.limit < math.inf else ""
-            yield f"the fastest one{by} has a time constant of {1e3 / mode.rate:.2g} ms{until}"
+            constant = with_unit(1.0 / mode.rate, SECONDS_AND_MS, digits=2)
+            yield f"the fastest one{by} has a time constant of {constant}{until}"
             yield _body(mode.body)
         return
     if mode.elements:
@@ -392,4 +394,5 @@ def percent(value: float) -> str:
 
 def _mass(value: float) -> str:
     """Format a mass in kg or g."""
-    return f"{value:.3g} kg" if value >= 0.1 else f"{1e3 * value:.2g} g"
+    is_light = float(f"{value:.2g}") < 0.1  # after rounding: 99.6 g are 0.1 kg
+    return f"{significant(1e3 * value, 2)} g" if is_light else f"{significant(value)} kg"

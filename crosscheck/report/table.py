@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crosscheck.compare.outcome import Verdict
+from crosscheck.support.units import SECONDS_AND_MS, with_unit
 
 
 @dataclass(frozen=True)
@@ -186,4 +187,4 @@ def _text(value: object) -> str:
 
 def seconds(value: float) -> str:
     """Format a duration, given in s, in seconds or milliseconds."""
-    return f"{value:.3g} s" if value >= 1.0 else f"{1e3 * value:.3g} ms"
+    return with_unit(value, SECONDS_AND_MS)

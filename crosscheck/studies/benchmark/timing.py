@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.support.units import TIME_UNITS, with_unit
 from crosscheck.support.versions import versions
 from newton_euler.codegen.compile import garbage_collection_off
 
@@ -105,7 +106,4 @@ def rounded(value: float) -> str:
 
 def time_text(seconds: float) -> str:
     """Format a time, given in s, with three significant digits in s, ms, us or ns."""
-    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-9:.3g} ns"
+    return with_unit(seconds, TIME_UNITS)
