@@ -82,6 +82,8 @@ def blueprint(
     heading: str,
     hidden: Sequence[Sequence[str]],
     moments: bool,
+    end: float,
+    log_views: Sequence[rrb.Spatial3DView] = (),
 ) -> Layout:
     """Make the layout of a run: mechanism and verdict at the left, two rows of plots at the right.
 
@@ -93,17 +95,22 @@ def blueprint(
         hidden: entities that are not shown at first, each as the parts of its path.
         moments: whether to show, in a tab behind the verdict, the text log of the times at which checks are
             closest to failing. The user can click these times; a text document cannot link to times.
+        end: end of the time axes, s.
+        log_views: 3-D views of logs, which other simulators wrote, in tabs before the view of the engines.
     """
-    contents = ["+ /**", "- /plots/**", "- /verdict", "- /worst"]
+    contents = ["+ /**", "- /logs/**", "- /plots/**", "- /verdict", "- /worst"]
     overrides = {rr.new_entity_path(path): rrb.EntityBehavior(visible=False) for path in hidden}
-    mechanism_view = scene_view(mechanism, run, heading, contents, overrides=overrides)
+    mechanism_view: rrb.View | rrb.Container = scene_view(
+        mechanism, run, heading, contents, overrides=overrides
+    )
+    if log_views:
+        mechanism_view = rrb.Tabs(*log_views, mechanism_view, active_tab=0)
     texts: list[rrb.View] = [rrb.TextDocumentView(origin="/verdict", name="Verdict")]
     if moments:
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
         texts.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
     # two rows of plots: quantities of the motion, and differences by which engines are judged
     rows = [[plot for plot in plots if plot.is_judged is is_judged] for is_judged in (False, True)]
-    end = float(run.time[-1])
     plot_rows = [_tabs_of_groups(row, end) for row in rows if row]
     row_heights = [1.0, LOWER_ROW_HEIGHT]
     return make_layout(

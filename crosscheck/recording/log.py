@@ -12,6 +12,8 @@ paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a num
     /reactions/ENGINE/JOINT      constraint force on the joint's second body over time
     /mechanism/your_settings/BODY  shapes and pose in the "own run", which the model file's engine makes with
                                  the settings of the file; meshes as for engines
+    /logs/NAME/reference/BODY, /logs/NAME/log/BODY  shapes and poses of the reference of a log, a run that
+                                 another simulator wrote, and of the log, in a 3-D view of their own
     /labels/BODY                 name of the body, at its position in the first engine's run
     /tilt/normal, /tilt/vertical  the axis whose tilt is plotted, and the vertical, in the first engine's run
     /wind/NAME                   wind velocity, as an arrow upwind of the plate, in the first engine's run
@@ -25,17 +27,17 @@ paths below, ENGINE, BODY, JOINT, QUANTITY and NAME stand for names, K for a num
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
 from crosscheck.own_run.judge import Judgement
 from crosscheck.recording.blueprint import blueprint, send_layout
-from crosscheck.recording.mesh_budget import engines_with_meshes, without_meshes
-from crosscheck.recording.own_run import YOUR_SETTINGS, displaced, error_plots
-from crosscheck.recording.plots import Plot, Tolerances, plots
-from crosscheck.recording.scene_view import (
+from crosscheck.recording.entities import (
+    MIN_VISIBLE_DISTANCE,
     PLAIN_COLOR,
+    heading,
     log_bodies,
     log_ground,
     log_joints,
@@ -44,7 +46,11 @@ from crosscheck.recording.scene_view import (
     log_wind,
     reaction_arrow_scale,
 )
-from crosscheck.recording.shapes import Style, drawn_points
+from crosscheck.recording.logged_runs import logged_runs
+from crosscheck.recording.mesh_budget import engines_with_meshes, without_meshes
+from crosscheck.recording.own_run import YOUR_SETTINGS, displaced, error_plots
+from crosscheck.recording.plots import Plot, Tolerances, plots
+from crosscheck.recording.shapes import Style, largest_distance
 from crosscheck.recording.stream import log_text, send_columns
 from crosscheck.support.palette import palette, rgb
 from newton_euler.model.mechanism import Mechanism
@@ -55,8 +61,8 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
-MIN_VISIBLE_DISTANCE = 0.002
-"""Smallest distance of a body in two engines that a user can see, in multiples of the mechanism's size."""
+if TYPE_CHECKING:  # most recordings have no logs
+    from crosscheck.logs.judge import LogJudgement
 
 LINE_WIDTH = 1.5
 """Width of the thinnest lines of engines in plots, points."""
@@ -75,6 +81,7 @@ def log_run(
     moments: Sequence[tuple[float, str]] = (),
     directions: Mapping[str, Array] | None = None,
     own_run: Judgement | None = None,
+    logs: Mapping[str, LogJudgement] | None = None,
 ) -> None:
     """Record the runs of all engines, plots, the verdict and the layout of the viewer.
 
@@ -93,10 +100,12 @@ def log_run(
         directions: further unit vectors (n, 3), world frame, by name, to draw with the axis whose tilt is
             plotted.
         own_run: judgement of the own run, which is drawn as a further ghost; its error is plotted.
+        logs: judgements of logs, by name. Each has its own 3-D view, in which the log is a ghost beside its
+            reference; its error is plotted.
     """
     # what to draw: plots, and which engines deviate visibly from the first
     mechanism = scene.mechanism
-    engines = list(trajectories)
+    engines, logged = list(trajectories), logged_runs(logs or {})
     styles = _styles(engines)
     shown_plots = plots(scene, trajectories, tolerances or {})
     arrow_scale = reaction_arrow_scale(mechanism, trajectories)
@@ -109,9 +118,9 @@ def log_run(
         ghosts = [*ghosts, YOUR_SETTINGS]
         color = rgb(palette([YOUR_SETTINGS])[YOUR_SETTINGS])
         styles[YOUR_SETTINGS] = Style(color, LINE_WIDTH, ghost=True)
-        shown_plots = [*error_plots(own_run), *shown_plots]
+        shown_plots = [*error_plots(own_run, "error of your settings", (YOUR_SETTINGS,)), *shown_plots]
         output_times[YOUR_SETTINGS] = own_run.run.time
-    distances = {name: _largest_distance(mechanism, first, drawn[name]) for name in ghosts}
+    distances = {name: largest_distance(mechanism, first, drawn[name]) for name in ghosts}
     visible = MIN_VISIBLE_DISTANCE * mechanism.size
     hidden_ghosts = [name for name, distance in distances.items() if distance <= visible]
 
@@ -120,8 +129,11 @@ def log_run(
     hidden.append(["reactions"])
     if len(mechanism.bodies) > MAX_LABELS:
         hidden += [["labels"], ["tilt"]]
-    heading = _heading(title, engines, distances, hidden_ghosts)
-    layout = blueprint(mechanism, first, shown_plots, heading, hidden, moments=bool(moments))
+    main_heading = heading(title, engines, distances, hidden_ghosts)
+    end = max(float(run.time[-1]) for run in (first, *(log.run for log in logged)))
+    views = [log.view() for log in logged]
+    all_plots = [*(plot for log in logged for plot in log.plots), *shown_plots]
+    layout = blueprint(mechanism, first, all_plots, main_heading, hidden, bool(moments), end, views)
     send_layout(recording, layout)
     recording.send_recording_name(title)
     text = f"{verdict}\nHidden engines, labels and reactions: eye icons of the blueprint panel, left.\n"
@@ -135,7 +147,8 @@ def log_run(
         send_columns(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
 
     # 3-D view; meshes only for as many engines as the size limit of recordings allows
-    meshed, bare = engines_with_meshes(mechanism, list(drawn)), without_meshes(mechanism)
+    in_logs = [f"{log.name}: {part}" for log in logged for part in ("reference", "log")]
+    meshed, bare = engines_with_meshes(mechanism, [*drawn, *in_logs]), without_meshes(mechanism)
     log_ground(recording, mechanism if meshed or not engines else bare, first)
     for name, run in drawn.items():
         shown_mechanism = mechanism if name in meshed else bare
@@ -149,6 +162,11 @@ def log_run(
         if isinstance(force, WindLoad):
             log_wind(recording, mechanism, first, force)
 
+    for log in logged:
+        log.draw(recording, has_meshes=f"{log.name}: log" in meshed)
+        for plot in log.plots:
+            look = Style(log.color, LINE_WIDTH)
+            _log_plot(recording, plot, {log.name: log.run.time}, {log.name: look})
     for plot in shown_plots:
         _log_plot(recording, plot, output_times, styles)
 
@@ -183,35 +201,6 @@ def _initial_pose(mechanism: Mechanism) -> Trajectory:
         position=start.position[None],
         quaternion=start.quaternion[None],
     )
-
-
-def _largest_distance(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
-    """Compute the largest distance, m, of any point of a drawn body in two runs at the same time."""
-    n = min(len(first.time), len(other.time))
-    differences = (
-        drawn_points(mechanism, body, first)[:n] - drawn_points(mechanism, body, other)[:n]
-        for body in range(len(mechanism.bodies))
-    )
-    return max(float(np.max(np.linalg.norm(difference, axis=2))) for difference in differences)
-
-
-def _heading(title: str, engines: list[str], distances: dict[str, float], hidden: list[str]) -> str:
-    """Make the title of the 3-D view, which lists the engines that are solid, ghosts or hidden.
-
-    Args:
-        title: title of the recording.
-        engines: all engines; the first is solid.
-        distances: largest distance from the first engine, m, of each other engine and of the own run.
-        hidden: engines (and the own run) whose distance is too small to be visible.
-    """
-    parts = [f"{engine} solid" for engine in engines[:1]]
-    for name, distance in distances.items():
-        if name not in hidden:
-            parts.append(f"{name} ghost, up to {distance:.2g} m away")
-    if hidden:
-        within = max(distances[name] for name in hidden)
-        parts.append(f"{', '.join(hidden)} hidden, within {within:.0e} m")
-    return f"{title}: {'; '.join(parts)}"
 
 
 def _log_plot(

@@ -55,17 +55,22 @@ def displaced(first: Trajectory, judgement: Judgement) -> Trajectory:
     )
 
 
-def error_plots(judgement: Judgement) -> Iterator[Plot]:
-    """Plot the errors of positions and orientations of the own run over time, largest over the bodies."""
+def error_plots(judgement: Judgement, group: str, path: tuple[str, ...]) -> Iterator[Plot]:
+    """Plot the errors of positions and orientations of a judged run over time, largest over the bodies.
+
+    Args:
+        judgement: the run, such as the own run, and the reference solution at the same times.
+        group: name of the group of plots.
+        path: path of the plots; its last part is the name of the lines.
+    """
     position, rotation = errors_over_time(judgement.run, judgement.reference)
-    group = "error of your settings"
     for name, title, values in (
         ("position", "error of position [m]", position),
         ("rotation", "error of rotation [rad]", rotation),
     ):
-        lines = {YOUR_SETTINGS: np.max(values, axis=1)}
+        lines = {path[-1]: np.max(values, axis=1)}
         # `is_judged`: an error, which is plotted even if constant, rather than a quantity of the motion
-        yield Plot(group, path=(YOUR_SETTINGS, name), title=title, lines=lines, is_judged=True)
+        yield Plot(group, path=(*path, name), title=title, lines=lines, is_judged=True)
 
 
 def _product(one: Array, two: Array) -> Array:

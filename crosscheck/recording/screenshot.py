@@ -49,7 +49,7 @@ def screenshots(
     Args:
         rrd: path of the recording.
         times: times, s, on the recording's timeline `time`.
-        view_class: Rerun's class of the view to show, such as `MECHANISM`; the first such view is shown.
+        view_class: Rerun's class of the view to show, such as `MECHANISM`; one that no tab covers is shown.
             None, or a class without a view, shows the whole window.
 
     Returns:
@@ -66,16 +66,34 @@ def screenshots(
             _wait_until_loaded(viewer, rrd)
             viewer.run_command("ui.toggle_top_panel")  # hide it
             time.sleep(NOTICES_S)
-            views = [view.view_id for view in viewer.get_state().views if view.view_class == view_class]
             picture, pictures = Path(folder) / "picture.png", []
+            view = _view_on_top(viewer, view_class, picture)
             for seconds in times:
                 viewer.set_time("time", duration=seconds, play_state="paused")
-                viewer.save_screenshot(str(picture), next(iter(views), None))
+                viewer.save_screenshot(str(picture), view)
                 pictures.append(picture.read_bytes())
             return pictures
     except (RuntimeError, OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise CrosscheckError(f"no picture of {os.fspath(rrd)}: {reason}") from error
+
+
+def _view_on_top(viewer: ViewerClient, view_class: str | None, picture: Path) -> str | None:
+    """Return the first view of a class that is not in a tab behind another one; None if there is none.
+
+    The viewer lists the views of all tabs, and takes no picture of those behind others.
+
+    Args:
+        viewer: the viewer.
+        view_class: Rerun's class of the view.
+        picture: path of a picture that may be overwritten.
+    """
+    for view in viewer.get_state().views:
+        if view.view_class == view_class:
+            with suppress(ConnectionError):
+                viewer.save_screenshot(str(picture), view.view_id)
+                return view.view_id
+    return None
 
 
 @contextmanager

@@ -162,7 +162,24 @@ def drawn_points(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
             assert_never(shape)
     # from the initial pose to the body frame, and from there to the poses of the run
     corners = (np.concatenate(points) - pose.position) @ pose.rotation
-    return run.position[:, body, None] + rotated(run.quaternion[:, body, None], corners)
+    k = run.body_names.index(mechanism.body_names[body])
+    return run.position[:, k, None] + rotated(run.quaternion[:, k, None], corners)
+
+
+def largest_distance(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
+    """Compute the largest distance, m, of any point of a drawn body in two runs at the same time.
+
+    Args:
+        mechanism: the mechanism.
+        first: run with all bodies.
+        other: run with all bodies or some, at the same output times; either run may end early.
+    """
+    n = min(len(first.time), len(other.time))
+    differences = (
+        drawn_points(mechanism, body, first)[:n] - drawn_points(mechanism, body, other)[:n]
+        for body in map(mechanism.body_index, other.body_names)
+    )
+    return max(float(np.max(np.linalg.norm(difference, axis=2))) for difference in differences)
 
 
 def _mesh(mesh: Mesh, pose: Pose, style: Style) -> rr.Mesh3D:

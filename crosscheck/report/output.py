@@ -124,8 +124,9 @@ def to_record(result: EngineComparison, report: Report) -> tuple[Any, ...]:
         tolerances,
         moments,
         directions,
-        # judgement of the model file's run with its own settings
+        # judgements of the model file's run with its own settings, and of logs
         result.own_run,
+        result.logs,
     )
 
 

@@ -24,7 +24,7 @@ from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report import plots
 from crosscheck.report.diff_page import BarChart, bar_charts
 from crosscheck.report.render import printable
-from crosscheck.report.result_files import CrosscheckFile, DiffFile, ResultFile
+from crosscheck.report.result_files import CrosscheckFile, DiffFile, ErrorOverTime, ResultFile
 from crosscheck.report.robot_view import RobotView, robot_views
 from crosscheck.report.table import Lines, Part, Report, Table
 from crosscheck.support.errors import CrosscheckError
@@ -258,13 +258,17 @@ def _make_entry(file: Path, results: ResultFile, anchor: str, progress: Progress
             raise CrosscheckError(f"{path}: missing, {file.name} beside it was written with it; run it again")
         if results.files[path.name] != digest(path):
             raise CrosscheckError(f"{path}: is not the file that {file.name} beside it was written with")
-    # pictures of the 3-D recordings at some times of the first run
+    # pictures of the 3-D recordings at some times of the first log, which is on top, or of the first run
     runs = _read_runs(path for path in paths if path.suffix == ".npz")
     first = next(iter(runs.values()), None)
+    times, log = [0.0] if first is None else key_times(first), ""
+    if isinstance(results, CrosscheckFile) and results.logs:
+        log = next(iter(results.logs))
+        times = times_of_error(results.logs[log].error_over_time)
     for path in (path for path in paths if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
-            entry.views.extend(_view_pictures(path, [0.0] if first is None else key_times(first)))
+            entry.views.extend(_view_pictures(path, times, log))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     # plots of errors, run times and runs
@@ -310,8 +314,18 @@ def key_times(run: Mapping[str, Array]) -> list[float]:
     return [float(time[0]), float(time[middle]), float(time[-1])]
 
 
-def _view_pictures(recording: Path, times: Sequence[float]) -> Iterator[Picture]:
-    """Yield pictures of the mechanism in a recording at times, s, made by the Rerun viewer.
+def times_of_error(errors: ErrorOverTime) -> list[float]:
+    """Return three times, s, of a log: the start, the time of the largest error of positions, and the end."""
+    return [errors.time[0], errors.time[int(np.argmax(errors.position))], errors.time[-1]]
+
+
+def _view_pictures(recording: Path, times: Sequence[float], log: str) -> Iterator[Picture]:
+    """Yield pictures of the mechanism in a recording, made by the Rerun viewer.
+
+    Args:
+        recording: path of the recording.
+        times: times, s.
+        log: name of the log whose view is on top in the recording; "" without logs.
 
     Raises:
         CrosscheckError: if the viewer does not run or shows nothing.
@@ -321,7 +335,8 @@ def _view_pictures(recording: Path, times: Sequence[float]) -> Iterator[Picture]
     if not recording.is_file():  # reading a pipe could wait forever
         raise CrosscheckError(f"{recording}: not a regular file")
     for time, content in zip(times, screenshots(recording, times, MECHANISM), strict=True):
-        yield Picture(content, f"{recording.stem} at {time:.4g} s")
+        what = f"log {log} (ghost) and its reference" if log else recording.stem
+        yield Picture(content, f"{what} at {time:.4g} s")
 
 
 def _read_runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:

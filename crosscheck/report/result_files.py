@@ -86,9 +86,11 @@ class ErrorOverTime(BaseModel):
 
     @model_validator(mode="after")
     def _check_lengths(self) -> ErrorOverTime:
-        """Raise `ValueError` unless all lists have a number for each time."""
+        """Raise `ValueError` unless there are times, and all lists have a number for each."""
         if {len(self.position), len(self.rotation)} != {len(self.time)}:
             raise ValueError("time, position and rotation are not equally long")
+        if not self.time:
+            raise ValueError("time is empty")
         return self
 
 

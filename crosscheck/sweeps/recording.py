@@ -23,7 +23,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.recording.blueprint import make_layout, scene_view, send_layout
-from crosscheck.recording.scene_view import PLAIN_COLOR, log_bodies, log_ground
+from crosscheck.recording.entities import PLAIN_COLOR, log_bodies, log_ground
 from crosscheck.recording.shapes import Style
 from crosscheck.recording.stream import log_text, send_columns
 from crosscheck.support.palette import palette, rgb

@@ -13,7 +13,7 @@ from test_rerun_log import layout
 import crosscheck
 from crosscheck.own_run.errors import errors_over_time
 from crosscheck.own_run.judge import Judgement
-from crosscheck.recording.log import MIN_VISIBLE_DISTANCE
+from crosscheck.recording.entities import MIN_VISIBLE_DISTANCE
 from crosscheck.recording.own_run import YOUR_SETTINGS, displaced
 from crosscheck.verdict import Verdict
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector

@@ -24,9 +24,9 @@ from rerun.chunk import RrdReader
 
 from crosscheck.compare.check import CONSTRAINT_VIOLATION
 from crosscheck.recording.blueprint import TIME
-from crosscheck.recording.log import MIN_VISIBLE_DISTANCE, log_run
+from crosscheck.recording.entities import LONGEST_ARROW, MIN_VISIBLE_DISTANCE
+from crosscheck.recording.log import log_run
 from crosscheck.recording.plots import MIN_LOG_DIFFERENCE, plots
-from crosscheck.recording.scene_view import LONGEST_ARROW
 from crosscheck.recording.stream import application_id, recorded
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.scene import Scene

@@ -1,6 +1,6 @@
-"""3-D view of a recording: bodies, names, joint points, reactions, tilt and wind of runs over time.
+"""Entities of the 3-D view of a recording: bodies, names, joint points, reactions, tilt and wind over time.
 
-Each function draws one kind of entity of the tree in `crosscheck.recording.log`, at the poses of one run.
+Each function draws one kind of entity in the tree of `crosscheck.recording.log`, at the poses of one run.
 """
 
 from __future__ import annotations
@@ -35,6 +35,28 @@ DIRECTION_COLOR = (230, 159, 0)
 LONGEST_ARROW = 1.0
 """Length of the arrow of the largest reaction force, in multiples of the mechanism's size."""
 
+MIN_VISIBLE_DISTANCE = 0.002
+"""Smallest distance of a body in two engines that a user can see, in multiples of the mechanism's size."""
+
+
+def heading(title: str, engines: list[str], distances: dict[str, float], hidden: list[str]) -> str:
+    """Make the title of the 3-D view, which lists the engines that are solid, ghosts or hidden.
+
+    Args:
+        title: title of the recording.
+        engines: all engines; the first is solid.
+        distances: largest distance from the first engine, m, of each other engine and of the own run.
+        hidden: engines (and the own run) whose distance is too small to be visible.
+    """
+    parts = [f"{engine} solid" for engine in engines[:1]]
+    for name, distance in distances.items():
+        if name not in hidden:
+            parts.append(f"{name} ghost, up to {distance:.2g} m away")
+    if hidden:
+        within = max(distances[name] for name in hidden)
+        parts.append(f"{', '.join(hidden)} hidden, within {within:.0e} m")
+    return f"{title}: {'; '.join(parts)}"
+
 
 def log_ground(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
     """Draw the fixed body, which is body 0, in its pose in a run."""
@@ -52,13 +74,15 @@ def log_bodies(
         recording: recording to write to.
         folder: parts of the path below which each body is an entity by its name.
         mechanism: mechanism with the shapes and meshes of the bodies.
-        run: run with the poses of the bodies.
+        run: run with the poses of all bodies or of some.
         style: color and look of the bodies.
     """
-    for k in range(1, len(mechanism.bodies)):
-        path = rr.new_entity_path([*folder, mechanism.body_names[k]])
-        log_shapes(recording, path, mechanism, k, style)
-        send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
+    for k, name in enumerate(run.body_names):
+        body = mechanism.body_index(name)
+        if body != 0:  # not the ground
+            path = rr.new_entity_path([*folder, name])
+            log_shapes(recording, path, mechanism, body, style)
+            send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
 
 
 def log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
