@@ -538,6 +538,68 @@ def test_a_reference_that_stops_leaves_a_limit_unfinished(four_bar):
     ]
 
 
+# two links that fall from nearly upright: a chaotic motion
+CHAOTIC = """<mujoco><option timestep="{step}" integrator="RK4"/><worldbody>
+  <body name="p1"><joint name="a" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 .1 0 .1" size=".01" mass=".1" contype="0"/>
+    <body name="p2" pos=".1 0 .1"><joint name="b" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 .14" size=".01" mass=".1" contype="0"/></body></body>
+  </worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def chaotic(tmp_path_factory):
+    """A scene, and a log of it by plain MuJoCo that starts 1e-5 rad beside another log."""
+    path, step = tmp_path_factory.mktemp("chaos") / "chaos.xml", 0.001
+    path.write_text(text := CHAOTIC.format(step=step))
+    scene, _ = load_scene(str(path), {"excitation": "off"}, verified=False)
+    tables = []
+    for nudge in (0.0, 1e-5):
+        _, (time, q, v, *_) = run_of(text, 4000, 10, start=(np.array([0.0, nudge]), np.zeros(2)))
+        tables.append({"time": time, "a": q[:, 0], "b": q[:, 1], "a_vel": v[:, 0], "b_vel": v[:, 1]})
+    return scene, *tables
+
+
+def test_a_chaotic_log_is_judged_until_its_chaos(chaotic):
+    scene, table, nudged = chaotic
+    found = judge_log(scene, None, "log", table)
+    (mechanism,) = found.scale.mechanisms
+    # by MuJoCo alone: from then on, a change of the start has grown about a thousand times
+    apart = np.maximum(*(np.abs(table[name] - nudged[name]) for name in "ab")) / 1e-5
+    assert 0.5 < mechanism.until < 3.5
+    assert np.max(apart[table["time"] < 0.5 * mechanism.until]) < 1000.0 < np.max(apart)
+    # both runs are of order 4 or more: their difference is small until then, and as large as the motion after
+    reference = found.reference
+    errors = np.max(np.linalg.norm(found.run.position - reference.position, axis=2), axis=1)
+    compared = found.run.time < mechanism.until - 1e-9
+    assert found.error.largest_position == pytest.approx(np.max(errors[compared]))
+    assert found.band is Band.ACCURATE
+    assert found.mistakes == ()
+    (note,) = (line for line in log_lines(found).lines if "compared until" in line)
+    assert f"compared until {mechanism.until:.3g} s: from then on the motion multiplies any error" in note
+
+
+@pytest.mark.parametrize("after", [True, False])
+def test_a_reference_that_stops_in_chaos_leaves_nothing_unjudged(chaotic, monkeypatch, after):
+    scene, table, _ = chaotic
+    (mechanism,) = judge_log(scene, None, "log", table).scale.mechanisms
+    end = mechanism.until + (0.2 if after else -0.2)
+
+    def stopping(scene, **options):
+        run = simulate(scene, **options)
+        error = IntegrationError(end, "joint 'b' is too fast")
+        error.partial = run.first(int(np.searchsorted(run.time, end)))
+        raise error
+
+    monkeypatch.setattr(reading, "simulate", stopping)
+    found = judge_log(scene, None, "log", table)
+    assert found.reference_stop == "joint 'b' is too fast"
+    if after:
+        assert found.unjudged_from is None
+    else:
+        assert found.unjudged_from == pytest.approx(end, abs=0.011)  # an output before it
+
+
 def broken_off(table, row, value):
     """A log whose columns beside the time have another value from a row on."""
     later = np.arange(len(table["time"])) >= row

@@ -80,6 +80,26 @@ def test_a_run_that_completes_does_not_diverge_because_of_the_run_without_its_li
     assert "without that, the run stops: Nan, Inf" in line_of(found, "note")
 
 
+@pytest.mark.parametrize(("limits", "since"), [("-20 0", 0.002), ("-20 -1", 0.0)])
+def test_a_run_that_diverges_only_without_a_limit_that_acts_from_the_start_on_names_that(
+    tmp_path, monkeypatch, limits, since
+):
+    """There is no motion before the limit that could be judged instead."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
+    text = SPUN.replace('range="-20 20"', f'range="{limits}"')
+    found = judge(simulation_of(tmp_path, text, key="k", duration=0.5))
+    assert not mujoco_alone(text, 0.002, [0.5])[1]
+    assert mujoco_alone(text, 0.002, [0.5], limits=False)[1]
+    assert found.events == (Event(since, "limits of joint 'j1'"),)
+    assert (found.until, found.stopped_as_it_stands) == (None, "")
+    assert found.stopped == found.stopped_reduced != ""
+    assert (found.band, ErrorKind.RELATIVE.of(found)) == (Band.WRONG, math.inf)
+    assert headline(found) == "DIVERGED without what acts in the file and not in the reference"
+    note = line_of(found, "note")
+    assert "judged without limits of joint 'j1': they act from" in note
+    assert note.endswith("the run as it stands completes")
+
+
 # an oscillator beside a double pendulum, which is chaotic
 BESIDE_CHAOS = """<mujoco><option timestep="0.002" integrator="RK4"/><worldbody>
   <body name="A" pos="0 1 0"><joint type="slide" axis="1 0 0" stiffness="10000" springref="0.01"/>
