@@ -41,6 +41,9 @@ DELAY_ROUNDS = 4
 MAX_DELAY = 0.25
 """Largest delay that is searched, as a fraction of the duration of the log."""
 
+REST = 1e-3
+"""Largest motion of a log, divided by its whole motion, that counts as rest at its start."""
+
 MIN_MOTION = 1e-9
 """Motion, sizes of the mechanism and rad, that counts as round-off: files often have nine digits or more."""
 
@@ -205,10 +208,30 @@ def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> I
             other = replace(options, time=unit)  # type: ignore[arg-type]
             yield OtherReading(other, ("time",), f"unit {unit}", f"--log-set time={unit}")
     first = float(data.time[0])
+    if options.offset == 0.0 and (row := _last_row_at_rest(data)) > 0:
+        motion = float(data.time[row])
+        other = replace(options, offset=motion)
+        what = f"times {motion - first:.4g} s earlier, as nothing moves before"
+        yield OtherReading(other, ("time",), what, f"--log-set offset={motion:.9g}")
     if options.offset == 0.0 and first != 0.0 and is_time_dependent(reading.scene):
         other = replace(options, offset=first)
         what = f"time {first:.6g} s as time zero"
         yield OtherReading(other, ("time",), what, f"--log-set offset={first:.9g}")
+
+
+def _last_row_at_rest(data: LogData) -> int:
+    """Return the last of the rows at the start of a log in which nothing moves, see `REST`."""
+    kinds = (
+        [each.values for each in data.coordinates.values()],
+        [frame.position.values for frame in data.frames.values() if frame.position],
+        [frame.quaternion.values for frame in data.frames.values() if frame.quaternion],
+    )
+    moves = np.zeros(len(data.time), dtype=bool)
+    for values in filter(None, kinds):
+        columns = np.column_stack(values)
+        moved = np.max(np.abs(columns - columns[0]), axis=1)
+        moves |= moved > REST * np.max(moved)
+    return max(0, int(np.argmax(moves)) - 1)  # 0 also if nothing moves in any row
 
 
 def _coordinate_columns(reading: LogReading, data: LogData) -> Iterator[tuple[str, str]]:

@@ -231,6 +231,17 @@ DAMAGE = {
     ),
     "milliseconds": (lambda j, b: j | {"time": 1e3 * j["time"]}, "'time': unit ms", "--log-set time=ms"),
     "late": (lambda j, b: held(j, 10), "'time': times 0.05 s earlier", "--log-set offset=0.05"),
+    # 150 of 251 rows
+    "late by the larger part": (
+        lambda j, b: held(j, 150),
+        "'time': times 0.75 s earlier, as nothing moves before",
+        "--log-set offset=0.75",
+    ),
+    "late, without velocities": (
+        lambda j, b: held({n: c for n, c in j.items() if not n.endswith("_vel")}, 60),
+        "'time': times 0.3 s earlier, as nothing moves before",
+        "--log-set offset=0.3",
+    ),
     "first row too early": (
         lambda j, b: {n: c[:-1] if n == "time" else np.delete(c, 1) for n, c in j.items()},
         "'time': times 0.005 s later, or without the first row",
