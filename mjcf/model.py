@@ -18,7 +18,7 @@ from mjcf.forces import WIND_MOTORS, wind_loads, wind_site
 from mjcf.layout import Layout
 from mjcf.loops import body_velocity
 from mjcf.write import controls, welded_to_xml
-from newton_euler.equations.couplings import TreeCouplings
+from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.model_control import EngineControl, roles
 from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.control import NO_FORCES, Readings, commands

@@ -39,7 +39,8 @@ from mjcf.forces import (
 )
 from mjcf.layout import Layout, number, numbers
 from newton_euler.arguments import checked
-from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
+from newton_euler.equations.coupling_equations import TreeCouplings
+from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.relative import Relative
 from newton_euler.model.control import NO_FORCES, PD, ComputedTorque, Readings, StateFeedback

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.equations.couplings import TreeCouplings
+from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.scalars import Array
 from urdf.model import ClosedLoopModel, CoordinateMap
 

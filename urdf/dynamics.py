@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.equations.couplings import TreeCouplings
+from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.model_control import EngineControl, roles, servo_forces
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, with_zero_rows

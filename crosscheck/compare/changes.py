@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.couplings import Coupling, couplings, residuals
+from newton_euler.equations.coupling_equations import residuals
+from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.equations.parameters import numbered, parameter_values, with_values
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling

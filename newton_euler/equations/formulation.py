@@ -27,10 +27,10 @@ from newton_euler.equations.couplings import (
     couplings,
     measured_coordinates,
     needed_coordinates,
-    revolutions,
     row_owners,
     row_units,
 )
+from newton_euler.equations.revolutions import revolutions
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, dot, sparse_vector, to_array
 from newton_euler.equations.system import Evaluation, MassProperties, Observation, System
 from newton_euler.model.constraints import Frame

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from newton_euler.equations import dense
-from newton_euler.equations.couplings import TreeCouplings
+from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.formulation import Formulation, Servos
 from newton_euler.equations.parameters import (
     check_dynamic,

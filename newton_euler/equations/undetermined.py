@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.couplings import couplings, residuals
+from newton_euler.equations.coupling_equations import residuals
+from newton_euler.equations.couplings import couplings
 from newton_euler.equations.dense import RANK_TOLERANCE, orthonormal_null, orthonormal_range
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.constraints import Jacobian

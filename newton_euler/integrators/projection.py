@@ -26,7 +26,8 @@ from math import sqrt
 import numpy as np
 
 from newton_euler.codegen.native import Vector, native
-from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
+from newton_euler.equations.coupling_equations import residuals
+from newton_euler.equations.couplings import couplings, row_owners, row_units
 from newton_euler.equations.dense import largest, minimum_norm
 from newton_euler.equations.redundancy import constraint_rank, loose_tolerance, rows_left_out, with_zero_rows
 from newton_euler.equations.system import System, rate_of_phi

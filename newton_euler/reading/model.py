@@ -13,7 +13,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from newton_euler.equations.couplings import couplings, residuals
+from newton_euler.equations.coupling_equations import residuals
+from newton_euler.equations.couplings import couplings
 from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
 from newton_euler.reading.checks import MIN_SCALE_SHARE, ReadingCheck, closest_to_failing, worst_entry

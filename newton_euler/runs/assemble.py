@@ -20,9 +20,11 @@ import numpy as np
 from newton_euler.arguments import checked
 from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.couplings import counted_angles, couplings, residuals, revolutions
+from newton_euler.equations.coupling_equations import residuals
+from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.revolutions import revolutions
 from newton_euler.errors import AssemblyError, MechanismError
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.geometry import UNIT_TOLERANCE

@@ -34,8 +34,9 @@ from newton_euler import (
     Scene,
 )
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.couplings import couplings, revolutions
+from newton_euler.equations.couplings import couplings
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.revolutions import revolutions
 from newton_euler.errors import MechanismError
 from newton_euler.model.initial_pose import described_at
 from newton_euler.model.state import State

@@ -12,7 +12,8 @@ from mechanisms import ORIGIN, X, Y, Z, wheel
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, State
 from newton_euler.compiled.formulations import formulate
-from newton_euler.equations.couplings import Coupling, revolutions
+from newton_euler.equations.couplings import Coupling
+from newton_euler.equations.revolutions import revolutions
 from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint import Joint
