@@ -21,13 +21,8 @@ import numpy as np
 from newton_euler.compiled.callbacks import Callbacks, PythonCallback, vector_at
 from newton_euler.compiled.constraint_groups import constraint_groups, group_places
 from newton_euler.compiled.equations import OPEN_TOLERANCE
-from newton_euler.compiled.run import (
-    METHODS,
-    dop853_of,
-    fixed_step_of,
-    native_method,
-    radau_of,
-)
+from newton_euler.compiled.records import dop853_of, fixed_step_of, radau_of
+from newton_euler.compiled.run import METHODS, native_method
 from newton_euler.equations.applied_forces import surroundings, with_likely_causes
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import singular_values

@@ -18,17 +18,8 @@ from newton_euler.codegen.compile import lane_count
 from newton_euler.compiled.callbacks import DenseCallbacks, vector_at
 from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.outputs import Outputs
-from newton_euler.compiled.run import (
-    METHODS,
-    Integrator,
-    equations,
-    load_code,
-    marks,
-    method_of,
-    native_method,
-    needed,
-    table_of,
-)
+from newton_euler.compiled.records import equations, marks, method_of, table_of
+from newton_euler.compiled.run import METHODS, Integrator, load_code, native_method, needed
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.status import Status

@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from newton_euler.compiled.callbacks import Callbacks, raise_fatal, vector_at
-from newton_euler.compiled.run import dop853_of, native_method
+from newton_euler.compiled.records import dop853_of
+from newton_euler.compiled.run import native_method
 from newton_euler.integrators.constraint_ratio import no_ratio
 from newton_euler.integrators.dense_projection import closing_of
 from newton_euler.integrators.dop853 import integrate_dop853

@@ -25,7 +25,7 @@ from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.compiled.equations import CACHED_SCENES
 from newton_euler.compiled.lanes import Runs, SideBySide, load_lanes, runs_in_lanes
 from newton_euler.compiled.outputs import named
-from newton_euler.compiled.run import COMPILATION_LOCK
+from newton_euler.compiled.records import COMPILATION_LOCK
 from newton_euler.equations.couplings import counted_angles
 from newton_euler.errors import (
     MechanismError,

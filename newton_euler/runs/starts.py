@@ -31,7 +31,8 @@ from newton_euler.compiled.callbacks import raise_fatal
 from newton_euler.compiled.equations import CACHED_SCENES, NOT_COMPILED_FIELDS, CompiledEquations
 from newton_euler.compiled.formulations import formulate
 from newton_euler.compiled.outputs import at_rows
-from newton_euler.compiled.run import Fallback, equations, native_method
+from newton_euler.compiled.records import equations
+from newton_euler.compiled.run import Fallback, native_method
 from newton_euler.equations.couplings import counted_angles, couplings
 from newton_euler.equations.driven import DrivenMechanism, driven
 from newton_euler.equations.formulation import Formulation

@@ -11,7 +11,8 @@ from newton_euler.codegen.compile import lane_count
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.trigonometry import REGISTER_DOUBLES
 from newton_euler.compiled.lanes import Runs, SideBySide, load_lanes
-from newton_euler.compiled.run import Fallback, Integrator, Projection, equations
+from newton_euler.compiled.records import equations
+from newton_euler.compiled.run import Fallback, Integrator, Projection
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF
 from newton_euler.integrators.options import Options
