@@ -1,27 +1,19 @@
-"""Report on a sweep: tables, plots, a recording, and files of its findings.
+"""Report on a sweep: tables of its findings, and a summary for the terminal.
 
 A sweep simulates a scene many times with varied parameters and keeps some numbers of each run. The findings
 are the quantiles of these numbers, the effects of the parameters on them, and crosschecks: repetitions of
-some runs in all engines. `findings` analyzes a sweep, `report` makes the tables, and `write` the files.
+some runs in all engines.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
 from itertools import groupby
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from crosscheck.compare.activity import MAX_NAMED, what_acted
-from crosscheck.compare.outcome import Outcome
-from crosscheck.report.render import as_json, markdown
-from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -34,43 +26,15 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
-from crosscheck.support.files import check_writable, write_files
-from crosscheck.sweeps.analysis import (
-    QUANTILE_LEVELS,
-    Analysis,
-    Effect,
-    KeptNumber,
-    analyzed,
-    kept_numbers,
-    most_informative,
-    most_varying,
-    sample_blocks,
-    with_unit,
-)
-from crosscheck.sweeps.checks import CheckedRun, result_line
+from crosscheck.sweeps.analysis import QUANTILE_LEVELS, Effect, KeptNumber, analyzed, most_varying, with_unit
+from crosscheck.sweeps.checks import CheckedRun
 from crosscheck.sweeps.distributions import Distribution
-from crosscheck.sweeps.expressions import Outputs
-from crosscheck.sweeps.pictures import MAX_SCATTER_POINTS, pictures, rank_of, share_of
-from crosscheck.sweeps.plan import SweepPlan, run_all
-from crosscheck.sweeps.results import SweepResults
+from crosscheck.sweeps.findings import Findings
+from crosscheck.sweeps.pictures import rank_of, share_of
+from crosscheck.sweeps.plan import SweepPlan
 from newton_euler.equations.parameters import origins
-from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
 from newton_euler.runs.initial_coordinates import initial_numbers
 from newton_euler.runs.variation import own_values, units_of
-from newton_euler.scalars import Array
-
-if TYPE_CHECKING:
-    from crosscheck.sweeps.recording import Envelope
-
-FINDINGS_FILE = "sweep.json"
-"""Name of the file with all findings."""
-
-RECORDING_FILE = "sweep.rrd"
-"""Name of the file with the Rerun recording."""
-
-SWEEP_FILES = (FINDINGS_FILE, RECORDING_FILE, "tornado.png", "histograms.png", "scatter.png")
-"""Names of the files that `write` can write: all findings, the recording, and plots."""
 
 MAX_PRINTED_ROWS = 6
 """Largest number of kept numbers in the terminal. With the next three limits, the printed report has about 25
@@ -103,120 +67,6 @@ NUMBER_PATTERN = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.])")
 FAR_NOMINAL_DEVIATIONS = 3.0
 """Distance of a nominal value from the mean of its distribution, in standard deviations, above which the
 distance is reported."""
-
-ENVELOPE_RUNS = 100
-"""Number of runs in the envelopes over time."""
-
-MAX_RECORDED_EXTREMES = 4
-"""Largest number of extreme runs in a recording."""
-
-
-@dataclass(frozen=True, eq=False)
-class Findings:
-    """Analysis of a sweep, and crosschecks of some of its runs.
-
-    Attributes:
-        swept: the runs of the sweep.
-        scalars: the kept numbers: each element of each kept output, with its values in all runs.
-        nominal: values of the kept numbers in the nominal run (with the scene's own parameters), by label.
-        effects: for each kept output, the number that varies most, and the effects of the parameters on it.
-        checked: crosschecks of some runs.
-        too_few: reason why there are no Sobol indices; empty if there are.
-        options: options of the scene or model file.
-        start: lines about the excitation of a model file (its joints get velocities, its actuators inputs),
-            and about initial poses that were changed to close loops.
-    """
-
-    swept: SweepResults
-    scalars: list[KeptNumber]
-    nominal: dict[str, float]
-    effects: list[tuple[KeptNumber, list[Effect]]]
-    checked: list[CheckedRun]
-    too_few: str
-    options: Mapping[str, str]
-    start: tuple[str, ...]
-
-    @property
-    def verdict(self) -> str:
-        """One line: whether the engines agree on the checked runs, and how many runs completed."""
-        runs, failed = self.swept.plan.samples.runs, len(self.swept.failed_runs)
-        completed = f"{runs - failed:,} of {runs:,} run{'s' * (runs != 1)} completed"
-        text = f"{completed}; none was cross-checked"
-        if self.checked:
-            extremes = {scalar.extreme(largest) for scalar, _ in self.effects for largest in (True, False)}
-            text = f"{result_line(self.checked, extremes)}; {completed}"
-        text = "; ".join(filter(None, [self._not_simulated, text]))
-        return f"{self.outcome}: {text}" if self.outcome else text
-
-    @property
-    def outcome(self) -> Outcome | None:
-        """Outcome of the crosschecks; None if all runs completed and no run was cross-checked."""
-        if any(each.differs for each in self.checked):
-            return Outcome.DISAGREE
-        if len(self.swept.failed_runs) or not all(each.complete for each in self.checked):
-            return Outcome.UNFINISHED
-        if not self.checked:
-            return None
-        if all(each.engines == ("newton_euler",) for each in self.checked):
-            return Outcome.ONE_ENGINE_ALONE  # newton_euler also executed the sweep
-        if any(each.acting for each in self.checked):  # elements that were not simulated would have acted
-            return Outcome.AGREE_ON_A_REDUCED_MODEL
-        if any(each.untested for each in self.checked):  # the motion tests no element
-            return Outcome.AGREE_AT_RANDOM_STATES_ONLY
-        return Outcome.AGREE
-
-    @property
-    def _not_simulated(self) -> str:
-        """Name the elements of the model file that are not simulated but would have acted in checked runs."""
-        names = list(dict.fromkeys(what_acted(entry) for each in self.checked for entry in each.acting))
-        if not names:
-            return ""
-        more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
-        runs = sum(bool(each.acting) for each in self.checked)
-        return f"not simulated: {', '.join(names[:MAX_NAMED])}{more}, in {runs} of {len(self.checked)} runs"
-
-    @cached_property
-    def notes(self) -> list[str]:
-        """Lines of `start`, and, if a kept number depends on reactions, lines on joint reactions that are not
-        unique because of redundant constraints."""
-        depends_on_reactions = any(each.depends_on_reactions for each in self.scalars)
-        return [*self.start, *(undetermined_lines(self.swept.plan.scene) if depends_on_reactions else ())]
-
-    @property
-    def judged(self) -> Cell:
-        """Table cell of the outcome, with the kind of the outcome, which selects its color."""
-        # without an outcome, the sweep was executed ("made") but not cross-checked
-        return Cell(self.outcome.value, self.outcome.judged) if self.outcome else Cell("made", "")
-
-
-def findings(
-    swept: SweepResults, checked: Sequence[CheckedRun], options: Mapping[str, str], start: tuple[str, ...]
-) -> Findings:
-    """Analyze a sweep; the arguments are attributes of `Findings`."""
-    scalars, analysis = kept_numbers(swept), Analysis(swept.plan.samples, analyzed(swept), swept.inputs)
-    effects = [(scalar, analysis.effects(scalar)) for scalar in most_informative(scalars)]
-    # numbers that are NaN in so many runs that there are no Sobol indices
-    without_shares = [scalar.label for scalar, found in effects if found and found[0].share is None]
-    too_few = analysis.too_few
-    if without_shares and not too_few:
-        too_few = f"no shares of variance of {', '.join(without_shares)}: too many runs without it"
-    return Findings(
-        swept=swept,
-        scalars=scalars,
-        nominal=_nominal(swept.plan, scalars),
-        effects=effects,
-        checked=list(checked),
-        too_few=too_few,
-        options=options,
-        start=start,
-    )
-
-
-def _nominal(plan: SweepPlan, scalars: Sequence[KeptNumber]) -> dict[str, float]:
-    """Execute the run with nominal parameters; return its kept numbers by label."""
-    parameters = own_values(plan.scene, plan.samples.names)
-    values = run_all(plan, {name: value.reshape(1) for name, value in parameters.items()}).values
-    return {each.label: float(values[each.variable][0][each.index]) for each in scalars}
 
 
 def report(found: Findings) -> Report:
@@ -462,131 +312,3 @@ def _missing_numbers(found: Findings) -> list[str]:
                 f"what matters for {scalar.label} is of {of_all}: without the others shares are distorted"
             )
     return lines
-
-
-def write(found: Findings, made: Report, folder: Path) -> list[Path]:
-    """Write the findings next to the Zarr store: JSON, plots and a recording, all files or none.
-
-    Args:
-        found: the findings.
-        made: their report, which the JSON file contains.
-        folder: folder of the files. Files of an earlier sweep that are not written again are removed.
-
-    Returns:
-        Paths of the written files.
-
-    Raises:
-        CrosscheckError: naming the path that cannot be written.
-    """
-    from crosscheck.recording.stream import recorded
-    from crosscheck.sweeps.recording import log_sweep
-
-    paths = [folder / name for name in SWEEP_FILES]
-    check_writable(*paths)
-    runs = analyzed(found.swept)
-    points = sample_blocks(len(runs), MAX_SCATTER_POINTS)
-    inputs, plan = found.swept.inputs(runs[points]), found.swept.plan
-    units = units_of(plan.scene, plan.samples.names)
-    drawn = pictures(found.effects, points, inputs, units, found.nominal)
-    files = {folder / name: content for name, content in drawn.items()}
-    to_log = to_record(found, made)
-    if to_log.runs:
-        files[folder / RECORDING_FILE] = recorded(log_sweep, *to_log)
-    whole = {folder / FINDINGS_FILE: as_json(_data(found), made, files), **files}
-    write_files(whole, [path for path in paths if path not in whole])
-    return list(whole)
-
-
-class RecordingContent(NamedTuple):
-    """Arguments of `crosscheck.sweeps.recording.log_sweep` after the recording.
-
-    Attributes:
-        scene: scene with nominal values.
-        runs: the nominal run and the extreme runs by name, except failed ones.
-        envelopes: for each kept output, the time series of the number that varies most, over many runs.
-        text: summary of the report, Markdown.
-        title: title of the report.
-    """
-
-    scene: Scene
-    runs: dict[str, Trajectory]
-    envelopes: list[Envelope]
-    text: str
-    title: str
-
-
-def to_record(found: Findings, made: Report) -> RecordingContent:
-    """Return what `crosscheck.sweeps.recording.log_sweep` logs of the findings and their report."""
-    runs, envelopes = _repeated_runs(found)
-    text = markdown(replace(made, parts=made.summary))
-    return RecordingContent(found.swept.plan.scene, runs, envelopes, text, made.title)
-
-
-def _data(found: Findings) -> dict[str, object]:
-    """Return all findings, for JSON."""
-    plan = found.swept.plan
-    return {
-        "scene": plan.scene.name,
-        "source": plan.scene.name,  # the model, by the key that all result files have
-        "options": dict(found.options),
-        "vary": {", ".join(names): str(each) for names, each in plan.samples.groups},
-        "sampling": plan.samples.sampling,
-        "runs": plan.samples.runs,
-        "seed": plan.samples.seed,
-        "keep": list(plan.keep),
-        "control": dict(plan.control),
-        "errors": len(found.swept.failed_runs),
-        "known": {each.label: int(np.isfinite(each.values).sum()) for each in found.scalars},
-        "quantiles": {
-            each.label: dict(
-                zip(map("{:g}".format, QUANTILE_LEVELS.values()), each.quantiles.tolist(), strict=True)
-            )
-            for each in found.scalars
-        },
-        "effects": {scalar.label: [asdict(each) for each in effects] for scalar, effects in found.effects},
-        "checked": [asdict(each) for each in found.checked],
-        "notes": found.notes,
-    }
-
-
-def _repeated_runs(found: Findings) -> tuple[dict[str, Trajectory], list[Envelope]]:
-    """Repeat the nominal run, the extreme runs and a sample of runs, with all output times.
-
-    Returns:
-        The attributes `runs` and `envelopes` of `RecordingContent`.
-    """
-    from crosscheck.sweeps.recording import Envelope
-
-    # Parameters of all repeated runs: first the nominal run and the extreme runs, which have names
-    plan = found.swept.plan
-    extremes = list(
-        dict.fromkeys(scalar.extreme(largest) for scalar, _ in found.effects for largest in (True, False))
-    )[:MAX_RECORDED_EXTREMES]
-    names = ["nominal", *(f"run {run}" for run in extremes)]
-    nominal_values = own_values(plan.scene, plan.samples.names)
-    inputs = found.swept.inputs(np.array([*extremes, *sample_blocks(plan.samples.runs, ENVELOPE_RUNS)]))
-    values = {name: np.append(nominal_values[name], of_runs) for name, of_runs in inputs.items()}
-    # Simulate as many runs at a time as fit into memory; the first batch contains all runs with names.
-    # The pruned scene saves only the outputs, such as velocities, that the kept numbers need
-    scene = replace(plan.pruned_scene, output_period=plan.scene.output_period)
-    kept = {each.name: each for each in plan.kept}
-    runs: dict[str, Trajectory] = {}
-    parts: list[list[Array]] = []  # time series (runs of the batch, n) by batch and kept number
-    size = max(len(names), plan.runs_per_batch(scene))
-    for first in range(0, len(next(iter(values.values()))), size):
-        part = {name: of_runs[first : first + size] for name, of_runs in values.items()}
-        batch = plan.batch(part, scene, threads=None)
-        if not first:
-            runs = {name: batch[k] for k, name in enumerate(names) if k not in batch.errors}
-        outputs = Outputs.of_batch(plan.scene, batch)
-        # copies, since a view would keep the whole batch in memory
-        parts.append(
-            [kept[each.variable].time_series_of(outputs, each.index).copy() for each, _ in found.effects]
-        )
-    # Time series of the sample and of the runs with names
-    envelopes = []
-    for k, (scalar, _) in enumerate(found.effects):
-        time_series = np.concatenate([part[k] for part in parts])
-        lines = {name: line for name, line in zip(names, time_series, strict=False) if name in runs}
-        envelopes.append(Envelope(scalar.heading, scene.times, time_series[len(names) :], lines))
-    return runs, envelopes

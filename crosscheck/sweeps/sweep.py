@@ -30,9 +30,11 @@ from crosscheck.sweeps.analysis import kept_numbers, most_informative
 from crosscheck.sweeps.checks import CheckedRun, check_runs, chosen, default_count
 from crosscheck.sweeps.distributions import Vary
 from crosscheck.sweeps.execute import workers
+from crosscheck.sweeps.findings import Findings, findings
+from crosscheck.sweeps.output import to_record, write
 from crosscheck.sweeps.plan import SweepPlan
 from crosscheck.sweeps.reductions import Keep, reductions
-from crosscheck.sweeps.report import Findings, findings, report, to_record, write
+from crosscheck.sweeps.report import report
 from crosscheck.sweeps.results import SweepResults, check_names, results_of
 from crosscheck.sweeps.sampling import SamplingName, samples_of
 from crosscheck.sweeps.store import libraries

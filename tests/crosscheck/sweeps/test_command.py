@@ -25,7 +25,7 @@ from crosscheck.compare.outcome import ExitStatus, Outcome
 from crosscheck.library import load
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.sweeps.checks import default_count
-from crosscheck.sweeps.report import MAX_RECORDED_EXTREMES, to_record
+from crosscheck.sweeps.output import MAX_RECORDED_EXTREMES, to_record
 from newton_euler import Revolute, with_parameters
 from newton_euler.codegen.compile import lane_count
 from newton_euler.errors import DISTRIBUTION
