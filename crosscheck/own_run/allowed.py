@@ -15,7 +15,7 @@ from typing import assert_never
 
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.support.units import significant, with_unit
+from crosscheck.support.units import quantity_text, significant
 
 OWN_RUN = "your settings"
 """Name of the run with the settings of the model file, beside the names of logs."""
@@ -192,4 +192,4 @@ def length(value: float, digits: int = 3) -> str:
     """Format a length in m, mm, um, nm or pm with three digits."""
     if value < LENGTH_UNITS["pm"]:
         return "below 1 pm" if value else "0 m"
-    return with_unit(value, LENGTH_UNITS, digits)
+    return quantity_text(value, LENGTH_UNITS, digits)

@@ -24,7 +24,7 @@ from crosscheck.own_run.judge import Judgement
 from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.own_run.stability import ModelChange, Stability
 from crosscheck.report.table import Cell, Lines, Rows
-from crosscheck.support.units import SECONDS_AND_MS, significant, with_unit
+from crosscheck.support.units import SECONDS_AND_MS, quantity_text, significant
 from newton_euler.reading.file_run import Event
 from newton_euler.reading.import_report import CONTACTS, LIMITS
 from newton_euler.reading.small_motions import MovingBody
@@ -239,12 +239,12 @@ def _stability(mode: Stability) -> Iterator[str]:
     Args:
         mode: the fastest mode of the linearized motion, and the limit of stable time steps.
     """
-    limit, step = with_unit(mode.limit, SECONDS_AND_MS, digits=2), f"{1e3 * mode.timestep:g} ms"
+    limit, step = quantity_text(mode.limit, SECONDS_AND_MS, digits=2), f"{1e3 * mode.timestep:g} ms"
     if mode.is_stable:
         if mode.timestep * mode.rate >= FAST_MODE:
             by = f", made by {_elements(mode)}," if mode.elements else ""
             until = f"; steps are stable up to {limit}" if mode.limit < math.inf else ""
-            constant = with_unit(1.0 / mode.rate, SECONDS_AND_MS, digits=2)
+            constant = quantity_text(1.0 / mode.rate, SECONDS_AND_MS, digits=2)
             yield f"the fastest one{by} has a time constant of {constant}{until}"
             yield _body(mode.body)
         return

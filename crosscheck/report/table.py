@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crosscheck.compare.outcome import Verdict
-from crosscheck.support.units import SECONDS_AND_MS, with_unit
+from crosscheck.support.units import SECONDS_AND_MS, quantity_text
 
 
 @dataclass(frozen=True)
@@ -187,4 +187,4 @@ def _text(value: object) -> str:
 
 def seconds(value: float) -> str:
     """Format a duration, given in s, in seconds or milliseconds."""
-    return with_unit(value, SECONDS_AND_MS)
+    return quantity_text(value, SECONDS_AND_MS)

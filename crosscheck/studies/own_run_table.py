@@ -25,7 +25,7 @@ from crosscheck.own_run.remedies import MeasuredRemedy
 from crosscheck.report.own_run import FAST_MODE, MIN_CAUSE, angle, cost_text, percent, size, sizes
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Rows, Table, text_columns
-from crosscheck.support.units import SECONDS_AND_MS, with_unit
+from crosscheck.support.units import SECONDS_AND_MS, quantity_text
 
 MAX_REPEAT_TIME = 600.0
 """Largest wall time of the script, s."""
@@ -175,7 +175,7 @@ def _cause(own_run: Mapping[str, Any], by_position: bool) -> str:
     # the mode of the linearized model that limits the time step, with its rate, 1/s
     mode = own_run["stability"]
     if mode and mode["elements"] and mode["timestep"] * mode["rate"] >= FAST_MODE:
-        constant = with_unit(1.0 / mode["rate"], SECONDS_AND_MS, digits=2)
+        constant = quantity_text(1.0 / mode["rate"], SECONDS_AND_MS, digits=2)
         words.append(f"{mode['elements'][0]['name']} makes a mode of {constant}")
     return "; ".join(words)
 

@@ -21,7 +21,7 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{float(f'{value:.{digits}g}'):.{max(6, digits)}g}"
 
 
-def with_unit(value: float, units: Mapping[str, float], digits: int = 3) -> str:
+def quantity_text(value: float, units: Mapping[str, float], digits: int = 3) -> str:
     """Format a number in the largest unit of which it is at least 1 after rounding, or in the smallest unit.
 
     With two digits it is at least 0.1 of the unit: 230 ms has three digits before the point, 0.23 s has two.
@@ -32,7 +32,7 @@ def with_unit(value: float, units: Mapping[str, float], digits: int = 3) -> str:
         digits: number of significant digits.
 
     Examples:
-        >>> with_unit(999.6e-6, TIME_UNITS), with_unit(0.23, TIME_UNITS, digits=2)
+        >>> quantity_text(999.6e-6, TIME_UNITS), quantity_text(0.23, TIME_UNITS, digits=2)
         ('1 ms', '0.23 s')
     """
     rounded = float(f"{value:.{digits}g}")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.support.units import TIME_UNITS, with_unit
+from crosscheck.support.units import TIME_UNITS, quantity_text
 from crosscheck.support.versions import versions
 from newton_euler.codegen.compile import garbage_collection_off
 
@@ -106,4 +106,4 @@ def rounded(value: float) -> str:
 
 def time_text(seconds: float) -> str:
     """Format a time, given in s, with three significant digits in s, ms, us or ns."""
-    return with_unit(seconds, TIME_UNITS)
+    return quantity_text(seconds, TIME_UNITS)

@@ -10,7 +10,7 @@ import pytest
 from crosscheck.own_run.allowed import length
 from crosscheck.report.table import seconds
 from crosscheck.studies.benchmark.timing import time_text
-from crosscheck.support.units import TIME_UNITS, significant, with_unit
+from crosscheck.support.units import TIME_UNITS, quantity_text, significant
 
 
 @pytest.mark.parametrize(
@@ -28,14 +28,14 @@ from crosscheck.support.units import TIME_UNITS, significant, with_unit
     ],
 )
 def test_three_digits(value, text):
-    assert with_unit(value, TIME_UNITS) == time_text(value) == text
+    assert quantity_text(value, TIME_UNITS) == time_text(value) == text
 
 
 @pytest.mark.parametrize(
     ("value", "text"), [(0.0994, "99 ms"), (0.0996, "0.1 s"), (0.234, "0.23 s"), (9.96e-5, "0.1 ms")]
 )
 def test_two_digits(value, text):
-    assert with_unit(value, TIME_UNITS, digits=2) == text
+    assert quantity_text(value, TIME_UNITS, digits=2) == text
 
 
 def test_numbers_from_picometers_to_kilometers_have_no_exponent():
