@@ -27,8 +27,8 @@ from crosscheck.compare.runs import MAX_REMAINING_ERROR
 from crosscheck.engines.engine import ENGINES, EXACT_ATOL, EXACT_RTOL, MAX_RELATIVE_ERROR, Engine
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.time_limits import with_progress
-from crosscheck.sweeps.analysis import KeptNumber
 from crosscheck.sweeps.expressions import Outputs
+from crosscheck.sweeps.kept_numbers import KeptNumber
 from crosscheck.sweeps.plan import SweepPlan, run_all
 from crosscheck.sweeps.reductions import WHEN, Reduction
 from crosscheck.sweeps.results import SweepResults

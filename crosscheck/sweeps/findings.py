@@ -15,8 +15,9 @@ from crosscheck.compare.activity import MAX_NAMED, what_acted
 from crosscheck.compare.outcome import Outcome
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import Cell
-from crosscheck.sweeps.analysis import Analysis, Effect, KeptNumber, analyzed, kept_numbers, most_informative
+from crosscheck.sweeps.analysis import Analysis, Effect
 from crosscheck.sweeps.checks import CheckedRun, result_line
+from crosscheck.sweeps.kept_numbers import KeptNumber, analyzed, kept_numbers, most_informative
 from crosscheck.sweeps.plan import SweepPlan, run_all
 from crosscheck.sweeps.results import SweepResults
 from newton_euler.runs.variation import own_values

@@ -15,9 +15,9 @@ import numpy as np
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
 from crosscheck.support.files import check_writable, write_files
-from crosscheck.sweeps.analysis import QUANTILE_LEVELS, analyzed, sample_blocks
 from crosscheck.sweeps.expressions import Outputs
 from crosscheck.sweeps.findings import Findings
+from crosscheck.sweeps.kept_numbers import QUANTILE_LEVELS, analyzed, sample_blocks
 from crosscheck.sweeps.pictures import MAX_SCATTER_POINTS, pictures
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

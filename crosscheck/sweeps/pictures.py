@@ -15,7 +15,8 @@ import numpy as np
 
 from crosscheck.report.plots import own_style, png
 from crosscheck.support.palette import ENGINE_COLORS
-from crosscheck.sweeps.analysis import Effect, KeptNumber, with_unit
+from crosscheck.sweeps.analysis import Effect
+from crosscheck.sweeps.kept_numbers import KeptNumber, with_unit
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from crosscheck.recording.entities import PLAIN_COLOR, log_bodies, log_ground
 from crosscheck.recording.shapes import Style
 from crosscheck.recording.stream import log_text, send_columns
 from crosscheck.support.palette import palette, rgb
-from crosscheck.sweeps.analysis import QUANTILE_LEVELS
+from crosscheck.sweeps.kept_numbers import QUANTILE_LEVELS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array

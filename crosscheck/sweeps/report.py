@@ -26,10 +26,11 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
-from crosscheck.sweeps.analysis import QUANTILE_LEVELS, Effect, KeptNumber, analyzed, most_varying, with_unit
+from crosscheck.sweeps.analysis import Effect
 from crosscheck.sweeps.checks import CheckedRun
 from crosscheck.sweeps.distributions import Distribution
 from crosscheck.sweeps.findings import Findings
+from crosscheck.sweeps.kept_numbers import QUANTILE_LEVELS, KeptNumber, analyzed, most_varying, with_unit
 from crosscheck.sweeps.pictures import rank_of, share_of
 from crosscheck.sweeps.plan import SweepPlan
 from newton_euler.equations.parameters import origins

@@ -26,11 +26,11 @@ from crosscheck.report.shown import Shown
 from crosscheck.report.table import Report
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import path_of
-from crosscheck.sweeps.analysis import kept_numbers, most_informative
 from crosscheck.sweeps.checks import CheckedRun, check_runs, chosen, default_count
 from crosscheck.sweeps.distributions import Vary
 from crosscheck.sweeps.execute import workers
 from crosscheck.sweeps.findings import Findings, findings
+from crosscheck.sweeps.kept_numbers import kept_numbers, most_informative
 from crosscheck.sweeps.output import to_record, write
 from crosscheck.sweeps.plan import SweepPlan
 from crosscheck.sweeps.reductions import Keep, reductions

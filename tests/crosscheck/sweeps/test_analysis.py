@@ -10,15 +10,8 @@ from matplotlib.figure import Figure
 from scipy.stats import binom
 
 import crosscheck.sweeps.analysis
-from crosscheck.sweeps.analysis import (
-    MAX_SHARE_RUNS,
-    Analysis,
-    Effect,
-    KeptNumber,
-    most_informative,
-    most_varying,
-    sample_blocks,
-)
+from crosscheck.sweeps.analysis import MAX_SHARE_RUNS, Analysis, Effect
+from crosscheck.sweeps.kept_numbers import KeptNumber, most_informative, most_varying, sample_blocks
 from crosscheck.sweeps.pictures import SCATTER_COLUMNS, _scatter, share_of
 from crosscheck.sweeps.sampling import samples_of
 
