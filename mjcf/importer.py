@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 
 from mjcf.errors import collected_warnings
-from mjcf.reading.source import SourceError
+from mjcf.reading.xml_scan import SourceError
 from mjcf.robot import describe
 from newton_euler.model.source_file import path_text
 from newton_euler.reading.robot import RobotFile

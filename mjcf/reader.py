@@ -37,8 +37,9 @@ from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.plausibility import key_findings, mesh_findings
 from mjcf.reading.softness import equalities_with_own_softness
-from mjcf.reading.source import UNNAMED, SourceError, check_memory, compile_file, copy_model, model_name
+from mjcf.reading.source import UNNAMED, check_memory, compile_file, copy_model, model_name
 from mjcf.reading.start import ModelAtStart, ModelToImport
+from mjcf.reading.xml_scan import SourceError
 from mjcf.reference import MjcfReference
 from mjcf.run_settings import Inputs
 from newton_euler.arguments import UNCHECKED, checked

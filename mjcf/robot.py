@@ -18,7 +18,8 @@ from mjcf.errors import collected_warnings
 from mjcf.loops import fixed_tendon_weights
 from mjcf.reading.compile import compile_spec
 from mjcf.reading.essentials import NO_MASS, Essentials, essential_texts
-from mjcf.reading.source import FREE_TEXT, SourceError, copy_model, model_name, read_texts
+from mjcf.reading.source import copy_model, model_name
+from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
 from newton_euler.model.source_file import element_lines, path_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.robot import (

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjcf.errors import collected_warnings
 from mjcf.reading.essentials import essential_texts
-from mjcf.reading.source import read_texts
+from mjcf.reading.xml_scan import read_texts
 from mjcf.robot import compiled
 from newton_euler.reading.hulls import box_points, capsule_points, ellipsoid_points, rim_points
 from newton_euler.scalars import Array

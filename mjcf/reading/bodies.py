@@ -15,8 +15,8 @@ import numpy as np
 
 from mjcf.layout import element_name
 from mjcf.loops import body_velocity
-from mjcf.reading.source import SourceError
 from mjcf.reading.start import ModelAtStart
+from mjcf.reading.xml_scan import SourceError
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Inertia, Mesh, Shape, Sphere, total_inertia
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from mjcf.reading.source import XmlTexts
+from mjcf.reading.xml_scan import XmlTexts
 
 UNUSED = frozenset(
     ("visual", "statistic", "contact", "sensor", "keyframe", "custom", "light", "camera", "texture", "skin")

@@ -18,7 +18,7 @@ import numpy as np
 from mjcf.evaluate import constraint_jacobian
 from mjcf.layout import element_name
 from mjcf.loops import closure_ends
-from mjcf.reading.source import SourceError
+from mjcf.reading.xml_scan import SourceError
 from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.errors import choices
 from newton_euler.model.mechanism import characteristic_length

@@ -12,7 +12,7 @@ import pytest
 from mjcf_models import ELEMENTS
 from robot_dynamics import Pose, mass_matrix, pose
 
-from mjcf.reading.source import SourceError
+from mjcf.reading.xml_scan import SourceError
 from mjcf.robot import describe
 from newton_euler.model.source_file import SourceLine
 from newton_euler.reading.robot import JointKind, LoopKind, Robot, RobotFile
