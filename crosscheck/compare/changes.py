@@ -22,7 +22,8 @@ import numpy as np
 
 from newton_euler.equations.coupling_equations import residuals
 from newton_euler.equations.couplings import Coupling, couplings
-from newton_euler.equations.parameters import numbered, parameter_values, with_values
+from newton_euler.equations.parameter_names import numbered
+from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import HeldLaw

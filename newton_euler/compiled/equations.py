@@ -41,12 +41,11 @@ from newton_euler.compiled.constraint_groups import constraint_groups
 from newton_euler.compiled.formulations import cheaper_formulation, formulate
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import share_model_control
+from newton_euler.equations.parameter_names import Place, places
 from newton_euler.equations.parameters import (
-    Place,
     parameter_layout,
     parameter_values,
     pieces,
-    places,
     values_at,
     with_values,
 )

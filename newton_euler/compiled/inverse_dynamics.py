@@ -27,7 +27,8 @@ from newton_euler.codegen.program import native_program
 from newton_euler.compiled.equations import NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.formulation import Servos
-from newton_euler.equations.parameters import measuring, numbered, pieces, with_values
+from newton_euler.equations.parameter_names import numbered
+from newton_euler.equations.parameters import measuring, pieces, with_values
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.row_choice import exchangeable_rows, flags_at

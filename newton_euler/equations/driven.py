@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.parameters import numbered
+from newton_euler.equations.parameter_names import numbered
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import PrescribedMotion, TimeFunction
 from newton_euler.model.scene import Scene

@@ -28,14 +28,8 @@ import numpy as np
 from newton_euler.equations import dense
 from newton_euler.equations.coupling_equations import TreeCouplings
 from newton_euler.equations.formulation import Formulation, Servos
-from newton_euler.equations.parameters import (
-    check_dynamic,
-    checked,
-    element_of,
-    measuring,
-    places,
-    with_values,
-)
+from newton_euler.equations.parameter_names import element_of, places
+from newton_euler.equations.parameters import check_dynamic, checked, measuring, with_values
 from newton_euler.equations.redundancy import inherit_mobility, rows_left_out, with_zero_rows
 from newton_euler.equations.row_choice import (
     exchangeable_rows,

@@ -22,7 +22,8 @@ from newton_euler.compiled.run import Projection
 from newton_euler.equations.driven import DrivenMechanism, driven
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.model_control import Roles, known_scene, roles
-from newton_euler.equations.parameters import PIECE, pieces
+from newton_euler.equations.parameter_names import PIECE
+from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import MechanismError, SingularityError, is_finite_number
 from newton_euler.model.control import Readings

@@ -38,15 +38,8 @@ from newton_euler.equations.driven import DrivenMechanism, driven
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import independent
 from newton_euler.equations.kinematics import TreeKinematics
-from newton_euler.equations.parameters import (
-    PIECE,
-    numbered,
-    parameter_layout,
-    pieces,
-    places,
-    unambiguous,
-    with_values,
-)
+from newton_euler.equations.parameter_names import PIECE, numbered, places, unambiguous
+from newton_euler.equations.parameters import parameter_layout, pieces, with_values
 from newton_euler.equations.redundancy import loose_tolerance, mobility
 from newton_euler.errors import MechanismError, listed
 from newton_euler.integrators.projection import worst_joint

@@ -23,17 +23,8 @@ from typing import Annotated, Any, NamedTuple, TypeAlias, assert_never
 import numpy as np
 
 from newton_euler.arguments import UNCHECKED, checked
-from newton_euler.equations.parameters import (
-    Owner,
-    Place,
-    element_of,
-    own_value,
-    parameter_values,
-    places,
-    rebuilt,
-    refusal,
-    with_values,
-)
+from newton_euler.equations.parameter_names import Owner, Place, element_of, places
+from newton_euler.equations.parameters import own_value, parameter_values, rebuilt, refusal, with_values
 from newton_euler.errors import MechanismError, finite_array, quoted, real_array
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.fields import NumberField

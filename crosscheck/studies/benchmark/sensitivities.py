@@ -22,7 +22,7 @@ from newton_euler import compile_scene
 from newton_euler.analysis.sensitivity.tangent_code import tangent_code
 from newton_euler.analysis.sensitivity.tangent_run import TangentRun, tangent_options
 from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
-from newton_euler.equations.parameters import parameter_names
+from newton_euler.equations.parameter_names import parameter_names
 from newton_euler.errors import SensitivityError
 from newton_euler.model.scene import Scene
 from newton_euler.runs.intervals import integrate_intervals

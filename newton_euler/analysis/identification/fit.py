@@ -22,7 +22,8 @@ import numpy as np
 from newton_euler.analysis.identification.noise import FINAL_CHANGE, ROUGH_CHANGE, Noise
 from newton_euler.analysis.identification.residuals import Residuals
 from newton_euler.analysis.sensitivity.tangent_starts import own_numbers
-from newton_euler.equations.parameters import own_value, places
+from newton_euler.equations.parameter_names import places
+from newton_euler.equations.parameters import own_value
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.runs.initial_coordinates import initial_numbers

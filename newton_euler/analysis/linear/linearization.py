@@ -44,15 +44,14 @@ from newton_euler.compiled.equations import CACHED_SCENES, NOT_COMPILED_FIELDS
 from newton_euler.compiled.outputs import at_rows
 from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.model_control import share_model_control
+from newton_euler.equations.parameter_names import numbered, unambiguous
 from newton_euler.equations.parameters import (
     check_dynamic,
     measuring,
-    numbered,
     parameter_layout,
     parameter_values,
     pieces,
     pieces_along,
-    unambiguous,
     with_laws,
     with_values,
 )

@@ -18,7 +18,7 @@ from newton_euler.codegen.compile import MIN_ROLLED_SIZE_IN_LANES, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate_along, substitute
 from newton_euler.compiled.equations import CACHED_SCENES, used_by
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.parameters import places
+from newton_euler.equations.parameter_names import places
 from newton_euler.equations.row_choice import dimensionless_rows
 from newton_euler.equations.sparse import RowsInUse, least_squares, solve_constrained, sparse_vector
 from newton_euler.integrators.options import FormulationName

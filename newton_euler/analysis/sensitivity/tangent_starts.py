@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from newton_euler.analysis.sensitivity.tangent_run import NEAR_SINGULAR
-from newton_euler.equations.parameters import places
+from newton_euler.equations.parameter_names import places
 from newton_euler.errors import MechanismError, SensitivityError
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.scene import Scene

@@ -12,13 +12,8 @@ from mechanisms import line_spring, mass_on_rail
 
 from crosscheck.library import load
 from newton_euler import simulate, simulate_batch, with_parameters
-from newton_euler.equations.parameters import (
-    parameter_names,
-    parameter_values,
-    places,
-    refusal,
-    unambiguous,
-)
+from newton_euler.equations.parameter_names import parameter_names, places, unambiguous
+from newton_euler.equations.parameters import parameter_values, refusal
 from newton_euler.errors import MAX_PROPOSED_NAMES, MechanismError, OptionError, UnknownNameError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD

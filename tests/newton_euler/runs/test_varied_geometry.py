@@ -13,10 +13,7 @@ import crosscheck
 from crosscheck.library import load
 from newton_euler import simulate, simulate_batch, start, with_parameters
 from newton_euler.compiled.formulations import formulate
-from newton_euler.equations.parameters import (
-    parameter_values,
-    with_values,
-)
+from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.redundancy import inherit_mobility, mobility
 from newton_euler.equations.sparse import to_array
 from newton_euler.model.compound_joint import Compound

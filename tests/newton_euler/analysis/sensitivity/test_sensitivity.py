@@ -17,7 +17,8 @@ from newton_euler import compile_scene, equilibrium, sensitivities, simulate_bat
 from newton_euler.analysis.sensitivity.tangent_code import tangent_code
 from newton_euler.analysis.sensitivity.tangent_run import TangentRun
 from newton_euler.analysis.sensitivity.tangent_starts import Starts, own_numbers
-from newton_euler.equations.parameters import parameter_values, places
+from newton_euler.equations.parameter_names import places
+from newton_euler.equations.parameters import parameter_values
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import LinearCoupling
