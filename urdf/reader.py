@@ -10,7 +10,6 @@ model, see `newton_euler.reading` and `urdf.reference`.
 
 from __future__ import annotations
 
-import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
@@ -26,25 +25,14 @@ from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError, check_choice, finite_array
 from newton_euler.model.euler_parameters import conjugate, product, rotation
 from newton_euler.model.forces import Force
-from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text, read_xml
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.reading import plausibility
-from newton_euler.reading.activity import Bounds, FrictionWatch, Watch
 from newton_euler.reading.excitation import with_start_velocities
 from newton_euler.reading.file_names import FileCoordinate, FileFrame, FileNames
-from newton_euler.reading.import_report import (
-    CONTACTS,
-    EXCITED,
-    FRICTION,
-    LIMITS,
-    VELOCITY_LIMITS,
-    Finding,
-    ImportReport,
-    unique_name,
-)
+from newton_euler.reading.import_report import EXCITED, Finding, ImportReport, unique_name
 from newton_euler.reading.verify import verify_report
 from newton_euler.scalars import Array
 from urdf.errors import UrdfError
@@ -57,6 +45,7 @@ from urdf.reading.bodies import W_X_Y_Z, Tree
 from urdf.reading.extensions import read_extensions
 from urdf.reading.forces import armatures, joint_springs, point_springs
 from urdf.reading.given import Given, PinocchioModel
+from urdf.reading.leftovers import report_collisions, report_joints
 from urdf.reading.loops import closing_joints, couplings
 from urdf.reading.parser_messages import collected_messages, report_complaints
 from urdf.reading.source import (
@@ -449,9 +438,9 @@ def _scene(
         *point_springs(robot.springs, start, tree, report),
     )
     joint_armatures = tuple(armatures(robot.joints, tree, report))
-    _report_joints(robot.joints, start, tree, report)
+    report_joints(robot.joints, start, tree, report)
     if robot.root is not None:
-        _report_leftovers(robot.root, report)
+        report_collisions(robot.root, report)
     # `unweld_loops` merges the body halves by which `urdf.write` closes loops in exported files
     return Scene(
         name,
@@ -464,61 +453,3 @@ def _scene(
         description=robot.description,
         redundancy_tolerance=request.redundancy_tolerance,
     )
-
-
-def _limit_watches(start: RobotAtStart, joint: JointProperties, key: Key) -> list[Watch]:
-    """Return the watch of a joint's limits, a test after a run whether the limits would have acted.
-
-    `key` is the joint's coordinate in the scene, which is zero at the start.
-    """
-    assert joint.limits is not None
-    x_start = start.displacement(joint.name)
-    low, high = joint.limits.low - x_start, joint.limits.high - x_start
-    return [Bounds(terms=((key, 1.0),), low=low, high=high, unit=joint.unit)]  # the coordinate, weight 1
-
-
-def _speed_watches(joint: JointProperties, key: Key) -> list[Watch]:
-    """Return the watch of a joint's limit of velocity; for the arguments see `_limit_watches`."""
-    assert joint.limits is not None
-    speed = joint.limits.speed
-    terms, unit = ((key, 1.0),), f"{joint.unit}/s"
-    return [Bounds(terms, low=-speed, high=speed, unit=unit, by_value=0.0, by_rate=1.0)]
-
-
-def _report_joints(
-    joints: list[JointProperties], start: RobotAtStart, tree: Tree, report: ImportReport
-) -> None:
-    """Report dry friction, limits, rotors and safety controllers of joints, which scenes do not simulate.
-
-    The watches test, after a run, whether a limit or friction would have acted. An element whose action
-    neither the file nor a run can show is not `examined`.
-    """
-    for joint in joints:
-        element, key = f"joint {joint.name!r}", tree.coordinate_keys.get(joint.name)
-        if joint.friction:
-            why = f"its dry friction {joint.friction:g}"
-            resting = [FrictionWatch((key,))] if key else []
-            report.left_out(element, why, topic=FRICTION, watches=resting)
-        if joint.limits:
-            low, high, speed = joint.limits
-            why = f"its limits {low:.4g} to {high:.4g}: limits are one-sided and not simulated"
-            watches = _limit_watches(start, joint, key) if key else []
-            report.left_out(element, why, topic=LIMITS, watches=watches)
-            if math.isfinite(speed):
-                why = f"its limit of velocity, {speed:.4g} {joint.unit}/s"
-                watches = _speed_watches(joint, key) if key else []
-                report.left_out(element, why, topic=VELOCITY_LIMITS, watches=watches)
-        if joint.rotor:
-            why = f"its rotor, rotorInertia times rotorGearRatio^2 of {joint.rotor:g}"
-            remedy = "Pinocchio's dynamics use model.armature only; add the inertia there"
-            report.left_out(element, f"{why}: {remedy}", topic="rotor")
-        if joint.has_safety:
-            why = "its safety controller, a program outside of the model"
-            report.left_out(element, why, topic="safety controller", examined=False)
-
-
-def _report_leftovers(root: ET.Element, report: ImportReport) -> None:
-    """Report the collision elements of a URDF: contacts are not simulated."""
-    if touching := root.findall("link/collision"):
-        why = "contacts are not simulated; a URDF does not define which bodies may touch, an MJCF does"
-        report.left_out(f"{len(touching)} collision elements", why, topic=CONTACTS, examined=False)
