@@ -10,7 +10,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,15 +19,10 @@ from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import REVOLUTE, UNIVERSAL, Loops
+from urdf.reading.vocabulary import BaseName
 
 HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 """Pinocchio's joint models of hinges, by axis."""
-
-BaseName = Literal["fixed", "free"]
-"""Motion of the root link of a URDF: fixed to the ground, or free."""
-
-BASES: tuple[BaseName, ...] = get_args(BaseName)
-"""All values of `BaseName`."""
 
 MAX_ROUNDED_COMPONENT = 1e-11
 """Component of a unit axis below which Pinocchio's parser may round to 0; the parser rounds below 1e-12."""

@@ -39,7 +39,7 @@ from urdf.errors import UrdfError
 from urdf.extensions import Extensions, PointSpringElement
 from urdf.file_run import PinocchioFile, unsupported
 from urdf.loops import NO_LOOPS, Loops, loop_files_beside
-from urdf.model import BASES, BaseName, ClosedLoopModel, build
+from urdf.model import ClosedLoopModel, build
 from urdf.pinocchio_reference import PinocchioReference
 from urdf.reading.bodies import W_X_Y_Z, Tree
 from urdf.reading.extensions import read_extensions
@@ -58,6 +58,7 @@ from urdf.reading.source import (
 )
 from urdf.reading.start import Mimic, RobotAtStart
 from urdf.reading.visuals import with_visuals
+from urdf.reading.vocabulary import BASES, BaseName
 from urdf.reference import ModelReference, UrdfReference
 from urdf.run_settings import EXAMPLE_CLOSED, EXAMPLE_OPEN, OwnRun, read_settings
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from newton_euler.errors import check_choice
 from newton_euler.model.source_file import element_lines, path_text, read_text, read_xml
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.import_report import ImportReport
@@ -37,7 +38,7 @@ from urdf.errors import LoopFileError
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, loop_files_beside
 from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, finite_or_infinite, parsed, read_loops
-from urdf.reading.vocabulary import unknown
+from urdf.reading.vocabulary import BASES, BaseName, unknown
 
 if TYPE_CHECKING:
     from urdf.reading.given import PinocchioModel
@@ -49,6 +50,9 @@ JOINT_KINDS = {
     "floating": JointKind.FREE,
 }
 """Kind of a joint by its type in a URDF; a fixed joint has none, and a planar joint has three motions."""
+
+ROOT_JOINT = "root_joint"
+"""Name of the free joint of a floating root link, as in Pinocchio."""
 
 LOOP_KINDS = {"3d": LoopKind.POINT, "6d": LoopKind.WELD, REVOLUTE: LoopKind.HINGE, "rod": LoopKind.ROD}
 """Kind of a loop by its type in a loop file."""
@@ -73,7 +77,9 @@ NUMBER_TAGS = (
 
 
 def describe(
-    source: str | os.PathLike[str] | PinocchioModel, loops: str | os.PathLike[str] | None = None
+    source: str | os.PathLike[str] | PinocchioModel,
+    loops: str | os.PathLike[str] | None = None,
+    base: BaseName = "fixed",
 ) -> RobotFile:
     """Describe the robot of a model.
 
@@ -81,8 +87,10 @@ def describe(
         source: path of a URDF; or a `pinocchio.Model`, alone or in a pair with its constraints, which has no
             text and so no uncertainty.
         loops: path of the loop file of a URDF; None for no loop file.
+        base: "fixed" if the root link of a URDF is the ground, "free" if it floats.
 
     Raises:
+        UnknownNameError: for an unknown base.
         SourceError: for a file that cannot be read or that is no URDF, and for an unknown model.
         LoopFileError: for a loop file that is not valid or does not fit to the URDF.
 
@@ -95,6 +103,7 @@ def describe(
         from urdf.model_robot import describe_model
 
         return describe_model(source)
+    check_choice("base", base, BASES)
     path = path_text(source, SourceError)
     text = read_xml(path, SourceError)
     root = parsed(path, text)
@@ -109,13 +118,13 @@ def describe(
             for loop_file in loop_files_beside(Path(path))
         ]
     has_additions = _has_additions(root)
-    robot = _robot(path, text, root, loop_content, has_additions, notes)
+    robot = _robot(path, text, root, loop_content, base, has_additions, notes)
     numbers = NumbersOfText(text, NUMBERS.__contains__, NUMBER_TAGS)
     random = np.random.default_rng(0)
     variants = []
     for _ in range(VARIANTS):
         changed = numbers.variant(random)
-        variants.append(_robot(path, changed, ET.fromstring(changed), loop_content, has_additions, []))
+        variants.append(_robot(path, changed, ET.fromstring(changed), loop_content, base, has_additions, []))
     return RobotFile(
         robot,
         variants=tuple(variants),
@@ -127,7 +136,13 @@ def describe(
 
 
 def _robot(
-    path: str, text: str, root: ET.Element, loops: Loops, has_additions: bool, notes: list[str]
+    path: str,
+    text: str,
+    root: ET.Element,
+    loops: Loops,
+    base: BaseName,
+    has_additions: bool,
+    notes: list[str],
 ) -> Robot:
     """Describe the robot of a checked URDF.
 
@@ -136,6 +151,7 @@ def _robot(
         text: its text.
         root: its root element.
         loops: content of the loop file.
+        base: motion of the root link.
         has_additions: True if tools have added elements.
         notes: list that receives what the files have and the robot has not.
     """
@@ -156,7 +172,12 @@ def _robot(
     for name in order:
         above = joint_above.get(name)
         above_number = -1 if above is None else number[_link_of(above, "parent")]
-        motions = () if above is None else tuple(_motions(above, types, extensions))
+        if above is not None:
+            motions = tuple(_motions(above, types, extensions))
+        elif base == "free":
+            motions = (FileJoint(ROOT_JOINT, JointKind.FREE, axis=np.zeros(3), point=np.zeros(3)),)
+        else:
+            motions = ()
         bodies.append(_body(links[name], above, above_number, motions))
     robot = Robot(name=root.get("name", "") or Path(path).stem, bodies=tuple(bodies))
     return replace(

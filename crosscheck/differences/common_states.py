@@ -136,7 +136,7 @@ class CommonStates:
             Quantity.PRESENCE in LACKING.get(file.format, ()) and not file.robot.drives for file in files
         ]
         self.cuts = cuts(first.robot, second.robot, alignment, any(has_no_drives))
-        self.notes = tuple(_notes(first.robot, second.robot, alignment, self.cuts))
+        self.notes = tuple(_notes(files, alignment, self.cuts))
         length = size_of(first.robot)
         one, two = (cut.of(file.robot, self.gravity) for cut, file in zip(self.cuts, files, strict=True))
         self.one, self.two = Dynamics([one], length), Dynamics([two], length)
@@ -404,10 +404,17 @@ def _within_limits(robot: Dynamics, random: np.random.Generator) -> Array:
     return random.uniform(low, high, size=(1, len(PHASES), robot.size))
 
 
-def _notes(first: Robot, second: Robot, alignment: Alignment, taken: Sequence[Cut]) -> Iterator[str]:
+def _notes(files: Sequence[RobotFile], alignment: Alignment, taken: Sequence[Cut]) -> Iterator[str]:
     """Yield what both robots lose, one sentence each."""
-    if any(cut.base >= 0 for cut in taken):
-        yield f"Both bases are held to compare: {alignment.base or 'only one file has a free base'}."
+    first, second = (file.robot for file in files)
+    free = [cut.base >= 0 for cut in taken]
+    if any(free):
+        note = f"Both bases are held to compare: {alignment.base or 'only one file has a free base'}"
+        # a URDF cannot say whether its root link floats
+        for each, is_free, number in zip(files, free, ("first", "second"), strict=True):
+            if each.format == "URDF" and not is_free:
+                note += f"; the option base=free lets the {number} float"
+        yield f"{note}."
     for robot, cut, file in zip((first, second), taken, ("first", "second"), strict=True):
         names = [robot.bodies[index].name for index in cut.bodies if robot.bodies[index].mass > 0]
         if names:

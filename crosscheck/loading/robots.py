@@ -21,7 +21,7 @@ def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:
     Args:
         model: path of an MJCF or URDF file, an `MjSpec` or `MjModel`, a `pinocchio.Model`, alone or paired
             with its constraints, or a scene: its name, file or `Scene`.
-        options: `loops`, the loop file of a URDF; the options of a scene.
+        options: of a URDF, `loops`, its loop file, and `base`, "fixed" or "free"; the options of a scene.
 
     Raises:
         CrosscheckError: for an option that the model does not have.
@@ -36,13 +36,14 @@ def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:
     name, known = name_and_options(source)
     is_urdf = known is URDF_OPTIONS
     for option in options:
-        if not (is_urdf and option == "loops"):
-            has = "; it has loops" if is_urdf else ""
+        if not (is_urdf and option in ("loops", "base")):
+            has = "; it has loops and base" if is_urdf else ""
             raise CrosscheckError(f"{name} has no option {option!r} in a comparison of files{has}")
     if is_urdf or known is PINOCCHIO_OPTIONS:
         from urdf.robot import describe as describe_urdf
 
-        return describe_urdf(source, **options)
+        texts: dict[str, Any] = dict(options)
+        return describe_urdf(source, **texts)
     from mjcf.robot import describe
 
     return describe(source)

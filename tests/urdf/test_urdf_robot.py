@@ -13,6 +13,7 @@ import pytest
 from robot_dynamics import Pose, mass_matrix, pose
 from urdf_files import CHAIN, LOOPS, TIPS, joint, link, robot
 
+from newton_euler.errors import UnknownNameError
 from newton_euler.reading.robot import JointKind, LoopKind, Robot, RobotFile
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError
@@ -129,6 +130,22 @@ def test_links_move_as_in_pinocchio(text: str, tmp_path: Path) -> None:
     path = tmp_path / "model.urdf"
     path.write_text(text)
     check_motion(pin.buildModelFromXML(text), describe(path).robot)
+
+
+def test_a_free_base_moves_as_in_pinocchio(tmp_path: Path) -> None:
+    path = tmp_path / "model.urdf"
+    path.write_text(CHAIN)
+    found = describe(path, base="free")
+    check_motion(pin.buildModelFromXML(CHAIN, pin.JointModelFreeFlyer()), found.robot)
+    assert len(found.variants) == len(describe(path).variants)
+    assert all(variant.bodies[0].joints[0].kind is JointKind.FREE for variant in found.variants)
+
+
+def test_an_unknown_base_raises(tmp_path: Path) -> None:
+    path = tmp_path / "model.urdf"
+    path.write_text(CHAIN)
+    with pytest.raises(UnknownNameError, match=r"unknown base 'loose'; choose from: fixed, free"):
+        describe(path, base="loose")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("make", MODELS.values(), ids=MODELS.keys())

@@ -11,9 +11,16 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import Literal, get_args
 
 from newton_euler.model.source_file import SourceError as FileError
 from newton_euler.reading.import_report import ImportReport
+
+BaseName = Literal["fixed", "free"]
+"""Motion of the root link, which a URDF does not state: fixed to the ground, or free."""
+
+BASES: tuple[BaseName, ...] = get_args(BaseName)
+"""All values of `BaseName`."""
 
 DRAKE_PREFIX = "drake:"
 """Prefix of the elements that Drake adds to URDF."""

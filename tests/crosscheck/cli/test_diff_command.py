@@ -180,3 +180,31 @@ def test_bad_usage_of_run_against(capsys, tmp_path, arguments, message):
     assert (status, out) == (2, "")
     assert message in err
     assert not (tmp_path / "out" / "diff.json").exists()
+
+
+FLOATING = """<mujoco model="leg"><worldbody><body name="hip" pos="0 0 1"><freejoint name="free"/>
+    <inertial pos="0 0 0.1" mass="2" diaginertia="0.02 0.01 0.03"/>
+  <body name="shank" pos="0 0 -0.4"><joint name="knee" axis="0 1 0"/>
+    <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.004 0.005 0.001"/></body></body></worldbody></mujoco>"""
+
+FIXED = """<robot name="leg">
+  <link name="hip"><inertial><origin xyz="0 0 0.1"/><mass value="2"/>
+    <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.03"/></inertial></link>
+  <link name="shank"><inertial><origin xyz="0 0 -0.2"/><mass value="0.5"/>
+    <inertia ixx="0.004" ixy="0" ixz="0" iyy="0.005" iyz="0" izz="0.001"/></inertial></link>
+  <joint name="knee" type="continuous"><parent link="hip"/><child link="shank"/>
+    <origin xyz="0 0 -0.4"/><axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_the_option_that_lets_a_base_float(tmp_path):
+    """A URDF does not say whether its root link floats; the difference goes with the option that is named."""
+    (tmp_path / "leg.xml").write_text(FLOATING)
+    (tmp_path / "leg.urdf").write_text(FIXED)
+    files = str(tmp_path / "leg.xml"), str(tmp_path / "leg.urdf")
+    held = crosscheck.diff(*files)
+    [row] = held.differences
+    assert (row.quantity, held.same) == ("base", False)
+    assert any("base=free lets the second float" in note for note in held.comparison.motion.notes)
+    assert crosscheck.diff(*files, second_options={"base": "free"}).outcome is Outcome.SAME
+    with pytest.raises(CrosscheckError, match="it has loops and base"):
+        crosscheck.diff(*files, second_options={"root": "free"})
