@@ -118,11 +118,11 @@ def test_results_of_other_files_are_not_overwritten(capsys, arm, tmp_path, monke
 def test_an_option_that_a_file_does_not_have_is_refused(capsys, arm, tmp_path):
     urdf = tmp_path / "one.urdf"
     urdf.write_text('<robot name="one"><link name="base"/></robot>')
-    for option in ("key=go", "base=free"):
+    for option in ("key=go", "gravity=0"):
         assert run(capsys, "diff", urdf, arm("first"), "--set-first", option)[0] == 2
         assert run(capsys, "diff", arm("first"), urdf, "--set-first", option)[0] == 2
     with pytest.raises(CrosscheckError):
-        crosscheck.diff(urdf, arm("first"), first_options={"base": "free"})
+        crosscheck.diff(urdf, arm("first"), first_options={"gravity": "0"})
 
 
 @pytest.mark.parametrize("folder_is_named", [True, False])
@@ -185,7 +185,8 @@ def test_bad_usage_of_run_against(capsys, tmp_path, arguments, message):
 FLOATING = """<mujoco model="leg"><worldbody><body name="hip" pos="0 0 1"><freejoint name="free"/>
     <inertial pos="0 0 0.1" mass="2" diaginertia="0.02 0.01 0.03"/>
   <body name="shank" pos="0 0 -0.4"><joint name="knee" axis="0 1 0"/>
-    <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.004 0.005 0.001"/></body></body></worldbody></mujoco>"""
+    <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.004 0.005 0.001"/></body></body></worldbody>
+</mujoco>"""
 
 FIXED = """<robot name="leg">
   <link name="hip"><inertial><origin xyz="0 0 0.1"/><mass value="2"/>
