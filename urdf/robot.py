@@ -114,7 +114,8 @@ def describe(
     notes: list[str] = []
     if loops is None:
         notes += [
-            f"its loops are open: {loop_file.name} next to it was not read; loops={loop_file} closes them"
+            f"its loops are open: {loop_file.name} next to it was not read; "
+            f"the option loops={loop_file} closes them"
             for loop_file in loop_files_beside(Path(path))
         ]
     has_additions = _has_additions(root)

@@ -30,7 +30,8 @@ FAULTS = {
     "integration": "{0} integration is at fault",
     "reading": "the reading of the file is wrong",
     "softness": "{0} constraints are too soft: {1}",
-    "resolution": "{0} step is too large for this model, or its soft constraints resist each other",
+    "resolution": "{0} step is too large for this model, or its soft constraints resist each other: "
+    "--engines leaves it out",
     "redundancy": "what each makes of nearly redundant constraints is the difference: {1}",
 }
 """Sentence for each likely cause. {0} stands for the possessive of the outlier, such as "mujoco's", {1} for

@@ -78,7 +78,7 @@ def _without_effect(row: Difference, at_rest: set[str]) -> Difference:
     is_mass = row.element_kind == "body" and row.quantity in MASS_QUANTITIES
     if row.standing is not Standing.DIFFERENT or not is_mass or not {*row.elements} <= at_rest:
         return row
-    words = "the base is fixed: no effect on the motion"
+    words = "the base is fixed"
     cause = f"{row.cause}; {words}" if row.cause else words
     return replace(row, cause=cause, effect=0.0, convention=True)
 

@@ -76,11 +76,11 @@ def report(comparison: FileComparison) -> Report:
         files = comparison.first, comparison.second
         # the shortest names that tell the files apart
         names = "first", "second"
-        for candidates in ([file.format for file in files], [Path(file.source).stem for file in files]):
+        for candidates in ([file.format for file in files], _names(files)):
             if all(candidates) and candidates[0] != candidates[1]:
                 names = candidates[0], candidates[1]
         parts.append(long_table("differences", comparison, names))
-    first, second = (_title(file) for file in (comparison.first, comparison.second))
+    first, second = _titles(comparison)
     judged = Cell(outcome.value, outcome.judged)
     return Report(f"{first} and {second}", verdict(comparison), judged, parts, summary=short)
 
@@ -133,7 +133,8 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
         case Likeness.DIFFERENT:
             if motion.freedoms[0] != motion.freedoms[1]:
                 first, second = motion.freedoms
-                return f"{sides[0]} has {first} independent motions, {sides[1]} {second}"
+                plural = "" if first == 1 else "s"
+                return f"{sides[0]} has {first} independent motion{plural}, {sides[1]} {second}"
             if any(gap.is_open for gap in motion.gaps):
                 return f"poses of {sides[0]} do not fit {sides[1]}: {gap_text(motion)}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
@@ -168,10 +169,23 @@ def no_run_text(motion: Motion) -> str:
     return f"not simulated: no pose fits both robots{why}"
 
 
-def _title(file: RobotFile) -> str:
-    """Name a file and its format."""
-    name = Path(file.source).name if file.source else file.robot.name
-    return f"{name} ({file.format})" if file.format else name
+def _titles(comparison: FileComparison) -> list[str]:
+    """Name both files and their formats."""
+    files = comparison.first, comparison.second
+    names = [name or file.robot.name for name, file in zip(_names(files), files, strict=True)]
+    return [
+        f"{name} ({file.format})" if file.format else name for name, file in zip(names, files, strict=True)
+    ]
+
+
+def _names(files: tuple[RobotFile, RobotFile]) -> list[str]:
+    """Return the names of two files, with folders that tell equal names apart; "" for models in memory."""
+    paths = [Path(file.source) if file.source else Path() for file in files]
+    for length_of_end in range(1, max(len(path.parts) for path in paths) + 1):
+        names = ["/".join(path.parts[-length_of_end:]) for path in paths]
+        if names[0] != names[1]:
+            return names
+    return [path.name for path in paths]
 
 
 def long_table(title: str, comparison: FileComparison, names: tuple[str, str]) -> Table:
@@ -210,12 +224,17 @@ def _short_row(row: Difference, sides: Sides) -> list[str | Cell]:
 
 
 def sentence(row: Difference, sides: Sides = FILES) -> str:
-    """Tell a difference with its values and its cause; of several numbers, such as a position, no values.
+    """Tell a difference with its values and its cause.
 
     Args:
         row: the difference.
         sides: what the sentence calls the two compared robots.
     """
+    return _with_values(row, sides) + (f"; {row.cause}" if row.cause else "")
+
+
+def _with_values(row: Difference, sides: Sides) -> str:
+    """Tell a difference with its values; of several numbers, such as a position, without."""
     text = what_differs(row)
     values = [value_text(value) for value in (row.first, row.second)]
     if row.quantity is Quantity.PRESENCE:
@@ -228,7 +247,7 @@ def sentence(row: Difference, sides: Sides = FILES) -> str:
         unit = f" {row.unit}" if row.unit else ""
         between = unit if row.second is None else ""  # the unit is that of the number before
         text += f": {values[0]}{between} against {values[1]}{'' if row.second is None else unit}"
-    return f"{text}; {row.cause}" if row.cause else text
+    return text
 
 
 def evidence_text(row: Difference) -> str:
@@ -309,13 +328,14 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     elif comparison.motion.likeness is not Likeness.UNDECIDED:
         yield no_run_text(comparison.motion)
     if conventions := comparison.of_standing(Standing.CONVENTION):
-        texts = [sentence(row) for row in conventions[:MAX_CONVENTIONS]]
+        shown = conventions[:MAX_CONVENTIONS]
+        texts = [_with_values(row, FILES) + (f" ({row.cause})" if row.cause else "") for row in shown]
         others = len(conventions) - MAX_CONVENTIONS
         yield f"no effect on the motion: {'; '.join(texts)}{f' and {others} more' if others > 0 else ''}"
     rounded = comparison.of_standing(Standing.ROUNDING)
     if rounded and comparison.outcome is Outcome.DIFFERENT:
         total = sum(len(row.elements) for row in rounded)
         yield f"{total} more numbers differ within the digits of the files"
-    for file in (comparison.first, comparison.second):
+    for file, title in zip((comparison.first, comparison.second), _titles(comparison), strict=True):
         for note in file.notes:
-            yield f"note: {_title(file)}: {note}"
+            yield f"note: {title}: {note}"

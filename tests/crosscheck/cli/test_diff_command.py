@@ -71,6 +71,14 @@ def test_tolerance_replaces_the_digits(arm):
     assert crosscheck.diff(arm("first"), arm("other", mass="1.52"), tolerance=0.02).same
 
 
+def test_folders_tell_equal_file_names_apart(capsys, arm, tmp_path):
+    (tmp_path / "old").mkdir()
+    before, now = arm("old/arm"), arm("arm", mass="1.8")
+    _, text, _ = run(capsys, "diff", before, now, "--verbose", "--output", tmp_path / "out")
+    assert f"old/arm.xml (MJCF) and {tmp_path.name}/arm.xml (MJCF)\n" in text
+    assert re.search(rf"element +quantity +old/arm.xml +{re.escape(tmp_path.name)}/arm.xml", text)
+
+
 def test_all_elements_of_a_row_are_listed(capsys, tmp_path):
     damped = ARM.replace('name="elbow"', 'name="elbow" damping="0.3"').format(mass="1.5", gear="10")
     (tmp_path / "damped.xml").write_text(damped)

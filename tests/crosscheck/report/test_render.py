@@ -80,7 +80,7 @@ def test_what_is_printed_fits_the_terminal(monkeypatch, columns):
 
 
 def test_a_heading_of_rows_is_wider_than_the_first_column(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("COLUMNS", "66")
     columns = [
         *text_columns("", "element"),
         Column("value"),
