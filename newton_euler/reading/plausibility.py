@@ -8,7 +8,7 @@ were chosen so that no intended value in public robot models is a finding.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import assert_never
 
@@ -266,17 +266,27 @@ RULES = (impossible_inertia, large_inertia, small_inertia, distant_center, dense
 """Rules that compare one body with its geometry and with the mechanism."""
 
 
-def twin_name(name: str) -> str:
-    """Return the name of the body on the other side; "" if the name has no side, or both sides."""
+def twin_name(name: str, names: Collection[str] = ()) -> str:
+    """Return the name of the body on the other side; "" if the name has no side, or both sides.
+
+    Args:
+        name: name of a body.
+        names: names of all bodies. Single letters are no sides if others take their place, as in `link_s`,
+            `link_l`, `link_u` and `link_r` of an arm.
+    """
     if len(re.findall("left|right", name, re.IGNORECASE)) > 1:
         return ""
     for one, other in SIDES:
         for side, opposite in ((one, other), (other, one)):
             if len(side) > 1:
-                if side in name:
-                    return name.replace(side, opposite)
+                if found := re.search(f"{side}([LR](?![a-z])|)", name):
+                    # a letter behind the side changes, too: the left motor of the left leg mirrors `rightR`
+                    mirrored = opposite + {"L": "R", "R": "L", "": ""}[found[1]]
+                    return name[: found.start()] + mirrored + name[found.end() :]
             elif found := re.fullmatch(rf"(.*_|){side}(_.*|)", name):
-                return f"{found[1]}{opposite}{found[2]}"
+                alike = rf"{re.escape(found[1])}[^{side}{opposite}\W]{re.escape(found[2])}"
+                is_series = any(re.fullmatch(alike, each) for each in names)
+                return "" if is_series else f"{found[1]}{opposite}{found[2]}"
     # legs of quadrupeds: FL, FR (front), RL, RR (rear), HL, HR (hind)
     if found := re.fullmatch(r"([FRH])([LR])(_.*|)", name):
         return found[1] + {"L": "R", "R": "L"}[found[2]] + found[3]
@@ -292,7 +302,7 @@ def unlike_twins(bodies: list[MeasuredBody]) -> Iterator[Finding]:
     pairs = [  # each pair once
         (each, by_name[other])
         for each in bodies
-        if (other := twin_name(each.body.name)) in by_name and each.body.name < other
+        if (other := twin_name(each.body.name, by_name)) in by_name and each.body.name < other
     ]
     reflection, plane = _symmetry_plane(pairs)
     for one, two in pairs:

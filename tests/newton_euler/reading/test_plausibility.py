@@ -112,12 +112,21 @@ def test_twins_may_be_mirrored_along_any_axis(axis: int, mass: str, found: list[
         ("FL_calf", "FR_calf"),
         ("RR", "RL"),
         ("gripper_left_right_finger", ""),
+        ("motor_back_leftR_link", "motor_back_rightL_link"),
+        ("rightLeg", "leftLeg"),
+        ("leftRoll_link", "rightRoll_link"),
         ("pelvis", ""),
         ("lever", ""),
     ],
 )
 def test_names_of_twins(name: str, twin: str) -> None:
     assert twin_name(name) == twin
+
+
+def test_letters_of_a_series_are_no_sides() -> None:
+    """Motoman names the joints of its arms S, L, U, R, B and T."""
+    assert twin_name("link_l", ["link_s", "link_l", "link_u", "link_r"]) == ""
+    assert twin_name("finger_l", ["palm", "finger_l", "finger_r", "thumb_1"]) == "finger_r"
 
 
 def test_many_bodies_with_one_mistake_are_few_findings(tmp_path: Path) -> None:
