@@ -7,7 +7,6 @@ between Pinocchio's coordinates and those of newton_euler's spanning tree.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.model.source_file import xml_tree
 from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
@@ -163,7 +163,7 @@ def _add_axis_frame(model: Any, frame: int) -> int:
 def _rounded_axes(urdf: str) -> dict[str, Array]:
     """Return axes (3,) of a URDF that Pinocchio's parser may round, by joint name."""
     axes = {}
-    for joint in ET.fromstring(urdf).findall("joint"):
+    for joint in xml_tree(urdf).findall("joint"):
         element = joint.find("axis")
         if element is not None:
             axis = np.array([float(x) for x in element.get("xyz", "").split()])

@@ -8,7 +8,6 @@ in the conversion. For the equations see `urdf.pinocchio_reference`.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -17,6 +16,7 @@ import pinocchio as pin
 
 from newton_euler.model.couplings import MAX_DEGREE
 from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import xml_tree
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.scalars import Array
 from urdf.extensions import ARMATURE, STIFFNESS, Extensions
@@ -66,7 +66,7 @@ class UrdfReference(PinocchioReference):
             scene: imported scene.
         """
         # Pinocchio's model with the loops of the loop file and of the URDF's additional elements
-        self._root = ET.fromstring(extensions.text)
+        self._root = xml_tree(extensions.text)
         loops_of_file = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
         self._loops = extensions.added_to(loops_of_file)
         model, joint_names = _build_model(extensions.text, self._loops, base)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from newton_euler.errors import check_choice
-from newton_euler.model.source_file import element_lines, path_text, read_text, read_xml
+from newton_euler.model.source_file import element_lines, path_text, read_text, read_xml, xml_tree
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.reading.robot import (
@@ -125,7 +125,7 @@ def describe(
     variants = []
     for _ in range(VARIANTS):
         changed = numbers.variant(random)
-        variants.append(_robot(path, changed, ET.fromstring(changed), loop_content, base, has_additions, []))
+        variants.append(_robot(path, changed, xml_tree(changed), loop_content, base, has_additions, []))
     return RobotFile(
         robot,
         variants=tuple(variants),
@@ -347,7 +347,7 @@ def _loops(robot: Robot, root: ET.Element, extensions: Extensions, loops: Loops)
     for joint in root.findall("joint"):
         frames.setdefault(str(joint.get("name")), (numbers[_link_of(joint, "child")], IN_PLACE))
     if extensions.closed_loop:
-        for joint in ET.fromstring(extensions.text).findall("joint"):
+        for joint in xml_tree(extensions.text).findall("joint"):
             added = _link_of(joint, "child")
             if added not in numbers:
                 frames[added] = numbers[_link_of(joint, "parent")], _origin(joint)

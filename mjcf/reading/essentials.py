@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from mjcf.reading.xml_scan import XmlTexts
+from newton_euler.model.source_file import xml_tree
 
 UNUSED = frozenset(
     ("visual", "statistic", "contact", "sensor", "keyframe", "custom", "light", "camera", "texture", "skin")
@@ -57,7 +58,7 @@ def essential_texts(files: XmlTexts, shapes_of: frozenset[str] = frozenset()) ->
         files: the texts.
         shapes_of: names of bodies that keep their shapes although they have an `<inertial>`.
     """
-    roots = {path: ET.fromstring(text) for path, text in files.texts.items()}
+    roots = {path: xml_tree(text) for path, text in files.texts.items()}
     elements = [(path, each) for path, root in roots.items() for each in root.iter()]
     keeps_all = any(each.get("inertiafromgeom") == "true" for _, each in elements)
     # geoms that tendons wrap around

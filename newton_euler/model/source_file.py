@@ -12,6 +12,7 @@ import io
 import os
 import re
 import stat
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -278,6 +279,21 @@ NON_FINITE_WORDS = ("nan", "inf", "infinity")
 
 Begin = Callable[[str, dict[str, str], int], None]
 """Function that `scan` calls with the tag, the attributes and the line number of an XML element."""
+
+
+def xml_tree(text: str) -> ET.Element:
+    """Return the root element of an XML text that `scan` accepts.
+
+    Tags keep their prefixes, such as "drake:joint". As in MuJoCo and Pinocchio, a prefix needs no namespace.
+    """
+    builder = ET.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(text, True)
+    return builder.close()
 
 
 def scan(path: str, text: str, root: str | None, begin: Begin, error: type[SourceError]) -> None:

@@ -101,11 +101,6 @@ URDF_EDITS: dict[str, tuple[str, str, str]] = {
         ROCKER.replace("rocker", "\u202erekcor"),
         "child link '\\u202erekcor' does not exist",
     ),
-    "a prefix of nothing": (
-        "</robot>",
-        "<x:link/></robot>",
-        ": a prefix of a tag or attribute has no namespace",
-    ),
     "a null as a number": ("<robot", "<robot version='&#0;'", "not XML"),
 }
 

@@ -13,6 +13,7 @@ import pytest
 from robot_dynamics import Pose, mass_matrix, pose
 from urdf_files import CHAIN, LOOPS, TIPS, joint, link, robot
 
+from mjcf.robot import describe as describe_by_mujoco
 from newton_euler.errors import UnknownNameError
 from newton_euler.reading.robot import JointKind, LoopKind, Robot, RobotFile
 from newton_euler.scalars import Array
@@ -26,6 +27,7 @@ TEXTS = {
     "tips": robot(*TIPS),
     "tracker": (ROOT / "urdf/tracker.urdf").read_text(),
 }
+CAMERA = '<gazebo reference="{0}"><sensor:camera name="rgb"><fov>1</fov></sensor:camera></gazebo></robot>'
 ROUND_OFF = 1e-12
 """Largest error relative to the largest entry: both sum the same numbers, in another order."""
 
@@ -344,3 +346,17 @@ def test_loops_of_gazebo_have_uncertainties(tmp_path: Path) -> None:
     for variant in described(tmp_path, text).variants:
         (loop,) = variant.loops
         assert abs(loop.second_frame.position[2] - 0.123) == pytest.approx(0.5e-6, rel=1e-9)
+
+
+def test_a_prefix_without_namespace_is_read_as_by_pinocchio(tmp_path: Path) -> None:
+    """Files for early versions of Gazebo have `<sensor:camera>`; comments may have two hyphens."""
+    plain, prefixed = tmp_path / "plain.urdf", tmp_path / "prefixed.urdf"
+    plain.write_text(CHAIN)
+    name = describe(plain).robot.bodies[0].name
+    prefixed.write_text(CHAIN.replace("</robot>", f"<!-- a -- b -->{CAMERA.format(name)}"))
+    assert pin.buildModelFromUrdf(str(prefixed)).nv == pin.buildModelFromUrdf(str(plain)).nv
+    bodies = [describe(each).robot.bodies for each in (plain, prefixed)]
+    assert [body.mass for body in bodies[1]] == [body.mass for body in bodies[0]]
+    # MuJoCo's importer
+    of_mujoco = [describe_by_mujoco(each).robot.bodies for each in (plain, prefixed)]
+    assert [body.mass for body in of_mujoco[1]] == [body.mass for body in of_mujoco[0]]

@@ -16,7 +16,7 @@ import numpy as np
 from newton_euler.errors import choices
 from newton_euler.limits import exceeded
 from newton_euler.model import source_file
-from newton_euler.model.source_file import MAX_MODEL_NUMBER, scan
+from newton_euler.model.source_file import MAX_MODEL_NUMBER, scan, xml_tree
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
@@ -160,12 +160,7 @@ def parsed(path: str, text: str) -> ET.Element:
     # `scan` refuses dangerous XML; the callback refuses SDF files and xacro macros
     any_root = None
     scan(path, text, any_root, check_expanded(path, SourceError), SourceError)
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:  # `scan`, like Pinocchio and MuJoCo, does not look at namespaces
-        needed = 'declare it in the root element, such as <robot name="arm" xmlns:sensor="sensor">'
-        problem = f"line {error.position[0]}: a prefix of a tag or attribute has no namespace; {needed}"
-        raise SourceError(path, problem) from error
+    root = xml_tree(text)
     for what in ("link", "joint"):
         names = [element.get("name") for element in root.findall(what)]
         if not all(names):

@@ -214,9 +214,9 @@ refused."""
 
 
 def tag_of(element: ET.Element) -> str:
-    """Return the tag of an element: Drake's tags with their prefix, other tags without their namespace."""
-    space, _, tag = element.tag.rpartition("}")
-    return f"{DRAKE_PREFIX}{tag}" if "drake" in space.lower() else tag
+    """Return the tag of an element: Drake's tags with their prefix, other tags without their prefix."""
+    tag = str(element.tag)
+    return tag if tag.startswith(DRAKE_PREFIX) else tag.rpartition(":")[2]
 
 
 def check_expanded(path: str, error: type[FileError]) -> Callable[[str, dict[str, str], int], None]:
