@@ -44,8 +44,8 @@ from mjcf.reference import MjcfReference
 from mjcf.run_settings import Inputs
 from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.errors import NewtonEulerError, OptionError
+from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.euler_parameters import conjugate, product, rotation
-from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Sine

@@ -20,11 +20,12 @@ from newton_euler.errors import (
     NewtonEulerError,
     RoundOffWarning,
 )
+from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Digital, Sampled
-from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Sphere
 from newton_euler.model.joint_kinds import (
     Cylindrical,

@@ -14,11 +14,12 @@ from typing import Any, NamedTuple, assert_never
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.model.armatures import BallArmature
 from newton_euler.model.balls import joint_bodies, spin_rate
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import PD, ComputedTorque, DeclaredLaw, TimeDependentPD
 from newton_euler.model.digital_control import HeldLaw, Law
-from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree

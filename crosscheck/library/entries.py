@@ -28,10 +28,11 @@ from pydantic_core import PydanticCustomError
 from crosscheck.library.size import check_counts, check_functions, check_mechanism
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError, UnknownNameError
+from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Digital
-from newton_euler.model.forces import Armature, BallArmature, Force
+from newton_euler.model.forces import Force
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism

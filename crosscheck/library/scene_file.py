@@ -25,8 +25,8 @@ from crosscheck.library.entries import ENTRIES, SCENE, StateEntry
 from crosscheck.support.errors import CrosscheckError
 from crosscheck.support.files import write_files
 from newton_euler.errors import NewtonEulerError, choices, quoted
+from newton_euler.model.armatures import BallArmature
 from newton_euler.model.digital_control import Digital, Law, Sampled
-from newton_euler.model.forces import BallArmature
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene

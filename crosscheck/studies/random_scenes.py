@@ -21,11 +21,12 @@ from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.dense_projection import RESIDUAL_ROUND_OFF
 from newton_euler.integrators.projection import project_position, project_velocity
+from newton_euler.model.armatures import BallArmature
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
 from newton_euler.model.digital_control import Law
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.forces import BallArmature, BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism

@@ -1,4 +1,4 @@
-"""Force elements: springs, dampers and constant wrenches; and armatures, which are rotor inertias on joints.
+"""Force elements: springs, dampers and constant wrenches.
 
 Points are given in the world at the initial pose, like those of joints, and move with their bodies. Each kind
 of force computes its wrenches on bodies, its energy and its power from the state (`Surroundings`: the time,
@@ -18,12 +18,7 @@ from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from newton_euler.errors import (
-    MechanismError,
-    check_key,
-    check_texts,
-    quoted,
-)
+from newton_euler.errors import MechanismError, check_key, check_texts, quoted
 from newton_euler.model import balls
 from newton_euler.model.constraints import Span
 from newton_euler.model.description import ArrayField, description
@@ -32,7 +27,6 @@ from newton_euler.model.elements import (
     CoordinateForce,
     OnBall,
     OnBodies,
-    OnCoordinate,
     OnPoint,
     PointLoad,
     PoseChange,
@@ -47,7 +41,6 @@ from newton_euler.scalars import Array, Scalar, cross, sqrt
 # physical effect that is proportional to the attribute
 STIFFNESS = NumberField("N/m", unit_about="N m/rad", least=0.0, strength="spring")
 DAMPING = NumberField("N s/m", unit_about="N m s/rad", least=0.0, strength="damper")
-ROTOR_INERTIA = NumberField("kg", unit_about="kg m^2", positive=True, strength="rotor")
 
 
 class Spring(AppliedForce):
@@ -410,91 +403,3 @@ class Wrench(OnPoint):
 
 Force = JointSpring | BallSpring | PointSpring | Wrench | WindLoad
 """Every kind of force in `Scene.forces`."""
-
-
-@dataclass(frozen=True)
-class Armature(OnCoordinate):
-    """Rotor inertia of a geared motor, reflected to a joint coordinate (called armature in MuJoCo).
-
-    The armature adds a to the diagonal of the mass matrix in joint coordinates: the generalized force -a
-    d2x/dt2 on the hinge or slide x, and the kinetic energy 1/2 a (dx/dt)^2. The rotor is not a body of the
-    mechanism. Only the spin of the rotor about its axis is modeled, which dominates for large gear ratios
-    (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 9, on gears).
-
-    Attributes:
-        joint: name of the joint.
-        inertia: a in kg m^2 at a hinge, kg at a slide, positive.
-        coordinate: index of the joint coordinate, from 0.
-
-    Raises:
-        MechanismError: naming the joint and the invalid value.
-
-    Examples:
-        >>> Armature("hinge", inertia=0.02).key
-        ('hinge', 0)
-    """
-
-    joint: str
-    inertia: float
-    coordinate: int = 0
-
-    noun = "armature"
-    number_fields: ClassVar = {"inertia": ROTOR_INERTIA}
-    kind_of_parameters = ".rotor"  # names of parameters in studies: `hinge.rotor.inertia`
-
-    def __post_init__(self) -> None:
-        self.set_numbers(self.element)
-        check_key(self.element, self.joint, self.coordinate)
-
-    def at_joint(self, at: Surroundings) -> Scalar:
-        """Compute the momentum of the rotor, kg m/s or kg m^2/s."""
-        return self.inertia * self.measure(at)[1]
-
-    def energy(self, at: Surroundings) -> Scalar:
-        """Compute the kinetic energy, J."""
-        _, rate = self.measure(at)
-        square = rate * rate
-        return 0.5 * self.inertia * square
-
-
-@dataclass(frozen=True)
-class BallArmature(OnBall):
-    """Isotropic rotor inertia on the ball of a joint, with the kinetic energy 1/2 a |omega|^2.
-
-    omega is the angular velocity of the joint's second body relative to the first body. The torque on the
-    second body is -a (alpha_2 - alpha_1 + omega_2 x omega_1), where alpha is the angular acceleration of a
-    body: -a times the rate of omega as seen from either body.
-
-    Attributes:
-        joint: name of the joint.
-        inertia: a in kg m^2, positive.
-
-    Raises:
-        MechanismError: naming the joint and the invalid value.
-
-    Examples:
-        >>> BallArmature("shoulder", inertia=0.02).inertia
-        0.02
-    """
-
-    joint: str
-    inertia: float
-
-    noun = "armature"
-    number_fields: ClassVar = {"inertia": ROTOR_INERTIA}
-    kind_of_parameters = ".rotor"
-
-    def __post_init__(self) -> None:
-        self.set_numbers(self.element)
-        check_texts(self.element, self, "joint")
-
-    def at_joint(self, at: Surroundings) -> Array:
-        """Compute the angular momentum (3,) of the rotor, kg m^2/s, in the sense of the second body, world
-        frame."""
-        return np.asarray(self.inertia * self.spin(at))
-
-    def energy(self, at: Surroundings) -> Scalar:
-        """Compute the kinetic energy, J."""
-        omega = self.spin(at)
-        square = omega @ omega
-        return 0.5 * self.inertia * square

@@ -26,12 +26,13 @@ from newton_euler.errors import (
     quoted,
     set_finite_arrays,
 )
+from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import sensed
 from newton_euler.model.description import ArrayField, TupleField, description
 from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
 from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
 from newton_euler.model.fields import NumberField
-from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
+from newton_euler.model.forces import Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism

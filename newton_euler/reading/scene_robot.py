@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import PD
 from newton_euler.model.elements import OnJoint
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring
+from newton_euler.model.forces import BallSpring, JointSpring
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.joint_kinds import (
     Fixed,

@@ -13,8 +13,9 @@ from robot_dynamics import mass_matrix, pose
 
 import mjcf
 from crosscheck.library import load
+from newton_euler.model.armatures import Armature
 from newton_euler.model.control import PD
-from newton_euler.model.forces import Armature, JointSpring
+from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.scene import Scene
 from newton_euler.reading.robot import JointKind, LoopKind

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from newton_euler.model.forces import Armature, JointSpring, PointSpring
+from newton_euler.model.armatures import Armature
+from newton_euler.model.forces import JointSpring, PointSpring
 from newton_euler.reading.import_report import FORCE, ImportReport
 from urdf.extensions import ARMATURE, STIFFNESS, PointSpringElement
 from urdf.reading.bodies import Tree

@@ -19,11 +19,12 @@ from crosscheck.compare.coverage import covered_by
 from crosscheck.engines.engine import choose
 from crosscheck.library import load
 from crosscheck.studies.stress.noise import flat_four_bar
+from newton_euler.model.armatures import Armature
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Sampled
 from newton_euler.model.euler_parameters import angle_between
-from newton_euler.model.forces import Armature, JointSpring
+from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion

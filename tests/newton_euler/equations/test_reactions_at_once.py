@@ -15,8 +15,9 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time
 from newton_euler.errors import SingularityError
+from newton_euler.model.armatures import Armature
 from newton_euler.model.control import PD, ComputedTorque
-from newton_euler.model.forces import Armature, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine

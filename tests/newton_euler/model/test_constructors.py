@@ -33,7 +33,7 @@ from newton_euler import (
     wind_turbulence,
 )
 from newton_euler.errors import MechanismError, NewtonEulerError
-from newton_euler.model.forces import Armature
+from newton_euler.model.armatures import Armature
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Sphere
 from newton_euler.model.joint_kinds import JOINT_KINDS
 

@@ -14,11 +14,12 @@ from elements import COUPLED, ELEMENTS
 from mechanisms import line_spring
 
 from newton_euler.equations import parameters
+from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import JointCoupling, LinearCoupling
 from newton_euler.model.digital_control import Digital, Law, Sampled
 from newton_euler.model.elements import OnBall
-from newton_euler.model.forces import Armature, BallArmature, BallSpring, Force, JointSpring, Wrench
+from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS, Prismatic
 from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction

@@ -14,9 +14,9 @@ from crosscheck.library import load
 from newton_euler import simulate, simulate_batch, with_parameters
 from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
+from newton_euler.model.armatures import Armature
 from newton_euler.model.control import PD, ComputedTorque
 from newton_euler.model.digital_control import Digital, Sampled
-from newton_euler.model.forces import Armature
 from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.trajectory import IntegrationError

@@ -15,10 +15,11 @@ from newton_euler import simulate, simulate_batch, with_parameters
 from newton_euler.equations.parameter_names import parameter_names, places, unambiguous
 from newton_euler.equations.parameters import parameter_values, refusal
 from newton_euler.errors import MAX_PROPOSED_NAMES, MechanismError, OptionError, UnknownNameError
+from newton_euler.model.armatures import Armature
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Digital
-from newton_euler.model.forces import Armature, JointSpring
+from newton_euler.model.forces import JointSpring
 from newton_euler.model.motions import Sum
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Steps
