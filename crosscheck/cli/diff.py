@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from crosscheck.cli.shared import (
+    Fraction,
     cli,
     folder_option,
     progress_shown,
@@ -35,7 +36,7 @@ from crosscheck.support.errors import CrosscheckError
 )
 @click.option(
     "--tolerance",
-    type=click.FloatRange(0.0, 1.0, max_open=True),
+    type=Fraction(zero=True),
     help="Relative difference that counts as rounding.  [default: the digits of the files]",
 )
 @folder_option("output/diff/FIRST_SECOND")

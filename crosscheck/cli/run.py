@@ -283,7 +283,8 @@ def _logs(files: Sequence[Path], settings: Sequence[str], columns: Sequence[str]
     from crosscheck.logs.options import LogOptions
 
     options = LogOptions.parsed(
-        scene_options(tuple(settings), "--log-set"), scene_options(tuple(columns), "--log-map")
+        scene_options(tuple(settings), "--log-set"),
+        scene_options(tuple(columns), "--log-map", "COLUMN=QUANTITY"),
     )
     names = [path.stem if [p.stem for p in files].count(path.stem) == 1 else str(path) for path in files]
     return {name: Log(str(path), options) for name, path in zip(names, files, strict=True)}

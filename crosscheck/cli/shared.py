@@ -7,6 +7,7 @@ result files can be written (`result_paths`). Then they compute while a message 
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import sys
@@ -59,6 +60,31 @@ def cli() -> None:
     """Find errors in mechanism models by simulating them in three independent dynamics engines."""
 
 
+class Fraction(click.ParamType):
+    """Type of an option whose value is a number below 1, such as 1e-3 or 0.1%.
+
+    Attributes:
+        zero: whether 0 is a value.
+    """
+
+    name = "NUMBER"
+
+    def __init__(self, zero: bool = False) -> None:
+        self.zero = zero
+
+    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number that a text has."""
+        text = str(value)
+        try:
+            number = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        except ValueError:
+            number = math.nan
+        if not (0.0 < number < 1.0 or (self.zero and number == 0.0)):
+            least = "from 0 on" if self.zero else "above 0"
+            self.fail(f"{text!r}; needed: a number {least} and below 1, such as 1e-3 or 0.1%", param, ctx)
+        return number
+
+
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
     """Add the option `--set` to a command, whose argument `settings` gets the values.
 
@@ -86,7 +112,9 @@ def _apply_limits(context: click.Context, _: click.Parameter, settings: tuple[st
     return tuple(setting for setting, name in named if name not in LIMITS)
 
 
-def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[str, str]:
+def scene_options(
+    settings: tuple[str, ...], given_as: str = "--set", form: str = "OPTION=VALUE"
+) -> dict[str, str]:
     """Parse settings of the form OPTION=VALUE into the options of a scene by name.
 
     The option `ignore` lists elements of a model file that are left out; if it is repeated, its values are
@@ -95,6 +123,7 @@ def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[st
     Args:
         settings: values of the command-line option.
         given_as: command-line option that the settings belong to, for messages.
+        form: names of both parts of a setting, for messages.
 
     Raises:
         CrosscheckError: if a setting has another form, or another option is given twice.
@@ -103,7 +132,7 @@ def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[st
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not (key and equals and value):
-            raise CrosscheckError(f"{given_as} {setting!r} is not of the form OPTION=VALUE")
+            raise CrosscheckError(f"{given_as} {setting!r} is not of the form {form}")
         if key in options and key != "ignore":
             raise CrosscheckError(f"{given_as} {key} is given twice")
         options[key] = f"{options[key]},{value}" if key in options else value

@@ -12,6 +12,7 @@ import click
 from crosscheck.cli.shared import (
     AGREE,
     INACCURATE,
+    Fraction,
     cli,
     folder_option,
     next_step,
@@ -31,10 +32,10 @@ from crosscheck.report.render import as_json
 @setting_options
 @click.option(
     "--error",
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    type=Fraction(),
     default=1e-3,
     show_default=True,
-    help="Error to reach, as a part of the motion.",
+    help="Error to reach, as a part of the motion, such as 1e-3 or 0.1%.",
 )
 @folder_option("output/tune/FILE")
 @verbose_option

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -90,9 +91,10 @@ def load(name: str, /, **options: str | float) -> Scene:
     if remedy := CONVERSION_ADVICE.get(Path(name).suffix.lower()):
         raise CrosscheckError(f"{name!r} is in a format that cannot be read; {remedy}")
     if Path(name).suffix not in (".yaml", ".yml", ".json"):
-        raise CrosscheckError(
-            f"unknown scene {name!r}; {choices(name, SCENES)}, or give a .yaml, .json, .xml or .urdf file"
-        )
+        endings = ".yaml, .json, .xml or .urdf"
+        if os.path.exists(name):
+            raise CrosscheckError(f"{name}: cannot be read; needed: a name that ends in {endings}")
+        raise CrosscheckError(f"unknown scene {name!r}; {choices(name, SCENES)}, or give a {endings} file")
     if options:
         raise CrosscheckError(f"scene file {name!r} takes no options, got {listed(options)}")
     from crosscheck.library.scene_file import read_scene

@@ -93,6 +93,21 @@ def test_all_elements_of_a_row_are_listed(capsys, tmp_path):
     assert "<b>1</b> damping: " in (out / "report.html").read_text()
 
 
+@pytest.mark.parametrize("value", ["nan", "1", "100%", "-0.1", "abc", "1 %%"])
+def test_bad_tolerances_are_refused(capsys, arm, value):
+    status, _, error = run(capsys, "diff", arm("first"), arm("other"), "--tolerance", value)
+    assert status == 2
+    needed = "a number from 0 on and below 1, such as 1e-3 or 0.1%"
+    assert f"'--tolerance': {value!r}; needed: {needed}" in " ".join(error.split())
+
+
+@pytest.mark.parametrize(("value", "status"), [("1%", 1), ("2%", 0), ("0.02", 0)])
+def test_a_tolerance_may_be_a_percentage(capsys, arm, tmp_path, value, status):
+    # 1.52 kg against 1.5 kg: 1.33 %
+    paths = arm("first"), arm("other", mass="1.52")
+    assert run(capsys, "diff", *paths, "--tolerance", value, "--output", tmp_path / "out")[0] == status
+
+
 def test_names_that_the_user_pairs(capsys, arm, tmp_path):
     other = arm("other")
     with open(other) as file:

@@ -70,10 +70,18 @@ def test_elements_to_ignore_may_be_given_one_by_one():
         (["tracker", "--set", "panel_inertia=literal", "--set", "panel_inertia=realisable"], "given twice"),
         (["tracker", "--fast"], "No such option"),
         (["tracker", "four_bar"], "unexpected extra argument"),
+        (["tracker", "--log", "a.csv", "--log-map", "x"], "--log-map 'x' is not of the form COLUMN=QUANTITY"),
     ],
 )
 def test_bad_usage(capsys, tmp_path, arguments, message):
     check_refused(capsys, tmp_path, *arguments, message=message)
+
+
+def test_a_file_with_another_suffix_is_no_scene(capsys, tmp_path):
+    path = tmp_path / "robot.txt"
+    path.touch()
+    message = f"{path}: cannot be read; needed: a name that ends in .yaml, .json, .xml or .urdf"
+    check_refused(capsys, tmp_path, path, message=message)
 
 
 def test_paths_that_cannot_be_written(capsys, tmp_path, good):
