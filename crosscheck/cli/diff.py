@@ -10,9 +10,9 @@ from pathlib import Path
 import click
 
 from crosscheck.cli.shared import (
-    Fraction,
     cli,
     folder_option,
+    fraction,
     progress_shown,
     scene_options,
     show,
@@ -36,7 +36,8 @@ from crosscheck.support.errors import CrosscheckError
 )
 @click.option(
     "--tolerance",
-    type=Fraction(zero=True),
+    type=fraction,
+    metavar="NUMBER",
     help="Relative difference that counts as rounding.  [default: the digits of the files]",
 )
 @folder_option("output/diff/FIRST_SECOND")

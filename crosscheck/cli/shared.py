@@ -60,29 +60,26 @@ def cli() -> None:
     """Find errors in mechanism models by simulating them in three independent dynamics engines."""
 
 
-class Fraction(click.ParamType):
-    """Type of an option whose value is a number below 1, such as 1e-3 or 0.1%.
+def fraction(text: str | float) -> float:
+    """Read the value of an option: a number from 0 on and below 1, such as 1e-3 or 0.1%."""
+    return _number_below_one(text, "from 0 on", lambda number: number >= 0.0)
 
-    Attributes:
-        zero: whether 0 is a value.
-    """
 
-    name = "NUMBER"
+def positive_fraction(text: str | float) -> float:
+    """Read the value of an option: a number above 0 and below 1, such as 1e-3 or 0.1%."""
+    return _number_below_one(text, "above 0", lambda number: number > 0.0)
 
-    def __init__(self, zero: bool = False) -> None:
-        self.zero = zero
 
-    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number that a text has."""
-        text = str(value)
-        try:
-            number = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
-        except ValueError:
-            number = math.nan
-        if not (0.0 < number < 1.0 or (self.zero and number == 0.0)):
-            least = "from 0 on" if self.zero else "above 0"
-            self.fail(f"{text!r}; needed: a number {least} and below 1, such as 1e-3 or 0.1%", param, ctx)
-        return number
+def _number_below_one(value: str | float, least: str, is_enough: Callable[[float], bool]) -> float:
+    """Read a number or a percentage below 1; `least` says in words what `is_enough` demands."""
+    text = str(value)
+    try:
+        number = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+    except ValueError:
+        number = math.nan
+    if not (is_enough(number) and number < 1.0):
+        raise click.BadParameter(f"{text!r}; needed: a number {least} and below 1, such as 1e-3 or 0.1%")
+    return number
 
 
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:

@@ -12,10 +12,10 @@ import click
 from crosscheck.cli.shared import (
     AGREE,
     INACCURATE,
-    Fraction,
     cli,
     folder_option,
     next_step,
+    positive_fraction,
     progress_shown,
     result_paths,
     scene_options,
@@ -32,7 +32,8 @@ from crosscheck.report.render import as_json
 @setting_options
 @click.option(
     "--error",
-    type=Fraction(),
+    type=positive_fraction,
+    metavar="NUMBER",
     default=1e-3,
     show_default=True,
     help="Error to reach, as a part of the motion, such as 1e-3 or 0.1%.",
