@@ -28,6 +28,7 @@ from crosscheck.differences.stack import (
     dot,
     matrix_distance,
     twist,
+    wrapped,
 )
 from newton_euler.reading.robot import IN_PLACE, JointKind, Placement, Robot, RobotFile
 from newton_euler.scalars import Array
@@ -299,7 +300,10 @@ class CommonFrames:
         turns = [twist(inside[0].rotation[0], each.rotation, axis) for each in inside]
         offset = place.pair.offset if place.kind == JointKind.HINGE else 0.0
         slack = 2.0 * (parent.slack_angle + child.slack_angle) + MIN_OFFSET
-        return self.judge.compare(turns[0], turns[1] - place.pair.sense * offset, absolute, slack)
+        turned = turns[1] - place.pair.sense * offset
+        # half a turn to one side is half a turn to the other side
+        turned -= turned[0] - wrapped(turned[0])
+        return self.judge.compare(turns[0], turned, absolute, slack)
 
     def _shift_size(self, place: JointPlace) -> tuple[float, float]:
         """Return the shift, m, of a hinge's child along the axis, seen from the parent; its uncertainty."""

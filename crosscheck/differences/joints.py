@@ -15,7 +15,17 @@ from crosscheck.differences.difference import Difference, Quantity, Value, diffe
 from crosscheck.differences.drive_pairs import is_meant
 from crosscheck.differences.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
 from crosscheck.differences.short_angles import is_short_pi, is_turn_by_short_pi
-from crosscheck.differences.stack import JointKey, Metric, absolute, angle, distance, dot, relative, twist
+from crosscheck.differences.stack import (
+    JointKey,
+    Metric,
+    absolute,
+    angle,
+    distance,
+    dot,
+    relative,
+    twist,
+    wrapped,
+)
 from newton_euler.reading.robot import FileDrive, JointKind, Robot
 from newton_euler.scalars import Array
 
@@ -269,6 +279,7 @@ class _AxisJoint:
             change, sizes = along, self._at_parent(along[0], along[1], absolute)
         if sizes[0] > sizes[1]:
             self.offset -= self.place.pair.sense * float(change[1][0])
+            self.offset = self.offset if self.slide else float(wrapped(np.array(self.offset)))
         elif sizes[0]:
             yield self._row(Quantity.ZERO, (0.0, float(change[1][0])), sizes)
         zeros = self.common.numbers(self.place.pair, "zero")

@@ -12,16 +12,15 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 
+from crosscheck.differences.followers import Followers, is_unclear
 from crosscheck.differences.joint_matches import MatchedJoint, joints_in_order, matched_joint
 from crosscheck.differences.links import Link, LinkTree, composite
 from crosscheck.differences.registration import (
-    Further,
-    Rigid,
     line_value,
-    principal_rotations,
     register,
     rigid,
 )
+from crosscheck.differences.rigid_motions import principal_rotations
 from crosscheck.differences.tree_match import FORCED, TreeMatch, assignment
 from newton_euler.reading.robot import IN_PLACE, JointKind, Placement
 from newton_euler.scalars import Array
@@ -103,7 +102,7 @@ class _Pairer:
         self.pairing = Pairing()
         self._of_first: dict[int, LinkPair] = {}
         self._of_second: dict[int, LinkPair] = {}
-        self._nodes_below = _nodes_below(first), _nodes_below(second)
+        self._followers = Followers(first, second, self.match, self.size)
         self._grow(*self._root())
         while (moved := self._moved()) is not None:
             self._grow(*moved)
@@ -154,11 +153,6 @@ class _Pairer:
         own = self.match.own[a, b]
         return self.match.value[a, b] - own + (max(own, 0.01) if abs(own) < FORCED / 2 else own)
 
-    def _likeness(self, one: Link, two: Link) -> float:
-        """Return the value of a match of all that hangs on two links; 0 unless they are partners then."""
-        nodes = self._nodes_below[0].get(one.index, 0), self._nodes_below[1].get(two.index, 0)
-        return self.match.subtree(*nodes) if all(nodes) and self.match.matched(*nodes) == nodes else 0.0
-
     def _add(
         self,
         links: LinkPair,
@@ -184,45 +178,13 @@ class _Pairer:
             rigid([self.first.links[k] for k in links.first], self.first.links, one),
             rigid([self.second.links[k] for k in links.second], self.second.links, two),
         )
-        tops = self.first.links[links.first[0]], self.second.links[links.second[0]]
-        on_ground = tops[0].index == tops[1].index == 0
-        further = self._branches_further(*ends) if on_ground else self._following(*tops)
-        found = register(*ends, above, self.size, self._likeness, extra, further, pose_first=on_ground)
+        on_ground = links.first[0] == links.second[0] == 0
+        is_open = on_ground or is_unclear(*ends, self.size)
+        further = self._followers.further(*ends) if is_open else None
+        likeness = self._followers.likeness
+        found = register(*ends, above, self.size, likeness, extra, further, pose_first=on_ground)
         links.motion, links.same_pose = found.motion, found.same_pose
         return links
-
-    def _following(self, one: Link, two: Link) -> Further | None:
-        """Return the value of the links that follow two links without mass; None for other links.
-
-        A universal joint whose zeros are elsewhere fits two ways, until the link behind it is compared.
-        """
-        if one.mass or two.mass or not len(one.children) == len(two.children) == 1:
-            return None
-        after, other = self.first.links[one.children[0]], self.second.links[two.children[0]]
-        ends = rigid([after], self.first.links, after), rigid([other], self.second.links, other)
-        further = self._following(after, other)
-        return lambda motion: register(*ends, motion, self.size, self._likeness, (), further).value
-
-    def _branches_further(self, one: Rigid, two: Rigid) -> Further:
-        """Return the value of the links next to the ground, by the motion between both grounds."""
-        pairs = [
-            [(c, d) for d in two.branches if c.kind == d.kind and self._likeness(c, d) > 0]
-            for c in one.branches
-            if c.kind is not JointKind.FREE
-        ]
-        ends = [
-            [(rigid([c], self.first.links, c), rigid([d], self.second.links, d)) for c, d in choices]
-            for choices in pairs
-        ]
-
-        def further(motion: Placement) -> float:
-            values = (
-                [register(*pair, motion, self.size, self._likeness).value for pair in choices]
-                for choices in ends
-            )
-            return sum(max(found, default=0.0) for found in values)
-
-        return further
 
     def _unmatched_below(self, a: int, b: int) -> tuple[list[Link], list[Link]]:
         """Return the links of both robots next below two nodes that no links of the other robot match."""
@@ -310,7 +272,7 @@ class _Pairer:
                         rigid(starts[:1], self.first.links, starts[0]),
                         rigid(starts[1:], self.second.links, starts[1]),
                     )
-                    found[c, d] += register(*ends, above.motion, self.size, self._likeness).value
+                    found[c, d] += register(*ends, above.motion, self.size, self._followers.likeness).value
         return found
 
     def _walk(self, a: int, b: int, end: int, other_end: int) -> None:
@@ -429,17 +391,6 @@ def _whole_motions(first: Sequence[Link], second: Sequence[Link]) -> list[Placem
         return []
     turns = principal_rotations(one[2], two[2])
     return [Placement(one[1] - turn @ two[1], turn) for turn in turns]
-
-
-def _nodes_below(tree: LinkTree) -> dict[int, int]:
-    """Return the node at or below each link that is no branching without a node."""
-    found: dict[int, int] = {}
-    for link in reversed(tree.links):
-        if link.index in tree.branches:
-            found[link.index] = link.index
-        elif link.children:
-            found[link.index] = found[link.children[0]]
-    return found
 
 
 def _floating(tree: LinkTree) -> list[int]:

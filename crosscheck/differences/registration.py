@@ -15,8 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from crosscheck.differences.links import Link, composite
+from crosscheck.differences.rigid_motions import (
+    about_line,
+    common_normal,
+    fitted,
+    length,
+    principal_rotations,
+    rotation_between,
+)
 from crosscheck.differences.tree_match import LOCATED, agreement, assignment
-from crosscheck.differences.vectors import rotation_matrix
 from newton_euler.reading.robot import JointKind, Placement
 from newton_euler.scalars import Array
 
@@ -34,6 +41,9 @@ POINT_WEIGHT = 0.3
 
 SEPARATE = 1e-3
 """Smallest distance, relative to the robot's size, or angle in rad, from which an angle is computed."""
+
+MIN_COSINE = 0.1
+"""Smallest cosine of the angle of two axes at a parent that tells whether they count the same way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,16 +141,12 @@ def register(
         best, best_total = pose, totals[1]
     else:
         best, best_total = by_frame, totals[0]
-    if comparison.value(best) < comparison.largest - MARGIN:
+    if further or comparison.value(best) < comparison.largest - MARGIN:
         others = [*extra, *comparison.candidates()]
-        scores = [comparison.total(motion) for motion in others]
-        if further and scores:
+        if further:
             # what follows is compared only for the best explanations, since that costs more
-            least = max(scores) - MARGIN
-            scores = [
-                score + further(motion) if score > least else 0.0
-                for motion, score in zip(others, scores, strict=True)
-            ]
+            others = comparison.best_of(others)
+        scores = [comparison.total(motion) + (further(motion) if further else 0.0) for motion in others]
         if scores and max(scores) > best_total + MARGIN:
             best_total = max(scores)
             best = others[scores.index(best_total)]
@@ -180,9 +186,16 @@ class _Comparison:
         self._likely = self._assigned(lambda one, two: self._values.get((one, two), 0.0))
         self._joint = (first.joint, second.joint) if first.joint and second.joint else None
         self.located = self._joint is not None and self._joint[0].kind in LOCATED
-        self.largest = 2.0 * self._has_mass + sum(
-            SUBTREE_WEIGHT * self._values[one.index, two.index] + _largest(one, two)
-            for one, two in self._likely
+        self._slides = (
+            self._joint is not None and self._joint[0].kind is self._joint[1].kind is JointKind.SLIDE
+        )
+        self.largest = (
+            2.0 * self._has_mass
+            + self._slides
+            + sum(
+                SUBTREE_WEIGHT * self._values[one.index, two.index] + _largest(one, two)
+                for one, two in self._likely
+            )
         )
         if self._joint:
             self.largest += _largest(*self._joint)
@@ -197,12 +210,13 @@ class _Comparison:
         found = 0.0
         if self._has_mass:
             center = motion.point(self.second.center)
-            found += agreement(_norm(center - self.first.center) / self.size)
+            found += agreement(length(center - self.first.center) / self.size)
             inertia = motion.rotation @ self.second.inertia @ motion.rotation.T
             difference = (inertia - self.first.inertia).ravel()
-            found += agreement(_norm(difference) / self._inertia_scale)
+            found += agreement(length(difference) / self._inertia_scale)
         if self._joint:
-            found += line_value(*self._joint, motion, self.size)
+            found += line_value(*self._joint, motion, self.size, self.above)
+            found += agreement(self._off_slide(motion)) if self._slides else 0.0
         if not self._values:
             return found
         lines = {
@@ -219,6 +233,20 @@ class _Comparison:
         """Return the value of a motion, with that of an equal frame and of an equal pose."""
         return self.value(motion) + CONVENTION_BONUS * (self.same_frame(motion) + self.same_pose(motion))
 
+    def best_of(self, motions: Sequence[Placement]) -> list[Placement]:
+        """Return the motions that leave the fewest numbers different, each one once.
+
+        A point of an axis is free along the axis: motions that differ in such points alone count as equal.
+        """
+        values = [self.value(motion) for motion in motions]
+        least = max(values, default=0.0) - POINT_WEIGHT - MARGIN
+        found: list[Placement] = []
+        for value, motion in sorted(zip(values, motions, strict=True), key=lambda each: -each[0]):
+            known = (max(self._turn(motion, each), self._shift(motion, each)) for each in found)
+            if value > least and min(known, default=1.0) > SEPARATE:
+                found.append(motion)
+        return found
+
     def same_frame(self, motion: Placement) -> float:
         """Return 1 if a motion makes the frames equal, up to 0.3 if it makes them similar."""
         if not self._framed:
@@ -230,14 +258,21 @@ class _Comparison:
         turn = self._turn(motion, self.above)
         return _sameness(turn if self.located else max(turn, self._shift(motion, self.above)))
 
+    def _off_slide(self, motion: Placement) -> float:
+        """Return how far a motion takes the link off its slide at the parent, rad or relative to the size."""
+        assert self._joint is not None
+        axis = self.above.rotation @ self._joint[1].axis
+        apart = motion.point(self._origin) - self.above.point(self._origin)
+        return max(self._turn(motion, self.above), length(apart - (apart @ axis) * axis) / self.size)
+
     def _turn(self, one: Placement, two: Placement) -> float:
         """Return the angle between two motions, rad; exact for small angles."""
-        return _norm((one.rotation - two.rotation).ravel()) / math.sqrt(2.0)
+        return length((one.rotation - two.rotation).ravel()) / math.sqrt(2.0)
 
     def _shift(self, one: Placement, two: Placement) -> float:
         """Return how far apart two motions take the origin of the second link, relative to the size."""
         apart = one.rotation @ self._origin + one.position - two.rotation @ self._origin - two.position
-        return _norm(apart) / self.size
+        return length(apart) / self.size
 
     def joint_points_equal(self, rotation: Array) -> Placement:
         """Return the motion with a rotation that makes the points of the joints equal."""
@@ -292,8 +327,8 @@ class _Comparison:
             if one.axis.any() and two.axis.any():
                 there = start.rotation @ two.axis
                 normals = (
-                    _perpendicular(one.point - joint.point, joint.axis, one.axis),
-                    _perpendicular(here, joint.axis, there),
+                    common_normal(one.point - joint.point, joint.axis, one.axis),
+                    common_normal(here, joint.axis, there),
                 )
                 angles.append(self._angle(joint.axis, *normals, self.size))
         for angle in angles:
@@ -336,7 +371,7 @@ class _Comparison:
     def _angle(self, axis: Array, first: Array, second: Array, scale: float) -> float | None:
         """Return the angle about an axis from a vector to another one; None if one is along the axis."""
         one, two = first - (first @ axis) * axis, second - (second @ axis) * axis
-        if min(_norm(one), _norm(two)) < SEPARATE * scale:
+        if min(length(one), length(two)) < SEPARATE * scale:
             return None
         return math.atan2(float(axis @ np.cross(two, one)), float(one @ two))
 
@@ -346,17 +381,29 @@ def _sameness(difference: float) -> float:
     return 1.0 if difference < 3e-5 else 0.3 / (1.0 + (difference / 0.5) ** 2)
 
 
-def line_value(one: Link, two: Link, motion: Placement, size: float) -> float:
-    """Return how many numbers of two joints are equal if the second one is moved: direction and place."""
+def line_value(one: Link, two: Link, motion: Placement, size: float, above: Placement | None = None) -> float:
+    """Return how many numbers of two joints are equal if the second one is moved: direction and place.
+
+    Args:
+        one, two: links whose joints they are.
+        motion: of the second joint.
+        size: typical length of the robots, m.
+        above: motion of the parent of the second link, which decides whether the joints count the other way;
+            None if `motion` decides.
+    """
     if one.kind != two.kind or one.kind in (None, JointKind.FREE):
         return 0.0
     found = 0.0
     point = motion.point(two.point) - one.point
     if one.axis.any():
-        found += agreement(_norm(one.axis - _signed(motion.rotation @ two.axis, one.axis)))
+        moved = motion.rotation @ two.axis
+        at_parent = above.rotation @ two.axis if above else moved
+        clear = abs(float(at_parent @ one.axis)) > MIN_COSINE
+        sense = math.copysign(1.0, float((at_parent if clear else moved) @ one.axis))
+        found += agreement(length(one.axis - sense * moved))
     if one.kind in LOCATED:
-        found += agreement(_norm(point - (point @ one.axis) * one.axis) / size)
-    return found + POINT_WEIGHT * agreement(_norm(point) / size)
+        found += agreement(length(point - (point @ one.axis) * one.axis) / size)
+    return found + POINT_WEIGHT * agreement(length(point) / size)
 
 
 def _largest(one: Link, two: Link) -> float:
@@ -366,72 +413,22 @@ def _largest(one: Link, two: Link) -> float:
     return float(one.axis.any()) + (one.kind in LOCATED)
 
 
-def principal_rotations(first: Array, second: Array) -> list[Array]:
-    """Return the four rotations that take the principal axes of an inertia to those of another one."""
-    one, two = np.linalg.eigh(first)[1], np.linalg.eigh(second)[1]
-    found = []
-    for x, y in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
-        turn = (one * np.array([x, y, 1.0])) @ two.T
-        if np.linalg.det(turn) < 0:
-            turn = (one * np.array([x, y, -1.0])) @ two.T
-        found.append(turn)
-    return found
-
-
-def about_line(axis: Array, point: Array, angle: float) -> Placement:
-    """Return the motion that turns by an angle, rad, about a line of direction (3,) through a point (3,)."""
-    rotation = rotation_matrix(angle * axis)
-    return Placement(point - rotation @ point, rotation)
-
-
-def rotation_between(first: Array, second: Array) -> Array:
-    """Return the smallest rotation that takes a unit vector (3,) to another one."""
-    normal = np.cross(first, second)
-    sine, cosine = _norm(normal), float(first @ second)
-    if sine < 1e-12:  # round-off: parallel
-        if cosine > 0:
-            return np.eye(3)
-        normal = np.cross(first, np.eye(3)[int(np.argmin(abs(first)))])
-        return rotation_matrix(math.pi / _norm(normal) * normal)
-    return rotation_matrix(math.atan2(sine, cosine) / sine * normal)
-
-
-def fitted(first: Array, second: Array, axes: Sequence[tuple[Array, Array]]) -> Placement:
-    """Return the motion that takes points (n, 3) to others with the smallest squares of distances (Kabsch).
+def looks_same_after_half_turn(link: Rigid, size: float) -> bool:
+    """Return whether half a turn about the hinge of a rigid body changes none of its numbers.
 
     Args:
-        first, second: the points of the first robot, and those of the second, which move.
-        axes: pairs of directions, each of which counts like one more point at the mean distance.
+        link: the body.
+        size: typical length of the robot, m.
     """
-    one, two = first.mean(axis=0), second.mean(axis=0)
-    covariance = (first - one).T @ (second - two)
-    weight = float(np.trace((first - one).T @ (first - one))) / len(first)
-    for direction, other in axes:
-        covariance = covariance + weight * np.outer(direction, other)
-    left, _, right = np.linalg.svd(covariance)
-    flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = (left * flip) @ right
-    return Placement(one - rotation @ two, rotation)
-
-
-def _perpendicular(arm: Array, axis: Array, other: Array) -> Array:
-    """Return the vector from an axis to another one along their common normal.
-
-    Args:
-        arm: (3,) m, from a point of the axis to a point of the other one.
-        axis, other: (3,) directions.
-    """
-    normal = np.cross(axis, other)
-    length = _norm(normal)
-    if length < SEPARATE:
-        return arm - (arm @ axis) * axis
-    return normal * (float(arm @ normal) / length**2)
-
-
-def _signed(axis: Array, like: Array) -> Array:
-    """Return a direction or its opposite, whichever is nearer to another direction."""
-    return axis if float(axis @ like) >= 0 else -axis
-
-
-def _norm(vector: Array) -> float:
-    return math.sqrt(float(vector @ vector))
+    if link.joint is None or link.joint.kind is not JointKind.HINGE:
+        return False
+    half_turn = about_line(link.joint.axis, link.joint.point, math.pi)
+    turned = half_turn.rotation @ link.inertia @ half_turn.rotation.T
+    differences = [
+        length(half_turn.point(link.center) - link.center) / size,
+        length((turned - link.inertia).ravel()) / (length(link.inertia.ravel()) or 1.0),
+    ]
+    return max(differences) < SEPARATE and all(
+        line_value(branch, branch, half_turn, size) > _largest(branch, branch) - MARGIN
+        for branch in link.branches
+    )

@@ -6,6 +6,7 @@ array, of length V, counts the robot and its variants, so that one evaluation se
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -177,7 +178,8 @@ def about_other_point(mass: Array, offset: Array) -> Array:
 def twist(reference: Array, rotations: Array, axis: Array) -> Array:
     """Return the turns (V,), rad, about an axis (3,) from a rotation (3, 3) to rotations (V, 3, 3).
 
-    The axis is in the turned frame. A turn of the axis itself is left out.
+    The axis is in the turned frame. A turn of the axis itself is left out. The first turn is from -pi to pi,
+    and the others are within pi of it, so that variants of half a turn are near each other.
     """
     turns = reference.T @ rotations
     twice_sine = np.stack(
@@ -190,8 +192,14 @@ def twist(reference: Array, rotations: Array, axis: Array) -> Array:
     )
     # Of the plane across the axis: trace 2 c cos(twist), antisymmetric part 2 c sin(twist), c > 0
     trace = np.trace(turns, axis1=1, axis2=2) - (turns @ axis) @ axis
-    angle: Array = np.arctan2(twice_sine @ axis, trace)
-    return angle
+    turns_about_axis = np.arctan2(twice_sine @ axis, trace)
+    return turns_about_axis[0] + wrapped(turns_about_axis - turns_about_axis[0])
+
+
+def wrapped(angle: Array) -> Array:
+    """Return angles, rad, less the full turns nearest to them."""
+    rest: Array = angle - 2.0 * math.pi * np.round(angle / (2.0 * math.pi))
+    return rest
 
 
 def _moved(kind: JointKind, axis: Array, point: Array, displacement: float) -> Poses:
