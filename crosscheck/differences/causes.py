@@ -141,6 +141,11 @@ def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
         what = " and ".join(row.quantity for row in unchanged)
         if sign is not None:
             words = f"{sign.cause}, {what} not mirrored"
+            if zero is not None:
+                # limits that are as written show that nothing but the axis is reversed, in a pose that has
+                # another coordinate than zero
+                words = f"{sign.cause}, its zero is elsewhere, {what} not mirrored"
+                replaced[id(zero)] = None
             replaced[id(sign)] = replace(sign, cause=words, effect=None, convention=False)
         if zero is not None and axis is not None and axis.cause:
             # A turn about any direction is a turn of the axis and a turn about the axis
@@ -148,7 +153,7 @@ def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
             words = f"the link is turned at its parent by {math.degrees(turn):.4g} degrees"
             replaced[id(axis)] = replace(axis, size=turn, cause=words)
             replaced[id(zero)] = None
-        elif zero is not None:
+        elif zero is not None and sign is None:
             words = f"{zero.cause}, {what} not moved"
             replaced[id(zero)] = replace(zero, cause=words, effect=None, convention=False)
     kept = (replaced.get(id(row), row) for row in rows)

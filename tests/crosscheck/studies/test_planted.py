@@ -25,6 +25,24 @@ ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
 </mujoco>"""
 
 
+LINKAGE = """<mujoco model="linkage"><compiler angle="radian"/><worldbody>
+<body name="base"><inertial pos="0 0 0.05" mass="3.5" diaginertia="0.021 0.022 0.023"/>
+<body name="crank" pos="0 0 0.1"><inertial pos="0.01 0.02 0.1" mass="1.25" diaginertia="0.021 0.022 0.013"/>
+ <joint name="drive" axis="0 1 0" range="-1 1.5" damping="0.25"/>
+ <body name="coupler" pos="0 0 0.25">
+  <inertial pos="0.2 0.01 0.02" mass="1.5" diaginertia="0.011 0.032 0.033"/>
+  <joint name="pin" axis="0 1 0" range="-2 1.5" damping="0.125"/>
+  <body name="tool" pos="0.2 0 0.1">
+   <inertial pos="0.01 0.05 0.03" mass="0.75" diaginertia="0.004 0.005 0.006"/>
+   <joint name="tilt" axis="1 0 0" range="-0.5 1.5" ref="0.7" damping="0.5"/></body></body></body>
+<body name="rocker" pos="0.45 0 0.1">
+ <inertial pos="0.02 0.01 0.12" mass="1.75" diaginertia="0.021 0.022 0.008"/>
+ <joint name="swing" axis="0 1 0" range="-1 2" damping="0.375"/></body></body></worldbody>
+<equality><connect body1="coupler" body2="rocker" anchor="0.4 0 0.02"/></equality>
+<actuator><motor name="motor" joint="drive" gear="2"/></actuator>
+</mujoco>"""
+
+
 @pytest.fixture
 def arm(tmp_path):
     """Return the path of the arm's file."""
@@ -56,12 +74,24 @@ def test_a_change_alters_what_its_name_says(kind, read, factor):
         assert sum(ratio != pytest.approx(1.0, rel=1e-9) for ratio in ratios) == 1
 
 
-def test_all_cases_of_a_small_arm_are_right(arm, tmp_path):
-    folder = tmp_path / "changed"
+@pytest.mark.parametrize("text", [ARM, LINKAGE], ids=["arm", "linkage"])
+def test_all_cases_of_a_small_robot_are_right(text, tmp_path):
+    path, folder = tmp_path / "robot.xml", tmp_path / "changed"
+    path.write_text(text)
     folder.mkdir()
-    cases = list(PlantedModel("arm", arm, folder).cases())
+    cases = list(PlantedModel("robot", path, folder).cases())
     assert len({kind for case in cases for kind in case.kinds}) > 30
     assert [case for case in cases if case.mistakes or case.is_missed] == []
+
+
+def test_a_joint_that_is_reversed_at_another_zero_is_one_row(tmp_path):
+    """Only the axis is reversed: the coordinate is 0.7 rad at the start, and the zero elsewhere."""
+    path, other = tmp_path / "robot.xml", tmp_path / "other.xml"
+    path.write_text(LINKAGE)
+    other.write_text(LINKAGE.replace('name="tilt" axis="1 0 0"', 'name="tilt" axis="-1 0 0"'))
+    (row,) = compare_models((path, other), ({}, {}), {}, None, lambda stage: None).differences
+    assert (row.element, row.quantity) == ("tilt", Quantity.SIGN)
+    assert "limits not mirrored" in row.cause
 
 
 @pytest.mark.parametrize(

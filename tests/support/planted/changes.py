@@ -282,10 +282,15 @@ def _with_child(file: ModelText) -> dict[str, str]:
     return {joint: body for joint, body in file.hinges().items() if body in _heavy(file)}
 
 
+def _outside_loops(file: ModelText) -> dict[str, str]:
+    """Return the hinges that move a heavy body and are in no loop whose points another place would move."""
+    return {joint: body for joint, body in _with_child(file).items() if not file.is_in_loop(body)}
+
+
 def _free_to_turn(file: ModelText) -> dict[str, str]:
     """Return the hinges with limits and without drives, springs or couplings that depend on their zero."""
     found = {}
-    for joint, body in _with_child(file).items():
+    for joint, body in _outside_loops(file).items():
         try:
             if file.limits(joint) is not None and not file.is_servo_driven(joint):
                 found[joint] = body
@@ -302,7 +307,7 @@ def _jointed(joint: str, body: str, row: Expected) -> Plant:
 @common
 def joint_origin(file: ModelText, random: np.random.Generator) -> Plant:
     """Move a joint by 1 cm across its axis."""
-    hinges = _with_child(file)
+    hinges = _outside_loops(file)
     joint = chosen(random, hinges)
     placement = file.placement(hinges[joint])
     shift = 0.01 * across(file.axis(joint))
@@ -330,7 +335,9 @@ def sign_of_axis(file: ModelText, random: np.random.Generator) -> Plant:
     file.set_axis(joint, -file.axis(joint))
     row = Expected(joint, Quantity.SIGN, None, "limits not mirrored")
     return Plant(
-        (row,), touched=frozenset([joint, hinges[joint]]), coordinates={joint: Coordinate(joint, sense=-1.0)}
+        (row,),
+        touched=frozenset([joint, hinges[joint]]),
+        coordinates={joint: Coordinate(joint, sense=-1.0, offset=2.0 * file.zero(joint))},
     )
 
 
@@ -342,6 +349,7 @@ def sign_with_limits(file: ModelText, random: np.random.Generator) -> Plant:
     file.reverse_drives(joint)
     limits = file.limits(joint)
     file.set_axis(joint, -file.axis(joint))
+    file.set_zero(joint, -file.zero(joint))
     if limits is not None:
         file.set_limits(joint, (-limits[1], -limits[0]))
     return Plant(
@@ -385,7 +393,7 @@ def link_turned_about_its_axis(file: ModelText, random: np.random.Generator) -> 
 @common
 def link_turned(file: ModelText, random: np.random.Generator) -> Plant:
     """Turn a link at its parent by 3 degrees about a direction across its axis."""
-    hinges = _with_child(file)
+    hinges = _outside_loops(file)
     joint = chosen(random, hinges)
     angle = math.radians(3.0)
     _turned(file, joint, hinges[joint], turn(across(file.axis(joint)), angle))
@@ -519,6 +527,7 @@ def lengths_in_millimeters(file: ModelText, random: np.random.Generator) -> Plan
             own = file.inertial(body)
             scaled = own._replace(center=1000.0 * own.center, inertia=1e6 * own.inertia)
             file.set_inertial(body, scaled)
+    file.scale_loops(1000.0)
     return Plant((Expected("", Quantity.JOINT_ORIGIN, None, "times 1000 (m against mm"),))
 
 

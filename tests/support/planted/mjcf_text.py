@@ -13,7 +13,7 @@ import numpy as np
 from newton_euler.reading.robot import Placement
 from newton_euler.scalars import Array
 from tests.support.planted.model_text import Inertial, ModelText
-from tests.support.planted.plant import NotApplicable, text
+from tests.support.planted.plant import NotApplicable, numbers, text
 
 ORIENTATIONS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
 """Attributes of which an element has at most one."""
@@ -178,6 +178,27 @@ class MjcfText(ModelText):
 
     def set_limits(self, joint: str, limits: tuple[float, float]) -> None:
         self.set(self.joint_elements[joint], range=text(*(each / self.angle_unit for each in limits)))
+
+    def zero(self, joint: str) -> float:
+        return float(self.model.qpos0[self.model.joint(joint).qposadr[0]])
+
+    def set_zero(self, joint: str, zero: float) -> None:
+        self.set(self.joint_elements[joint], ref=text(zero / self.angle_unit))
+
+    def _loops(self) -> list[ET.Element]:
+        """Return the points that are equal in two bodies; MuJoCo finds the second one in the file's pose."""
+        loops = [each for part in self.root.findall("equality") for each in part.findall("connect")]
+        return [each for each in loops if each.get("anchor")]
+
+    def is_in_loop(self, body: str) -> bool:
+        branch = self.branch(body)
+        ends = [(each.get("body1") in branch, each.get("body2") in branch) for each in self._loops()]
+        return any(one != two for one, two in ends)
+
+    def scale_loops(self, factor: float) -> None:
+        for loop in self._loops():
+            anchor = factor * numbers(loop.get("anchor"), "0 0 0")
+            self.set(loop, anchor=text(*anchor))
 
     def number(self, joint: str, name: str) -> float:
         own = self.model.joint(joint)

@@ -10,6 +10,7 @@ import numpy as np
 
 from newton_euler.reading.robot import Placement
 from newton_euler.scalars import Array
+from tests.support.planted.plant import NotApplicable
 
 
 class Inertial(NamedTuple):
@@ -88,6 +89,27 @@ class ModelText(ABC):
         """Return whether the limits of a joint do not change if they are mirrored."""
         limits = self.limits(joint)
         return limits is None or bool(np.isclose(limits[0], -limits[1]))
+
+    def zero(self, joint: str) -> float:
+        """Return the coordinate of a hinge in the pose of the file, rad."""
+        return 0.0
+
+    def set_zero(self, joint: str, zero: float) -> None:
+        """Replace the coordinate of a hinge in the pose of the file, rad.
+
+        Raises:
+            NotApplicable: if the format has none.
+        """
+        if zero:
+            raise NotApplicable(f"{self.format} has no coordinates of the pose of the file")
+
+    def is_in_loop(self, body: str) -> bool:
+        """Return whether a loop's end moves on its body if a body gets another place at its parent."""
+        return False
+
+    @abstractmethod
+    def scale_loops(self, factor: float) -> None:
+        """Multiply the points of all loops with a factor."""
 
     @abstractmethod
     def bodies(self) -> list[str]:

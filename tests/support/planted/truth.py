@@ -27,7 +27,8 @@ def change_of_motion(first: ModelText, second: ModelText, coordinates: Mapping[s
         coordinates: joints whose name, sign or zero is another one in the second file.
     """
     accelerations = _of_mujoco if isinstance(first, MjcfText) else _of_pinocchio
-    before, after = accelerations(first, {}), accelerations(second, coordinates)
+    zeros = {joint: first.zero(joint) for joint in first.hinges()}
+    before, after = accelerations(first, {}, zeros), accelerations(second, coordinates, zeros)
     common = sorted(before.keys() & after.keys())
     one, other = (np.array([each[name] for name in common]) for each in (before, after))
     scale = np.maximum(np.abs(one), MIN_ACCELERATION * np.abs(one).max())
@@ -41,14 +42,25 @@ def _state(name: str) -> Array:
     return found
 
 
-def _of_mujoco(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[str, Array]:
-    """Return the accelerations (STATES,) of hinges and slides, by the names of the first file."""
+def _of_mujoco(
+    file: ModelText, coordinates: Mapping[str, Coordinate], zeros: Mapping[str, float]
+) -> dict[str, Array]:
+    """Return the accelerations (STATES,) of hinges and slides, by the names of the first file.
+
+    Args:
+        file: the file.
+        coordinates: joints whose name, sign or zero is not that of the first file.
+        zeros: coordinates of hinges in the pose of the first file, rad; other joints have the same ones in
+            both files.
+    """
     assert isinstance(file, MjcfText)
     model = file.model
     # with REFSAFE, soft loops depend on the time step; soft dry friction depends on the zeros of the joints
     off = mujoco.mjtDisableBit
     for flag in (off.mjDSBL_LIMIT, off.mjDSBL_CONTACT, off.mjDSBL_REFSAFE, off.mjDSBL_FRICTIONLOSS):
         model.opt.disableflags |= int(flag)
+    # weights from the pose of the file, which need not be the same pose, scale the softness of loops
+    model.body_invweight0[:] = model.dof_invweight0[:] = 1.0
     # limits of controls and forces do not act at these states
     model.actuator_ctrllimited[:] = model.actuator_forcelimited[:] = model.jnt_actfrclimited[:] = 0
     first_name = {each.name: name for name, each in coordinates.items()}
@@ -64,8 +76,9 @@ def _of_mujoco(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[s
             where = coordinates.get(name, Coordinate(own))
             angle, rate, _ = 0.3 * _state(name)[state]
             # a loop stays closed only in the pose of the file
-            q = model.qpos0[model.jnt_qposadr[k]] + where.offset * (not model.neq)
-            data.qpos[model.jnt_qposadr[k]] = q + (where.sense * angle if not model.neq else where.offset)
+            zero = zeros.get(name, float(model.qpos0[model.jnt_qposadr[k]]))
+            q = zero + (0.0 if model.neq else angle)
+            data.qpos[model.jnt_qposadr[k]] = where.sense * q + where.offset
             data.qvel[model.jnt_dofadr[k]] = where.sense * rate
             senses[name] = (model.jnt_dofadr[k], where.sense)
         for k in range(model.nu):
@@ -76,8 +89,10 @@ def _of_mujoco(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[s
     return {name: np.array(values) for name, values in found.items()}
 
 
-def _of_pinocchio(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dict[str, Array]:
-    """Return the accelerations (STATES,) of hinges and slides, by the names of the first file."""
+def _of_pinocchio(
+    file: ModelText, coordinates: Mapping[str, Coordinate], zeros: Mapping[str, float]
+) -> dict[str, Array]:
+    """Return the accelerations (STATES,) of hinges and slides of a URDF, as `_of_mujoco` does."""
     import pinocchio
 
     model = pinocchio.buildModelFromXML(file.text())
@@ -93,7 +108,7 @@ def _of_pinocchio(file: ModelText, coordinates: Mapping[str, Coordinate]) -> dic
             name = first_name.get(model.names[k], model.names[k])
             where = coordinates.get(name, Coordinate(name))
             angle, rate, _ = 0.3 * _state(name)[state]
-            angle = where.sense * angle + where.offset
+            angle = where.sense * (zeros.get(name, 0.0) + angle) + where.offset
             values = [angle] if joint.nq == 1 else [np.cos(angle), np.sin(angle)]
             q[joint.idx_q : joint.idx_q + joint.nq] = values
             v[joint.idx_v] = where.sense * rate

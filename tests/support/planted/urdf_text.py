@@ -116,6 +116,9 @@ class UrdfText(ModelText):
         limit.set("lower", text(limits[0]))
         limit.set("upper", text(limits[1]))
 
+    def scale_loops(self, factor: float) -> None:
+        """Do nothing: a URDF has no loops."""
+
     def number(self, joint: str, name: str) -> float:
         tag, attribute = NUMBERS[name]
         found = self.joints[joint].find(tag)
