@@ -37,7 +37,7 @@ def describe_as_imported(source: str | os.PathLike[str]) -> RobotFile:
         else:
             return replace(robot, source=path, notes=(*map("warns: {}".format, warnings), *robot.notes))
     try:
-        reduced = describe(path)
+        reduced = describe(path, root=os.path.abspath(os.sep))  # MuJoCo follows all references
     except SourceError as error:
         raise SourceError(path, refusal) from error
     note = f"refuses the file as it is ({refusal:.200}); it is compared without its meshes"

@@ -55,12 +55,16 @@ NO_LIMITS = (-math.inf, math.inf)
 """Smallest and largest value of a quantity without limits."""
 
 
-def describe(source: str | os.PathLike[str] | mujoco.MjModel | mujoco.MjSpec) -> RobotFile:
+def describe(
+    source: str | os.PathLike[str] | mujoco.MjModel | mujoco.MjSpec, root: str | None = None
+) -> RobotFile:
     """Describe the robot of a model.
 
     Args:
         source: path of an MJCF file, or of a URDF as MuJoCo reads it; or a model in memory, which has no
             text and so no uncertainty.
+        root: folder that must contain all files that a file refers to. None means the folder of the file, and
+            for meshes the folder above.
 
     Raises:
         SourceError: for a file that cannot be read, and a model that MuJoCo refuses.
@@ -71,15 +75,15 @@ def describe(source: str | os.PathLike[str] | mujoco.MjModel | mujoco.MjSpec) ->
         ('crank', 'hinge')
     """
     if isinstance(source, str | os.PathLike):
-        return _describe_file(path_text(source, SourceError))
+        return _describe_file(path_text(source, SourceError), root)
     _, model, _ = copy_model(source)
     description = _Description(model)
     return RobotFile(description.robot, format="MJCF", notes=tuple(description.notes))
 
 
-def _describe_file(path: str) -> RobotFile:
-    """Describe the robot of a file."""
-    files = read_texts(path)
+def _describe_file(path: str, root: str | None) -> RobotFile:
+    """Describe the robot of a file; `root` as in `describe`."""
+    files = read_texts(path, root)
     essentials = essential_texts(files)
     # variants load no meshes: bodies with meshes keep the masses that they have without a change
     without_meshes = essentials

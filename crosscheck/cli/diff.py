@@ -26,7 +26,10 @@ from crosscheck.support.errors import CrosscheckError
 @click.argument("first")
 @click.argument("second")
 @click.option(
-    "--set-first", multiple=True, metavar="OPTION=VALUE", help="Option of FIRST, such as loops=FILE."
+    "--set-first",
+    multiple=True,
+    metavar="OPTION=VALUE",
+    help="Option of FIRST, such as loops=FILE, root=DIR.",
 )
 @click.option("--set-second", multiple=True, metavar="OPTION=VALUE", help="Option of SECOND.")
 @click.option(

@@ -6,6 +6,7 @@ to RESULT. The operating system limits its processor time and its memory, since 
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 from collections.abc import Callable
@@ -24,9 +25,12 @@ def _describe(importer: Importer) -> Callable[[str], RobotFile]:
     """Import the function that describes the robot of a file as an importer reads it."""
     match importer:
         case Importer.OWN:
+            from crosscheck.library.model_files import is_urdf_file
             from crosscheck.loading.robots import describe_model
 
-            return lambda path: describe_model(path, {})
+            # as the other importers, this one follows references to any folder
+            any_folder = {"root": os.path.abspath(os.sep)}
+            return lambda path: describe_model(path, {} if is_urdf_file(path) else any_folder)
         case Importer.MUJOCO:
             from mjcf.importer import describe_as_imported as describe_by_mujoco
 

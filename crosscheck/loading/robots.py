@@ -21,7 +21,8 @@ def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:
     Args:
         model: path of an MJCF or URDF file, an `MjSpec` or `MjModel`, a `pinocchio.Model`, alone or paired
             with its constraints, or a scene: its name, file or `Scene`.
-        options: of a URDF, `loops`, its loop file, and `base`, "fixed" or "free"; the options of a scene.
+        options: of a URDF, `loops`, its loop file, and `base`, "fixed" or "free"; of an MJCF file, `root`,
+            the folder that holds all files that it refers to; the options of a scene.
 
     Raises:
         CrosscheckError: for an option that the model does not have.
@@ -35,9 +36,11 @@ def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:
     source: Any = os.fspath(model) if isinstance(model, os.PathLike) else model
     name, known = name_and_options(source)
     is_urdf = known is URDF_OPTIONS
+    # options of the model that place its links and name its files
+    usable = [option for option in ("loops", "base", "root") if option in known]
     for option in options:
-        if not (is_urdf and option in ("loops", "base")):
-            has = "; it has loops and base" if is_urdf else ""
+        if option not in usable:
+            has = f"; it has {' and '.join(usable)}" if usable else ""
             raise CrosscheckError(f"{name} has no option {option!r} in a comparison of files{has}")
     if is_urdf or known is PINOCCHIO_OPTIONS:
         from urdf.robot import describe as describe_urdf
@@ -46,4 +49,4 @@ def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:
         return describe_urdf(source, **texts)
     from mjcf.robot import describe
 
-    return describe(source)
+    return describe(source, **options)

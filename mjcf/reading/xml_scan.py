@@ -59,16 +59,18 @@ class XmlTexts(NamedTuple):
     find_asset: Callable[[str, str], str | None]
 
 
-def read_texts(path: str) -> XmlTexts:
+def read_texts(path: str, root: str | None = None) -> XmlTexts:
     """Read and check an MJCF file and the files that it includes, but not its meshes and textures.
 
-    A path that ends with `.urdf` may be a URDF, which MuJoCo reads too.
+    Args:
+        path: path of the file. One that ends with `.urdf` may be a URDF, which MuJoCo reads too.
+        root: folder that must contain all files, or None, see `XmlScan`.
 
     Raises:
         SourceError: for a file that cannot be read, that is not MJCF, or that includes a file outside of its
             folder.
     """
-    checked_file = XmlScan(path, None, root_tag=None if path.lower().endswith(".urdf") else "mujoco")
+    checked_file = XmlScan(path, root, root_tag=None if path.lower().endswith(".urdf") else "mujoco")
     checked_file.scan_texts()
     return XmlTexts(checked_file.texts, checked_file.included, checked_file.find_asset)
 

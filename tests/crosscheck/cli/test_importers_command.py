@@ -239,6 +239,24 @@ def test_what_is_no_model_file(tmp_path, name):
         crosscheck.importers(str(tmp_path / name))
 
 
+def test_files_of_other_folders_are_read_by_all_importers_and_by_diff_with_their_root(file, tmp_path):
+    """A scene of two folders, as in Metaworld: `../scene/basic_scene.xml`."""
+    path = file(TRUNK)
+    inner = tmp_path / "robots" / "inner"
+    inner.mkdir(parents=True)
+    (tmp_path / "robots" / "gravity.xml").write_text("<mujoco><option gravity='0 0 -9.81'/></mujoco>")
+    scene = inner / "scene.xml"
+    scene.write_text(TRUNK.replace("<worldbody>", '<include file="../gravity.xml"/><worldbody>', 1))
+    found = crosscheck.importers(scene)
+    assert found.comparison.reference.importer is Importer.OWN
+    assert found["MuJoCo"].result is Outcome.SAME
+    with pytest.raises(SourceError, match="leads outside of"):
+        crosscheck.diff(path, scene)
+    assert crosscheck.diff(path, scene, second_options={"root": str(tmp_path)}).same
+    with pytest.raises(CrosscheckError, match="has no option 'loops' in a comparison of files; it has root"):
+        crosscheck.diff(path, scene, second_options={"loops": "a.yaml"})
+
+
 def test_an_include_that_is_missing_is_a_refusal(file, tmp_path):
     (tmp_path / "parts.xml").write_text('<mujocoinclude><include file="nothing.xml"/></mujocoinclude>')
     found = crosscheck.importers(file(TRUNK.replace("<worldbody>", '<include file="parts.xml"/><worldbody>')))
