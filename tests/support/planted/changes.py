@@ -528,7 +528,8 @@ def lengths_in_millimeters(file: ModelText, random: np.random.Generator) -> Plan
             scaled = own._replace(center=1000.0 * own.center, inertia=1e6 * own.inertia)
             file.set_inertial(body, scaled)
     file.scale_loops(1000.0)
-    return Plant((Expected("", Quantity.JOINT_ORIGIN, None, "times 1000 (m against mm"),))
+    others = (Quantity.CENTER, Quantity.LOOP_POINT)
+    return Plant((Expected("", Quantity.JOINT_ORIGIN, None, "times 1000 (m against mm", others),))
 
 
 @common
