@@ -32,6 +32,9 @@ MAX_LISTED = 30
 MAX_CONVENTIONS = 3
 """Largest number of conventions that the terminal names."""
 
+MAX_HEADING = 24
+"""Largest number of characters of a file name that is the heading of a column."""
+
 Sides = tuple[str, str]
 """What sentences call the first and the second of two compared robots."""
 
@@ -77,7 +80,8 @@ def report(comparison: FileComparison) -> Report:
         # the shortest names that tell the files apart
         names = "first", "second"
         for candidates in ([file.format for file in files], _names(files)):
-            if all(candidates) and candidates[0] != candidates[1]:
+            are_short = all(0 < len(name) <= MAX_HEADING for name in candidates)
+            if are_short and candidates[0] != candidates[1]:
                 names = candidates[0], candidates[1]
         parts.append(long_table("differences", comparison, names))
     first, second = _titles(comparison)
@@ -182,9 +186,9 @@ def _names(files: tuple[RobotFile, RobotFile]) -> list[str]:
     """Return the names of two files, with folders that tell equal names apart; "" for models in memory."""
     paths = [Path(file.source) if file.source else Path() for file in files]
     for length_of_end in range(1, max(len(path.parts) for path in paths) + 1):
-        names = ["/".join(path.parts[-length_of_end:]) for path in paths]
-        if names[0] != names[1]:
-            return names
+        ends = [path.parts[-length_of_end:] for path in paths]
+        if ends[0] != ends[1]:
+            return ["/".join(end if len(end) < 3 else (end[0], "...", end[-1])) for end in ends]
     return [path.name for path in paths]
 
 
