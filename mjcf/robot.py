@@ -15,9 +15,12 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import collected_warnings
+from mjcf.keyframes import starts
 from mjcf.loops import fixed_tendon_weights
+from mjcf.mesh_masses import with_hulls, with_mesh_masses
+from mjcf.point_springs import point_springs, site_placement
 from mjcf.reading.compile import compile_spec
-from mjcf.reading.essentials import NO_MASS, Essentials, essential_texts
+from mjcf.reading.essentials import Essentials, essential_texts
 from mjcf.reading.source import copy_model, model_name
 from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
 from newton_euler.model.source_file import element_lines, path_text
@@ -85,11 +88,6 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
     """Describe the robot of a file; `root` as in `describe`."""
     files = read_texts(path, root)
     essentials = essential_texts(files)
-    # variants load no meshes: bodies with meshes keep the masses that they have without a change
-    without_meshes = essentials
-    if essentials.loaded:
-        without_meshes = essential_texts(files._replace(find_asset=lambda tag, file: None))
-    numbers = {name: NumbersOfText(text, _is_number) for name, text in without_meshes.texts.items()}
     random = np.random.default_rng(0)
     variants = []
     with collected_warnings():
@@ -97,14 +95,19 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
             model = compiled(essentials.texts, is_variant=False)
         except (ValueError, mujoco.FatalError) as error:
             raise SourceError(path, f"MuJoCo refuses it: {' '.join(str(error).split()):.500}") from error
+        description = _Description(model)
+        texts, of_hulls = essentials.texts, description.robot
+        if essentials.loaded:
+            with suppress(ValueError, mujoco.FatalError):  # of vertices that have no hull
+                hulls = with_hulls(essentials.texts, model)
+                of_hulls = _Description(compiled(hulls, is_variant=False)).robot
+                texts = hulls
+        numbers = {name: NumbersOfText(text, _is_number) for name, text in texts.items()}
         for _ in range(VARIANTS):
-            texts = {name: each.variant(random) for name, each in numbers.items()}
+            changed = {name: each.variant(random) for name, each in numbers.items()}
             with suppress(ValueError, mujoco.FatalError):  # for example of limits that change places
-                variant = compiled(texts, is_variant=True)
-                if essentials.loaded:
-                    _copy_masses(model, variant)
-                variants.append(_Description(variant).robot)
-    description = _Description(model)
+                variant = _Description(compiled(changed, is_variant=True)).robot
+                variants.append(with_mesh_masses(variant, description.robot, of_hulls))
     if len(variants) < VARIANTS:
         refused = f"MuJoCo refuses {VARIANTS - len(variants)} of {VARIANTS} variants within the digits"
         description.notes.append(f"{refused}; uncertainties come from the others")
@@ -116,14 +119,6 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
         lines=element_lines(files.texts, SourceError),
         notes=(*_notes_of_meshes(essentials), *description.notes),
     )
-
-
-def _copy_masses(model: mujoco.MjModel, variant: mujoco.MjModel) -> None:
-    """Copy masses from a model to bodies of its variant that have none without their meshes."""
-    # the digits of this mass are changed too
-    without_mass = np.isclose(variant.body_mass, float(NO_MASS["mass"]), rtol=1e-3, atol=0.0)
-    for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
-        getattr(variant, name)[without_mass] = getattr(model, name)[without_mass]
 
 
 def _notes_of_meshes(essentials: Essentials) -> Iterator[str]:
@@ -223,12 +218,17 @@ class _Description:
         self._couplings: list[FileCoupling] = []
         for number in equalities:
             self._add_equality(number)
+        self._springs = point_springs(
+            model, has_springs=not is_off("spring"), has_dampers=not is_off("damper")
+        )
         self.robot = Robot(
             name=model_name(model),
             bodies=tuple(self._bodies()),
             loops=tuple(self._loops),
             couplings=tuple(self._couplings),
             drives=tuple(self._drive(k) for k in range(model.nactuator)),
+            springs=tuple(self._springs.values()),
+            starts=tuple(starts(model)),
             gravity=np.zeros(3) if is_off("gravity") else model.opt.gravity.copy(),
             time_step=float(model.opt.timestep),
             integrator=mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_"),
@@ -318,7 +318,7 @@ class _Description:
         objects = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
         data = model.eq_data[number]
         if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
-            frames = [self._site(site) for site in objects]
+            frames = [site_placement(model, site) for site in objects]
             bodies = [int(model.site_bodyid[site]) for site in objects]
         else:
             bodies = list(objects)
@@ -336,11 +336,6 @@ class _Description:
             first_frame=frames[0],
             second_frame=frames[1],
         )
-
-    def _site(self, number: int) -> Placement:
-        """Return the placement of a site in the frame of its body."""
-        model = self._model
-        return Placement(model.site_pos[number].copy(), _rotation(model.site_quat[number]))
 
     def _add_tendon(self, name: str, tendon: int, offset: float) -> bool:
         """Describe a tendon whose length an equality holds; return False for tendons of other forms.
@@ -368,8 +363,8 @@ class _Description:
                 LoopKind.ROD,
                 first=int(model.site_bodyid[first_site]) - 1,
                 second=int(model.site_bodyid[second_site]) - 1,
-                first_frame=self._site(first_site),
-                second_frame=self._site(second_site),
+                first_frame=site_placement(model, first_site),
+                second_frame=site_placement(model, second_site),
                 length=float(model.tendon_length0[tendon]) + offset,
             )
             self._loops.append(rod)
@@ -457,10 +452,10 @@ class _Description:
             self.notes.append(
                 f"{model.neq - active_equalities} equalities are switched off and not described"
             )
-        tendons = np.any(
-            [model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature],
-            axis=0,
-        ) | (model.tendon_limited != 0)
+        has_springs = (model.tendon_stiffness != 0.0) | (model.tendon_damping != 0.0)
+        has_springs[list(self._springs)] = False
+        acts_else = np.any([model.tendon_frictionloss, model.tendon_armature, model.tendon_limited], axis=0)
+        tendons = has_springs | acts_else
         counts = {
             "tendons with a spring, damper, friction, armature or limit": np.count_nonzero(tendons),
             "joints with a spring or damper that is not linear": np.count_nonzero(

@@ -63,6 +63,7 @@ def describe_model(source: PinocchioModel) -> RobotFile:
             gravity=np.array(model.gravity.linear),
         ),
         format="Pinocchio",
+        notes=tuple(description.notes),
     )
 
 
@@ -71,6 +72,7 @@ class _Description:
 
     Attributes:
         bodies: bodies; first those that carry joints, in the order of Pinocchio's joints.
+        notes: what the model has and the description has not, one sentence each.
     """
 
     def __init__(self, model: Any) -> None:
@@ -107,6 +109,7 @@ class _Description:
         # bodies by joint; a body on the ground is there only if it has a frame
         self._body_of_joint = {0: -1}
         self.bodies: list[FileBody] = []
+        self.notes: list[str] = []
         for joint in range(model.njoints):
             if joint == 0:
                 if joint in main_frames:
@@ -159,6 +162,7 @@ class _Description:
         if kind in ("Spherical", "FreeFlyer"):
             ball = JointKind.BALL if kind == "Spherical" else JointKind.FREE
             point = self._placements[number].inverse().translation
+            self._note_unequal(name, slice(in_v, in_v + int(joint.nv)))
             yield self._motion(name, ball, np.zeros(3), np.array(point), in_v, None)
             return
         parts = joint.extract().joints if kind == "Composite" else [joint]
@@ -180,6 +184,19 @@ class _Description:
                 in_v + k,
                 int(joint.idx_q) + k if joint.nq == joint.nv else None,
             )
+
+    def _note_unequal(self, name: str, in_v: slice) -> None:
+        """Note numbers of a ball or free joint that are not equal for all of its velocities.
+
+        Args:
+            name: name of the joint.
+            in_v: its velocities.
+        """
+        for quantity in ("damping", "armature", "friction"):
+            if np.ptp(getattr(self._model, quantity)[in_v]):
+                self.notes.append(
+                    f"{quantity} of joint {name!r} has several values: only the first is described"
+                )
 
     def _motion(
         self, name: str, kind: JointKind, axis: Array, point: Array, in_v: int, in_q: int | None

@@ -53,6 +53,7 @@ class Cut:
             robot,
             bodies=tuple(bodies),
             loops=tuple(loop for loop in robot.loops if not {loop.first, loop.second} & {*self.bodies}),
+            springs=tuple(k for k in robot.springs if not {k.first, k.second} & {*self.bodies}),
             couplings=tuple(c for c in robot.couplings if not {c.follower, c.leader} & gone),
             drives=() if self.without_drives else robot.drives,
             gravity=gravity if robot.gravity is None else robot.gravity,

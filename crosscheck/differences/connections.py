@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -16,6 +16,7 @@ from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import Poses, absolute, angle, distance
 from newton_euler.reading.robot import (
     FileJoint,
+    FileLoop,
     LoopKind,
 )
 
@@ -69,24 +70,59 @@ def only_in_one(kind: str, name: str, value: Value, in_first: bool) -> Differenc
 # Loops
 
 
-class _LoopEnd(NamedTuple):
-    """End of a loop: number of its pair of bodies, and its frame (V, ...) in the common frame of the pair."""
+class End(NamedTuple):
+    """End of a loop or a spring.
+
+    Attributes:
+        number: of its pair of bodies.
+        frame: (V, ...) its frame in the common frame of the pair.
+    """
 
     number: int
     frame: Poses
 
 
+Ends = tuple[End, End]
+"""First and second end of a loop or a spring."""
+
+
 def loop_rows(common: CommonFrames) -> Iterator[Difference]:
     """Yield the rows of constraints that close loops."""
     first, second = common.first.file.robot, common.second.file.robot
-    free = list(range(len(second.loops)))
-    alone = []
+    partners = ends_of_partners(common, "loops")
     for index, loop in enumerate(first.loops):
-        ends = _loop_ends(common, index, 0)
+        if index in partners:
+            yield from _paired_loop(common, index, *partners[index])
+        else:
+            yield only_in_one("loop", first.loop_name(loop), str(loop.kind), in_first=True)
+    paired = {other for other, _, _ in partners.values()}
+    for other, loop in enumerate(second.loops):
+        if other not in paired:
+            yield only_in_one("loop", second.loop_name(loop), str(loop.kind), in_first=False)
+
+
+def ends_of_partners(
+    common: CommonFrames, elements: Literal["loops", "springs"]
+) -> dict[int, tuple[int, Ends, Ends]]:
+    """Pair loops or springs of both robots that connect the same bodies.
+
+    Args:
+        common: both robots.
+        elements: name of the elements in `Robot`.
+
+    Returns:
+        index of the partner in the second robot, and ends of both in the same order, by index in the first.
+    """
+    first, second = (getattr(side.file.robot, elements) for side in (common.first, common.second))
+    free = list(range(len(second)))
+    partners = {}
+    for index, own in enumerate(first):
+        ends = _ends(common, elements, index, 0)
         best, nearest = None, math.inf
         for other in free:
-            rival, rival_ends = second.loops[other], _loop_ends(common, other, 1)
-            if loop.kind != LoopKind.SLIDE and ends[0].number != rival_ends[0].number:
+            rival, rival_ends = second[other], _ends(common, elements, other, 1)
+            is_slide = isinstance(own, FileLoop) and own.kind == LoopKind.SLIDE
+            if not is_slide and ends[0].number != rival_ends[0].number:
                 rival_ends = rival_ends[::-1]
             if [end.number for end in ends] != [end.number for end in rival_ends]:
                 continue
@@ -94,33 +130,28 @@ def loop_rows(common: CommonFrames) -> Iterator[Difference]:
                 math.dist(end.frame.position[0], other_end.frame.position[0])
                 for end, other_end in zip(ends, rival_ends, strict=True)
             )
-            # Same names first, then nearest points; MuJoCo and Pinocchio allow loops without names
-            if loop.name and rival.name == loop.name:
+            # Same names first, then nearest points; MuJoCo and Pinocchio allow elements without names
+            if own.name and rival.name == own.name:
                 apart = -1.0
             if apart < nearest:
-                best, nearest, best_ends = other, apart, rival_ends
-        if best is None:
-            alone.append(loop)
-            continue
-        free.remove(best)
-        yield from _paired_loop(common, index, best, ends, best_ends)
-    others = [second.loops[other] for other in free]
-    for robot, loops in ((first, alone), (second, others)):
-        for loop in loops:
-            yield only_in_one("loop", robot.loop_name(loop), str(loop.kind), robot is first)
+                best, nearest = (other, ends, rival_ends), apart
+        if best is not None:
+            free.remove(best[0])
+            partners[index] = best
+    return partners
 
 
-def _loop_ends(common: CommonFrames, index: int, side: int) -> tuple[_LoopEnd, _LoopEnd]:
-    """Return both ends of a loop of the first robot (side 0) or the second robot (side 1)."""
+def _ends(common: CommonFrames, elements: Literal["loops", "springs"], index: int, side: int) -> Ends:
+    """Return both ends of a loop or spring of the first robot (side 0) or the second robot (side 1)."""
     source = (common.first, common.second)[side]
     number_of = (common.first_of, common.second_of)[side]
     ends = []
     for which in LOOP_ENDS:
-        body, world = source.loop_end(index, which)
+        body, world = source.loop_end(index, which, elements)
         number = number_of.get(body, IN_WORLD)
         frame = common.frames.get(number, common.frames[IN_WORLD])
         at_body = (frame.first, frame.second)[side]
-        ends.append(_LoopEnd(number, at_body.inverse() @ world))
+        ends.append(End(number, at_body.inverse() @ world))
     return ends[0], ends[1]
 
 
@@ -128,8 +159,8 @@ def _paired_loop(
     common: CommonFrames,
     index: int,
     other_index: int,
-    ends: tuple[_LoopEnd, _LoopEnd],
-    other_ends: tuple[_LoopEnd, _LoopEnd],
+    ends: Ends,
+    other_ends: Ends,
 ) -> Iterator[Difference]:
     """Yield the rows of two loops that play the same role, given by their indices in the two robots."""
     first, second = common.first.file, common.second.file
@@ -138,12 +169,8 @@ def _paired_loop(
     if loop.kind != other.kind:
         yield difference(name, "loop", Quantity.KIND, (str(loop.kind), str(other.kind)), (1.0, 0.0))
         return
+    yield from point_rows(common, (name, "loop", Quantity.LOOP_POINT), ends, other_ends)
     for end, other_end in zip(ends, other_ends, strict=True):
-        points = end.frame.position, other_end.frame.position
-        sizes = common.compare(end.number, *points, distance)
-        if sizes[0]:
-            values = numbers(points[0][0]), numbers(points[1][0])
-            yield difference(name, "loop", Quantity.LOOP_POINT, values, sizes)
         if loop.kind in (LoopKind.HINGE, LoopKind.SLIDE):
             sizes = common.compare(
                 end.number, end.frame.rotation[..., 0], other_end.frame.rotation[..., 0], angle
@@ -163,6 +190,23 @@ def _paired_loop(
         sizes = common.judge.compare(lengths[0], lengths[1], absolute)
         if sizes[0]:
             yield difference(name, "loop", Quantity.LOOP_LENGTH, (loop.length, other.length), sizes)
+
+
+def point_rows(
+    common: CommonFrames, about: tuple[str, str, Quantity], ends: Ends, other_ends: Ends
+) -> Iterator[Difference]:
+    """Yield the rows of the points of a loop or a spring.
+
+    Args:
+        common: both robots.
+        about: name and kind of the element, and quantity of the rows.
+        ends, other_ends: ends in both robots.
+    """
+    for end, other_end in zip(ends, other_ends, strict=True):
+        points = end.frame.position, other_end.frame.position
+        sizes = common.compare(end.number, *points, distance)
+        if sizes[0]:
+            yield difference(*about, (numbers(points[0][0]), numbers(points[1][0])), sizes)
 
 
 # Couplings

@@ -54,6 +54,9 @@ class Quantity(StrEnum):
     LOOP_AXIS = "loop axis"
     LOOP_LENGTH = "loop length"
     LOOP_CUT = "loop cut"
+    SPRING_POINT = "point"
+    START = "start"
+    START_SPEED = "speed at the start"
 
 
 class Standing(StrEnum):
@@ -96,7 +99,7 @@ class Difference:
 
     Attributes:
         element: name in the first file, or in the second if only the second has the element.
-        element_kind: "body", "joint", "drive", "loop", "coupling" or "model".
+        element_kind: "body", "joint", "drive", "loop", "coupling", "spring", "keyframe" or "model".
         quantity: what differs.
         first, second: value in each file, in the frame, zero and sign of the first file; None if the
             element or the number is missing there.
@@ -139,7 +142,9 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
     match quantity:
         case Quantity.MASS:
             return "kg"
-        case Quantity.CENTER | Quantity.JOINT_ORIGIN | Quantity.LOOP_POINT | Quantity.LOOP_LENGTH:
+        case Quantity.CENTER | Quantity.JOINT_ORIGIN | Quantity.LOOP_POINT | Quantity.SPRING_POINT:
+            return "m"
+        case Quantity.LOOP_LENGTH:
             return "m"
         case Quantity.INERTIA:
             return "kg m^2"
@@ -149,7 +154,7 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             return "m/s^2"
         case Quantity.INERTIA_AXES | Quantity.JOINT_ORIENTATION | Quantity.FRAME | Quantity.LOOP_AXIS:
             return "rad"
-        case Quantity.ZERO | Quantity.REST | Quantity.LIMITS:
+        case Quantity.ZERO | Quantity.REST | Quantity.LIMITS | Quantity.START:
             return length
         case Quantity.FRICTION | Quantity.EFFORT | Quantity.CONSTANT | Quantity.GAIN | Quantity.FORCE_LIMITS:
             return force
@@ -157,7 +162,7 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             return f"{force} s/{length}"
         case Quantity.STIFFNESS | Quantity.KP:
             return f"{force}/{length}"
-        case Quantity.SPEED:
+        case Quantity.SPEED | Quantity.START_SPEED:
             return f"{length}/s"
         case Quantity.TIME_STEP:
             return "s"

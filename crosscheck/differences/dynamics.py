@@ -23,6 +23,10 @@ MASSLESS = 1e-14
 """A coordinate whose inertia is below this part of the largest one moves no mass."""
 
 
+SPRING_NUMBERS = ("stiffness", "damping", "rest")
+"""Fields of a spring between points."""
+
+
 class Accelerations(NamedTuple):
     """Accelerations of points of all bodies, components along the axes of the body.
 
@@ -58,6 +62,17 @@ class Dynamics(ClosedTree):
         self._center = stacked([[b.center for b in r.bodies] for r in robots])
         self._inertia = stacked([[b.inertia for b in r.bodies] for r in robots])
         self._read_drives(robots)
+        self._springs = [
+            tuple(stacked([getattr(r.springs[k], field) for r in robots]) for field in SPRING_NUMBERS)
+            for k in range(len(self.robot.springs))
+        ]
+        self._spring_points = [
+            tuple(
+                stacked([getattr(r.springs[k], side).position for r in robots])
+                for side in ("first_frame", "second_frame")
+            )
+            for k in range(len(self.robot.springs))
+        ]
 
     def _read_drives(self, robots: Sequence[Robot]) -> None:
         """Collect the laws of the drives, and their gears at the coordinates."""
@@ -86,9 +101,11 @@ class Dynamics(ClosedTree):
             (robots, states, coordinates) inertia at each coordinate with the others held, and the force of
             gravity, velocity products, dampers and springs.
         """
-        mass, force = self._mass_and_force(self.kinematics(coordinates, velocities))
+        moving = self.kinematics(coordinates, velocities)
+        mass, force = self._mass_and_force(moving)
         none = np.zeros((1, 1, len(self.robot.drives)))
         force = force + self._joint_forces(coordinates, velocities, none, np.zeros(coordinates.shape[1]))
+        force = force + self._spring_forces(moving)
         return np.einsum("...ii->...i", mass), force
 
     def accelerations(
@@ -114,6 +131,7 @@ class Dynamics(ClosedTree):
         moving = self.kinematics(coordinates, velocities)
         mass, force = self._mass_and_force(moving)
         force = force + self._joint_forces(coordinates, velocities, controls, driven)
+        force = force + self._spring_forces(moving)
         # a coordinate that moves no mass, as of a massless last link, has no acceleration of its own
         diagonal = np.einsum("...ii->...i", mass)
         largest = diagonal.max(axis=-1, initial=0.0, keepdims=True)
@@ -170,6 +188,26 @@ class Dynamics(ClosedTree):
         force = -self._damping * velocities - self._stiffness * (coordinates - self._rest)
         drive = self.drive_forces(coordinates, velocities, controls)
         return force + np.einsum("...ij,...i->...j", self.gears, drive) * driven[:, None]
+
+    def _spring_forces(self, moving: Kinematics) -> Array:
+        """Return (robots, states, coordinates) forces of springs and dampers between points."""
+        total = np.zeros((*moving.position.shape[:2], self.size))
+        for spring, points, (stiffness, damping, rest) in zip(
+            self.robot.springs, self._spring_points, self._springs, strict=True
+        ):
+            one, two = (
+                self.frame_motion(body, point, np.eye(3), moving)
+                for body, point in zip((spring.first, spring.second), points, strict=True)
+            )
+            line = two.point - one.point
+            length = np.linalg.norm(line, axis=-1)
+            along = line / np.maximum(length, np.finfo(float).tiny)[..., None]
+            rate = np.sum(along * (two.velocity - one.velocity), axis=-1)
+            extension = length - np.clip(length, rest[..., 0], rest[..., 1])
+            tension = stiffness * extension + damping * rate
+            row = np.einsum("...i,...ij->...j", along, two.point_rows - one.point_rows)
+            total -= tension[..., None] * row
+        return total
 
     def drive_forces(self, coordinates: Array, velocities: Array, controls: Array) -> Array:
         """Return (robots, states, drives) forces of the drives, before their gears.

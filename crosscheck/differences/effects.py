@@ -71,8 +71,16 @@ LOOP_FIELDS: Fields = {
 }
 """Fields of a loop, by the quantity of a row."""
 
+SPRING_FIELDS: Fields = {
+    Quantity.SPRING_POINT: ("first_frame", "second_frame"),
+    Quantity.STIFFNESS: ("stiffness",),
+    Quantity.DAMPING: ("damping",),
+    Quantity.REST: ("rest",),
+}
+"""Fields of a spring between points, by the quantity of a row."""
+
 REPLACED = (Quantity.PRESENCE, Quantity.KIND)
-"""Quantities of a loop or coupling that is exchanged as a whole."""
+"""Quantities of a loop, coupling or spring that is exchanged as a whole."""
 
 
 def effects(states: CommonStates | None, rows: Sequence[Difference]) -> list[float | None]:
@@ -124,6 +132,7 @@ def _structure(robot: Robot) -> tuple[object, ...]:
     return (
         tuple((loop.kind, loop.first, loop.second) for loop in robot.loops),
         tuple((coupling.follower, coupling.leader) for coupling in robot.couplings),
+        tuple((spring.first, spring.second) for spring in robot.springs),
     )
 
 
@@ -164,6 +173,8 @@ def _changed(terms: Merged, row: Difference, rows: Sequence[Difference]) -> Robo
         return None
     if row.element_kind == "loop":
         return _with_loops(terms, row.quantity, names)
+    if row.element_kind == "spring":
+        return _with_springs(terms, row.quantity, names)
     if row.element_kind == "coupling":
         return _with_couplings(terms, row.quantity, names)
     if row.element_kind == "drive":
@@ -284,6 +295,20 @@ def _with_loops(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | N
         for own, other in zip(robot.loops, terms.second.loops, strict=True)
     ]
     return replace(robot, loops=tuple(loops))
+
+
+def _with_springs(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | None:
+    """Return the first robot with a quantity of springs of given names from the second."""
+    robot = terms.first
+    if quantity in REPLACED:
+        kept = [k for number, k in enumerate(robot.springs) if number in terms.springs or k.name not in names]
+        added = [spring for spring in terms.other_springs if spring.name in names]
+        return replace(robot, springs=(*kept, *added))
+    springs = [
+        _exchanged(own, other, SPRING_FIELDS[quantity] if own.name in names else ())
+        for own, other in zip(robot.springs, terms.second.springs, strict=True)
+    ]
+    return replace(robot, springs=tuple(springs))
 
 
 def _with_couplings(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | None:

@@ -138,8 +138,8 @@ class ClosedTree(JointTree):
         loop = self.robot.loops[k]
         first_position, first_rotation, second_position, second_rotation = self._frames[k]
         sides = [
-            self._frame_motion(loop.first, first_position, first_rotation, moving),
-            self._frame_motion(loop.second, second_position, second_rotation, moving),
+            self.frame_motion(loop.first, first_position, first_rotation, moving),
+            self.frame_motion(loop.second, second_position, second_rotation, moving),
         ]
         one, two = sides
         # distance of the points, d, and relative angular velocity, with their first and second derivatives
@@ -191,7 +191,7 @@ class ClosedTree(JointTree):
         residual, jacobian, bias = zip(*parts, strict=True)
         return np.concatenate(residual, -1), np.concatenate(jacobian, -2), np.concatenate(bias, -1)
 
-    def _frame_motion(self, body: int, position: Array, rotation: Array, moving: Kinematics) -> _FrameMotion:
+    def frame_motion(self, body: int, position: Array, rotation: Array, moving: Kinematics) -> _FrameMotion:
         """Return the motion of a frame that is fixed in a body."""
         turn = moving.rotation[..., body, :, :]
         point = moving.position[..., body, :] + apply(turn, position)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,10 +24,15 @@ from newton_euler.reading.robot import (
     FileDrive,
     FileJoint,
     FileLoop,
+    FileSpring,
+    LoopKind,
     Placement,
     Robot,
 )
 from newton_euler.scalars import Array
+
+Between = TypeVar("Between", FileLoop, FileSpring)
+"""Element between two bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,24 +44,27 @@ class Merged:
             has a drive without gear for each drive that only the second robot has.
         second: the same robot with the numbers of the second robot, where that has them. It has no gear for
             each drive that only the first robot has.
-        loops, couplings: indices of those of the first robot that have a partner in the second.
-        other_loops, other_couplings: those that only the second robot has, between bodies and joints that
-            have partners.
+        loops, couplings, springs: indices of those of the first robot that have a partner in the second.
+        other_loops, other_couplings, other_springs: those that only the second robot has, between bodies and
+            joints that have partners.
     """
 
     first: Robot
     second: Robot
     loops: frozenset[int]
     couplings: frozenset[int]
+    springs: frozenset[int]
     other_loops: tuple[FileLoop, ...]
     other_couplings: tuple[FileCoupling, ...]
+    other_springs: tuple[FileSpring, ...]
 
 
 def _named(robot: Robot) -> Robot:
-    """Return a robot whose loops, couplings and drives have the names that rows of differences give them."""
+    """Return a robot whose elements have the names that rows of differences give them."""
     return replace(
         robot,
         loops=tuple(replace(loop, name=robot.loop_name(loop)) for loop in robot.loops),
+        springs=tuple(replace(spring, name=robot.loop_name(spring)) for spring in robot.springs),
         couplings=tuple(replace(c, name=c.name or c.follower) for c in robot.couplings),
         drives=tuple(replace(drive, name=drive.name or ", ".join(drive.gears)) for drive in robot.drives),
     )
@@ -79,7 +88,8 @@ def merged(first: Robot, second: Robot, alignment: Alignment) -> Merged:
         else replace(drive, gears={})
         for k, drive in enumerate(first.drives)
     ]
-    loops, other_loops = terms.loops()
+    loops, other_loops = terms.between_bodies(first.loops, second.loops)
+    springs, other_springs = terms.between_bodies(first.springs, second.springs)
     couplings, other_couplings = terms.couplings()
     return Merged(
         replace(first, bodies=terms.merged_bodies(), drives=tuple(own)),
@@ -89,13 +99,21 @@ def merged(first: Robot, second: Robot, alignment: Alignment) -> Merged:
             loops=tuple(loops.get(k, loop) for k, loop in enumerate(first.loops)),
             couplings=tuple(couplings.get(k, coupling) for k, coupling in enumerate(first.couplings)),
             drives=(*other, *added),
+            springs=tuple(springs.get(k, spring) for k, spring in enumerate(first.springs)),
             gravity=second.gravity,
         ),
         frozenset(loops),
         frozenset(couplings),
+        frozenset(springs),
         tuple(other_loops),
         tuple(other_couplings),
+        tuple(other_springs),
     )
+
+
+def _kind(element: FileLoop | FileSpring) -> LoopKind | None:
+    """Return the kind of a loop; None for a spring."""
+    return element.kind if isinstance(element, FileLoop) else None
 
 
 class _Terms:
@@ -272,33 +290,38 @@ class _Terms:
         partner = self.two.joint(key)
         return pair.sense, pair.sense * own.zero + pair.offset - partner.zero
 
-    def loops(self) -> tuple[dict[int, FileLoop], list[FileLoop]]:
-        """Return the second robot's loops in terms of the first.
+    def between_bodies(
+        self, own_elements: Sequence[Between], elements: Sequence[Between]
+    ) -> tuple[dict[int, Between], list[Between]]:
+        """Return loops or springs of the second robot in terms of the first.
+
+        Args:
+            own_elements, elements: those of the first and of the second robot.
 
         Returns:
-            those of the same kind and bodies as loops of the first, by index there; and the others.
+            those of the same kind and bodies as elements of the first, by index there; and the others.
         """
-        found: dict[int, FileLoop] = {}
+        found: dict[int, Between] = {}
         others = []
-        for loop in self.two.loops:
-            first, second = self._end_in_first(loop.first), self._end_in_first(loop.second)
+        for element in elements:
+            first, second = self._end_in_first(element.first), self._end_in_first(element.second)
             if first is None or second is None:
                 continue
             fits = [
-                (own.name != loop.name, k)
-                for k, own in enumerate(self.one.loops)
-                if own.kind is loop.kind and k not in found
+                (own.name != element.name, k)
+                for k, own in enumerate(own_elements)
+                if k not in found and _kind(own) is _kind(element)
                 if {self._end(own.first), self._end(own.second)} == {first, second}
             ]
             bodies = first, second
             if fits:
-                own = self.one.loops[min(fits)[1]]
+                own = own_elements[min(fits)[1]]
                 bodies = own.first, own.second
-            sides = [(loop.first, loop.first_frame), (loop.second, loop.second_frame)]
+            sides = [(element.first, element.first_frame), (element.second, element.second_frame)]
             if self._end(bodies[0]) != first:
                 sides.reverse()
             changed = replace(
-                loop,
+                element,
                 first=bodies[0],
                 second=bodies[1],
                 first_frame=self._frame(bodies[0], *sides[0]),

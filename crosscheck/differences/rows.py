@@ -20,7 +20,9 @@ from crosscheck.differences.drives import drive_rows
 from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, joint_name
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
 from crosscheck.differences.short_angles import is_turn_by_short_pi
+from crosscheck.differences.springs import spring_rows
 from crosscheck.differences.stack import angle, distance
+from crosscheck.differences.starts import CHANGES_RUN, start_rows
 from crosscheck.differences.vectors import rotation_vector
 from newton_euler.reading.robot import JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
@@ -63,7 +65,12 @@ def differences(
         *loop_rows(common),
     ]
     joints = joint_partners(common, zeros)
-    rows += [*coupling_rows(common, joints), *drive_rows(common, joints)]
+    rows += [
+        *coupling_rows(common, joints),
+        *drive_rows(common, joints),
+        *spring_rows(common),
+        *start_rows(common, joints),
+    ]
     at_rest = {
         first.robot.bodies[body].name
         for number in range(len(alignment.bodies))
@@ -141,13 +148,12 @@ def _model_rows(common: CommonFrames) -> Iterator[Difference]:
 
 def _run_rows(name: str, first: Robot, second: Robot) -> Iterator[Difference]:
     """Yield rows of the settings of runs, which do not change the robot; `name` is that of the model."""
-    words = "changes the run, not the robot"
     if first.time_step and second.time_step and first.time_step != second.time_step:
         values, size = (first.time_step, second.time_step), abs(second.time_step / first.time_step - 1.0)
-        yield difference(name, "model", Quantity.TIME_STEP, values, (size, 0.0), words, convention=True)
+        yield difference(name, "model", Quantity.TIME_STEP, values, (size, 0.0), CHANGES_RUN, convention=True)
     if first.integrator and second.integrator and first.integrator != second.integrator:
         names = first.integrator, second.integrator
-        yield difference(name, "model", Quantity.INTEGRATOR, names, (1.0, 0.0), words, convention=True)
+        yield difference(name, "model", Quantity.INTEGRATOR, names, (1.0, 0.0), CHANGES_RUN, convention=True)
 
 
 def _world_row(common: CommonFrames, gravity: Array) -> Iterator[Difference]:

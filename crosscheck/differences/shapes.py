@@ -153,10 +153,10 @@ def _bodies(robot: Robot, row: Difference, name: str) -> Iterator[int]:
         case "body":
             yield from (k for k, body in enumerate(robot.bodies) if body.name == name)
             return
-        case "loop":
-            for loop in robot.loops:
-                if robot.loop_name(loop) == name:
-                    yield from (end for end in (loop.first, loop.second) if end >= 0)
+        case "loop" | "spring":
+            for each in robot.loops if row.element_kind == "loop" else robot.springs:
+                if robot.loop_name(each) == name:
+                    yield from (end for end in (each.first, each.second) if end >= 0)
             return
         case "drive":
             joints = {joint for drive in robot.drives if drive.name == name for joint in drive.gears}

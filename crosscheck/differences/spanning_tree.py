@@ -137,7 +137,10 @@ def with_tree(robot: Robot, tree: set[Edge], axes: Mapping[int, Array], points: 
         if edge.loop < 0 and edge not in tree
         if not is_free(robot, edge)
     ]
-    return replace(robot, bodies=tuple(bodies), loops=(*kept, *cut))
+    springs = [
+        replace(spring, first=number[spring.first], second=number[spring.second]) for spring in robot.springs
+    ]
+    return replace(robot, bodies=tuple(bodies), loops=(*kept, *cut), springs=tuple(springs))
 
 
 def _other_end(edge: Edge, body: int) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -131,18 +131,21 @@ class Side:
         body, joint = key
         return np.array([getattr(robot.bodies[body].joints[joint], name) for robot in self._robots])
 
-    def loop_end(self, index: int, end: str) -> tuple[int, Poses]:
-        """Return one end of a loop.
+    def loop_end(
+        self, index: int, end: str, elements: Literal["loops", "springs"] = "loops"
+    ) -> tuple[int, Poses]:
+        """Return one end of a loop or a spring.
 
         Args:
-            index: of the loop.
+            index: of the loop or spring.
             end: "first" or "second".
+            elements: name of the elements in `Robot`.
 
         Returns:
-            Index of the body, -1 for the ground, and the frame of the constraint in the world.
+            Index of the body, -1 for the ground, and its frame in the world.
         """
-        body = int(getattr(self.file.robot.loops[index], end))
-        given = [getattr(robot.loops[index], f"{end}_frame") for robot in self._robots]
+        body = int(getattr(getattr(self.file.robot, elements)[index], end))
+        given = [getattr(getattr(robot, elements)[index], f"{end}_frame") for robot in self._robots]
         inside = Poses(np.array([f.rotation for f in given]), np.array([f.position for f in given]))
         return body, self.world[body] @ inside if body >= 0 else inside
 

@@ -32,7 +32,12 @@ MAX_COMMANDS = 10
 SARIF_SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 """Address of the JSON schema of SARIF 2.1.0."""
 
-TAGS = {"body": ("body", "link"), "joint": ("joint", "freejoint"), "coupling": ("joint",)}
+TAGS = {
+    "body": ("body", "link"),
+    "joint": ("joint", "freejoint"),
+    "coupling": ("joint",),
+    "spring": ("spatial",),
+}
 """Tags of elements in MJCF and URDF files by the kind of a row; those of drives and loops are many."""
 
 MOTION = "motion"

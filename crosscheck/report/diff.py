@@ -57,6 +57,9 @@ ABSOLUTE = {
     Quantity.LOOP_POINT,
     Quantity.LOOP_AXIS,
     Quantity.LOOP_LENGTH,
+    Quantity.SPRING_POINT,
+    Quantity.START,
+    Quantity.START_SPEED,
 }
 """Quantities whose difference is a length or an angle; that of others is relative."""
 

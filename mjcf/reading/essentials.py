@@ -1,7 +1,7 @@
 """Reduce the text of an MJCF file to the elements that masses, joints, loops and drives depend on.
 
 Meshes are most of a model's bytes, and often missing. A body with an `<inertial>` does not need its shapes.
-`essential_texts` removes these shapes, the assets that no remaining shape needs, and sensors, keyframes,
+`essential_texts` removes these shapes, the assets that no remaining shape needs, and sensors,
 contacts and pictures. MuJoCo compiles what remains to the same bodies in a few milliseconds.
 """
 
@@ -17,9 +17,9 @@ from mjcf.reading.xml_scan import XmlTexts
 from newton_euler.model.source_file import xml_tree
 
 UNUSED = frozenset(
-    ("visual", "statistic", "contact", "sensor", "keyframe", "custom", "light", "camera", "texture", "skin")
+    ("visual", "statistic", "contact", "sensor", "custom", "light", "camera", "texture", "skin")
 )
-"""Tags of elements that change no mass, joint, loop or drive, with all that is in them."""
+"""Tags of elements that change no mass, joint, loop, drive or keyframe, with all that is in them."""
 
 SHAPES = ("geom", "collision")
 """Tags of shapes in an MJCF and a URDF."""

@@ -1,4 +1,4 @@
-"""Description of a robot in the terms of its model file: bodies, joints, loops, couplings and drives.
+"""Description of a robot in the terms of its model file: bodies, joints, loops, couplings, drives, springs.
 
 Readers of file formats make a `Robot` without the checks and the simplifications of an import: bodies that
 are fixed to each other stay apart, frames and zeros are those of the file. `crosscheck diff` compares two.
@@ -164,6 +164,29 @@ class FileLoop:
 
 
 @dataclass(frozen=True, eq=False)
+class FileSpring:
+    """Spring and damper of a model file along the line between points of two bodies.
+
+    Attributes:
+        name: name in the file.
+        first, second: indices of the two bodies in `Robot.bodies`; -1 for the ground.
+        first_frame, second_frame: frame at the point in the frame of each body. Its rotation does not count.
+        stiffness: force per length, N/m.
+        damping: force per rate of the length, N s/m.
+        rest: smallest and largest length at which the spring has no force, m.
+    """
+
+    name: str
+    first: int
+    second: int
+    first_frame: Placement
+    second_frame: Placement
+    stiffness: float = 0.0
+    damping: float = 0.0
+    rest: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
 class FileCoupling:
     """Coupling of a joint coordinate to another one, such as a mimic joint or a gear.
 
@@ -210,6 +233,21 @@ class FileDrive:
 
 
 @dataclass(frozen=True, eq=False)
+class FileStart:
+    """Named start of runs in a model file, such as a keyframe.
+
+    Attributes:
+        name: name in the file.
+        coordinates: of the hinges and slides, rad or m, by name of the joint.
+        velocities: of the hinges and slides, rad/s or m/s, by name of the joint.
+    """
+
+    name: str
+    coordinates: Mapping[str, float]
+    velocities: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
 class Robot:
     """A robot as its file describes it.
 
@@ -222,6 +260,8 @@ class Robot:
         gravity: (3,) m/s^2; None if the format has none, as URDF.
         time_step: s, of the runs that the file asks for; None if the format has none.
         integrator: name of the integrator of such runs; "" if the format has none.
+        springs: springs and dampers between points.
+        starts: named starts of runs.
     """
 
     name: str
@@ -232,13 +272,15 @@ class Robot:
     gravity: Array | None = None
     time_step: float | None = None
     integrator: str = ""
+    springs: tuple[FileSpring, ...] = ()
+    starts: tuple[FileStart, ...] = ()
 
     def joint(self, key: tuple[int, int]) -> FileJoint:
         """Return a joint by the index of its body and its own index in `FileBody.joints`."""
         return self.bodies[key[0]].joints[key[1]]
 
-    def loop_name(self, loop: FileLoop) -> str:
-        """Return the name of a loop, or those of its bodies for a loop without name."""
+    def loop_name(self, loop: FileLoop | FileSpring) -> str:
+        """Return the name of a loop or spring, or those of its bodies if it has no name."""
         ends = (self.bodies[body].name if body >= 0 else "the ground" for body in (loop.first, loop.second))
         return loop.name or " and ".join(ends)
 

@@ -19,7 +19,7 @@ from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import PD
 from newton_euler.model.elements import OnJoint
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.forces import BallSpring, JointSpring
+from newton_euler.model.forces import BallSpring, JointSpring, PointSpring
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.joint_kinds import (
     Fixed,
@@ -47,6 +47,7 @@ from newton_euler.reading.robot import (
     FileDrive,
     FileJoint,
     FileLoop,
+    FileSpring,
     JointKind,
     LoopKind,
     Placement,
@@ -102,6 +103,7 @@ class _Description:
             loops=tuple(self._loops()),
             couplings=tuple(self._couplings()),
             drives=tuple(self._drives()),
+            springs=tuple(self._springs()),
             gravity=np.array(scene.gravity),
         )
         self._note_rest()
@@ -251,12 +253,32 @@ class _Description:
                 constant=float(law.feedforward),
             )
 
+    def _springs(self) -> Iterator[FileSpring]:
+        """Yield the springs and dampers between points of two bodies."""
+        for spring in self._scene.forces:
+            if isinstance(spring, PointSpring):
+                first, second = (self._mechanism.body_index(name) for name in (spring.first, spring.second))
+                one, two = (
+                    self._placement(body).inverse() @ Placement(np.array(point), np.eye(3))
+                    for body, point in ((first, spring.point_on_first), (second, spring.point_on_second))
+                )
+                yield FileSpring(
+                    spring.name,
+                    first=self._numbers[first],
+                    second=self._numbers[second],
+                    first_frame=one,
+                    second_frame=two,
+                    stiffness=float(spring.stiffness),
+                    damping=float(spring.damping),
+                    rest=(float(spring.rest_length), float(spring.rest_length)),
+                )
+
     def _note_rest(self) -> None:
         """Add notes of what the scene has and the robot has not."""
         kinds = Counter(
             type(force).__name__
             for force in self._scene.forces
-            if not isinstance(force, JointSpring | BallSpring)
+            if not isinstance(force, JointSpring | BallSpring | PointSpring)
         )
         self.notes.extend(f"{count} forces of type {kind} are not described" for kind, count in kinds.items())
         if self._scene.motions:

@@ -152,3 +152,46 @@ def test_a_mass_that_is_larger_by_a_thousandth_is_outside_of_the_digits(tmp_path
     # the new mass has six digits
     assert difference[outside] == pytest.approx([1e-3 * float(mass)], rel=1e-2)
     assert np.all(difference[~outside] == 0.0)
+
+
+CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "".join(
+    f"f {face}\n"
+    for face in (
+        *("1 2 4", "1 4 3", "5 7 8", "5 8 6", "1 5 6", "1 6 2"),
+        *("3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 6 8", "2 8 4"),
+    )
+)
+"""Unit cube as a Wavefront OBJ file."""
+
+MESH = """<mujoco><asset><mesh name="c" file="cube.obj" scale="0.123456 0.23456 0.1"/></asset><worldbody>
+  <body name="a"><joint/><geom type="mesh" mesh="c" pos="0.1 0.2 0.34567" density="1234.56"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_mass_from_a_mesh_has_the_digits_of_scale_and_density(tmp_path: Path) -> None:
+    (tmp_path / "cube.obj").write_text(CUBE)
+    path = tmp_path / "robot.xml"
+
+    def model_with(*changes: tuple[str, str]) -> mujoco.MjModel:
+        text = MESH
+        for before, after in changes:
+            text = text.replace(before, after)
+        path.write_text(text)
+        return mujoco.MjModel.from_xml_path(str(path))
+
+    largest = model_with(
+        ("0.123456", "0.1234565"),
+        ("0.23456", "0.2345605"),
+        (' 0.1"', ' 0.1000005"'),
+        ("1234.56", "1234.565"),
+    )
+    written = model_with()
+    found = describe(path)
+    masses = np.array([robot.bodies[0].mass for robot in found.variants])
+    relative = np.abs(masses / written.body_mass[1] - 1.0).max()
+    bound = largest.body_mass[1] / written.body_mass[1] - 1.0
+    # 16 random sums of four numbers reach most of the bound; MuJoCo keeps vertices in single precision
+    assert 0.7 * bound < relative < bound + 1e-6
+    inertias = np.array([np.trace(robot.bodies[0].inertia) for robot in found.variants])
+    traces = [model.body_inertia[1].sum() for model in (written, largest)]
+    assert np.abs(inertias / traces[0] - 1.0).max() == pytest.approx(traces[1] / traces[0] - 1.0, rel=0.4)

@@ -159,6 +159,17 @@ def test_models_in_memory_are_described(make: Any) -> None:
     assert found.robot.gravity == pytest.approx([0.0, 0.0, -9.81])
 
 
+def test_a_ball_with_other_damping_about_each_axis_is_noted() -> None:
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    model.damping = np.array([0.1, 0.1, 0.1])
+    assert describe(model).notes == ()
+    model.damping = np.array([0.1, 0.1, 0.3])
+    (note,) = describe(model).notes
+    assert "damping" in note
+    assert "'ball'" in note
+
+
 def test_a_model_in_memory_has_the_numbers_of_the_file() -> None:
     """Links keep their own masses, although Pinocchio adds that of `c` to the one of `b`."""
     bodies = {body.name: body for body in describe(pin.buildModelFromXML(CHAIN)).robot.bodies}

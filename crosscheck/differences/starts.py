@@ -1,0 +1,66 @@
+"""Rows of the named starts of runs, such as keyframes. They change the run, and not the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from crosscheck.differences.connections import PairedJoint
+from crosscheck.differences.difference import Difference, Quantity, difference
+from crosscheck.differences.frames import CommonFrames
+from crosscheck.differences.stack import absolute
+from newton_euler.reading.robot import JointKind, Robot, RobotFile
+from newton_euler.scalars import Array
+
+CHANGES_RUN = "changes the run, not the robot"
+"""Cause of rows about the runs that a file asks for."""
+
+
+SINGLE = (JointKind.HINGE, JointKind.SLIDE)
+"""Kinds of joints with one coordinate."""
+
+
+def start_rows(common: CommonFrames, joints: Sequence[PairedJoint]) -> Iterator[Difference]:
+    """Yield a row for each coordinate of a start whose value differs by more than its digits leave open.
+
+    Starts of equal names are compared, at hinges and slides that have partners.
+
+    Args:
+        common: both robots.
+        joints: pairs of joints.
+    """
+    one, two = common.first.file, common.second.file
+    single = [
+        joint
+        for joint in joints
+        if joint.first.kind == joint.second.kind and joint.first.kind in SINGLE
+        if joint.first.name and joint.second.name
+    ]
+    for first, second in _namesakes(one.robot, two.robot):
+        words = f"keyframe {one.robot.starts[first].name!r} {CHANGES_RUN}"
+        for joint in single:
+            name, slide = joint.first.name, joint.first.kind == JointKind.SLIDE
+            for quantity, field, offset in (
+                (Quantity.START, "coordinates", joint.offset),
+                (Quantity.START_SPEED, "velocities", 0.0),
+            ):
+                own = _numbers(one, first, field, name)
+                other = joint.sense * (_numbers(two, second, field, joint.second.name) - offset)
+                sizes = common.judge.compare(own, other, absolute)
+                if sizes[0] > sizes[1]:
+                    values = float(own[0]), float(other[0])
+                    yield difference(
+                        name, "joint", quantity, values, sizes, words, slide=slide, convention=True
+                    )
+
+
+def _namesakes(first: Robot, second: Robot) -> list[tuple[int, int]]:
+    """Return the indices of starts of two robots that have the same name."""
+    names: Mapping[str, int] = {start.name: number for number, start in enumerate(second.starts)}
+    return [(k, names[start.name]) for k, start in enumerate(first.starts) if start.name in names]
+
+
+def _numbers(file: RobotFile, start: int, field: str, joint: str) -> Array:
+    """Return the coordinate or velocity (V,) of a joint at a start of a robot and its variants."""
+    return np.array([getattr(robot.starts[start], field)[joint] for robot in (file.robot, *file.variants)])
