@@ -25,8 +25,10 @@ from urdf.robot import describe
 FAST = ("tracker", "pendulum", "four_bar", "bricard", "stewart", "free_top")
 
 LOST = {
-    # springs of legs; a URDF has none
+    # a URDF has no springs of joints and between points
     ("stewart", ".urdf"): {("joint", Q.STIFFNESS)},
+    ("andrews", ".urdf"): {("spring", Q.PRESENCE)},
+    ("flyball_governor", ".urdf"): {("spring", Q.PRESENCE)},
     # prescribed motions, which an MJCF cannot hold, become joints that are held
     ("tracker_on_boat", ".xml"): {("coupling", Q.PRESENCE)},
     # controls that depend on time, and wind, become constant motors
