@@ -174,7 +174,7 @@ def _robot(
         above = joint_above.get(name)
         above_number = -1 if above is None else number[_link_of(above, "parent")]
         if above is not None:
-            motions = tuple(_motions(above, types, extensions))
+            motions = tuple(_motions(path, above, types, extensions))
         elif base == "free":
             motions = (FileJoint(ROOT_JOINT, JointKind.FREE, axis=np.zeros(3), point=np.zeros(3)),)
         else:
@@ -254,10 +254,13 @@ def _body(
     )
 
 
-def _motions(joint: ET.Element, types: dict[str, str], extensions: Extensions) -> Iterator[FileJoint]:
+def _motions(
+    path: str, joint: ET.Element, types: dict[str, str], extensions: Extensions
+) -> Iterator[FileJoint]:
     """Yield the motions of a joint: one, none of a fixed joint, or several, such as of a planar joint.
 
     Args:
+        path: path of the file.
         joint: element of the joint.
         types: types of joints in the loop file, by name of the joint.
         extensions: springs, dampers and rotors that tools add to joints.
@@ -281,7 +284,7 @@ def _motions(joint: ET.Element, types: dict[str, str], extensions: Extensions) -
         yield FileJoint(
             name,
             JOINT_KINDS[kind],
-            axis=np.zeros(3) if kind == "floating" else _axis(joint),
+            axis=np.zeros(3) if kind == "floating" else _axis(path, joint),
             point=np.zeros(3),
             damping=_number(dynamics, "damping") + extensions.dampings.get(name, 0.0),
             armature=extensions.armatures.get(name, 0.0),
@@ -294,11 +297,14 @@ def _motions(joint: ET.Element, types: dict[str, str], extensions: Extensions) -
         )
 
 
-def _axis(joint: ET.Element) -> Array:
+def _axis(path: str, joint: ET.Element) -> Array:
     """Return the unit vector (3,) of a joint's axis in the frame of the joint."""
     element = joint.find("axis")
     axis = np.array([1.0, 0.0, 0.0]) if element is None else _vector(element, "xyz")
-    return axis / np.linalg.norm(axis)
+    length = np.linalg.norm(axis)
+    if not length:
+        raise SourceError(path, f"joint {joint.get('name')!r}: its axis is 0 0 0; needed: a direction")
+    return axis / length
 
 
 def _mimics(joints: list[ET.Element]) -> Iterator[FileCoupling]:

@@ -34,6 +34,11 @@ class Cut:
     base_placement: Placement = IN_PLACE
     without_drives: bool = False
 
+    @property
+    def takes_motion(self) -> bool:
+        """True if the robot loses moving parts; drives are none."""
+        return bool(self.bodies or self.held) or self.base >= 0
+
     def of(self, robot: Robot, gravity: Array) -> Robot:
         """Return the robot without these parts.
 

@@ -159,11 +159,14 @@ class CommonStates:
             self.coordinates, self.velocities
         )
         of_second = self._controls(self.two, self.coordinates_of_second, self.velocities_of_second, random)
-        for own, other in drive_pairs(one, two, alignment):
+        pairs = drive_pairs(one, two, alignment.joints)
+        for own, other in pairs:
             control = control_of_second(one, two, alignment, one.drives[own], two.drives[other])
+            if not self.controls[..., own].any():  # a drive without force in the first robot alone
+                self.controls[..., own] = control.sense * (of_second[..., other] - control.shift)
             of_second[..., other] = control.sense * self.controls[..., own] + control.shift
         self.controls_of_second = of_second
-        paired = {other for _, other in drive_pairs(one, two, alignment)}
+        paired = {other for _, other in pairs}
         alone = [index for index in range(len(two.drives)) if index not in paired]
         self.controls = np.concatenate([self.controls, of_second[..., alone]], axis=-1)
 
@@ -178,7 +181,7 @@ class CommonStates:
         drive = (wanted @ gears.T) / np.maximum(np.sum(gears**2, axis=-1), np.finfo(float).tiny)
         drive *= random.choice([-1.0, 1.0], size=drive.shape) * random.uniform(0.5, 1.0, size=drive.shape)
         without = robot.drive_forces(coordinates, velocities, np.zeros((1, 1, len(gears))))
-        is_controlled = robot.gain != 0
+        is_controlled = (robot.gain != 0) & (gears != 0).any(axis=-1)
         return np.where(is_controlled, (drive - without) / np.where(is_controlled, robot.gain, 1.0), 0.0)
 
     def _in_second(self, coordinates: Array, velocities: Array) -> tuple[Array, Array]:
@@ -411,8 +414,12 @@ def _notes(files: Sequence[RobotFile], alignment: Alignment, taken: Sequence[Cut
     if any(free):
         note = f"Both bases are held to compare: {alignment.base or 'only one file has a free base'}"
         # a URDF cannot say whether its root link floats
+        floats = any(
+            cut.base >= 0 and file.robot.bodies[cut.base].parent < 0
+            for file, cut in zip(files, taken, strict=True)
+        )
         for each, is_free, number in zip(files, free, ("first", "second"), strict=True):
-            if each.format == "URDF" and not is_free:
+            if floats and each.format == "URDF" and not is_free:
                 note += f"; the option base=free lets the {number} float"
         yield f"{note}."
     for robot, cut, file in zip((first, second), taken, ("first", "second"), strict=True):

@@ -133,7 +133,7 @@ class Difference:
         """Return whether the row is a true difference, rounding or a convention."""
         if self.convention:
             return Standing.CONVENTION
-        return Standing.DIFFERENT if self.size > self.uncertainty else Standing.ROUNDING
+        return Standing.ROUNDING if self.size <= self.uncertainty else Standing.DIFFERENT
 
 
 def unit(quantity: Quantity, slide: bool = False) -> str:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from crosscheck.differences.alignment import Alignment, JointPair
 from newton_euler.reading.robot import FileDrive, Robot
 
 
-def drive_pairs(first: Robot, second: Robot, alignment: Alignment) -> list[tuple[int, int]]:
-    """Return pairs of drives that act on the same joints; of several, those of the same name first."""
-    partners = {second.joint(pair.second).name: first.joint(pair.first).name for pair in alignment.joints}
+def drive_pairs(first: Robot, second: Robot, joints: Iterable[JointPair]) -> list[tuple[int, int]]:
+    """Return pairs of drives that act on the same joints.
+
+    Of several drives, those of the same name are a pair, then those of the same kind of law, then those with
+    the most equal gears.
+    """
+    partners = {second.joint(pair.second).name: first.joint(pair.first).name for pair in joints}
     free = list(range(len(second.drives)))
     pairs = []
     for index, drive in enumerate(first.drives):
@@ -21,10 +26,21 @@ def drive_pairs(first: Robot, second: Robot, alignment: Alignment) -> list[tuple
             and (drive.gears or second.drives[other].name == drive.name)
         ]
         if same:
-            partner = min(same, key=lambda other: second.drives[other].name != drive.name)
+            partner = min(same, key=lambda other: _unlikeness(drive, second.drives[other]))
             pairs.append((index, partner))
             free.remove(partner)
     return pairs
+
+
+def _unlikeness(drive: FileDrive, other: FileDrive) -> tuple[bool, bool, bool, float]:
+    """Return a key that sorts drives of the same joints by their likeness to a drive."""
+    gears = zip(sorted(drive.gears.values()), sorted(other.gears.values()), strict=False)
+    return (
+        drive.name != other.name,
+        bool(drive.stiffness) != bool(other.stiffness),
+        bool(drive.damping) != bool(other.damping),
+        sum(abs(one * drive.gain - two * other.gain) for one, two in gears),
+    )
 
 
 def is_meant(first: Robot, second: Robot, pair: JointPair) -> bool:

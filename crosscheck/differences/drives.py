@@ -9,9 +9,10 @@ import numpy as np
 
 from crosscheck.differences.connections import PairedJoint, only_in_one
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
+from crosscheck.differences.drive_pairs import drive_pairs
 from crosscheck.differences.frames import CommonFrames
 from crosscheck.differences.stack import relative
-from newton_euler.reading.robot import FileDrive, JointKind, Robot
+from newton_euler.reading.robot import JointKind, Robot
 from newton_euler.scalars import Array
 
 DRIVE_LIMITS = {Quantity.CONTROL_LIMITS: "control_limits", Quantity.FORCE_LIMITS: "force_limits"}
@@ -27,30 +28,18 @@ DRIVE_NUMBERS = {
 
 
 def drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Difference]:
-    """Yield the rows of drives, paired by their joints and then by their names."""
+    """Yield the rows of drives, paired by `drive_pairs`."""
     first, second = common.first.file.robot, common.second.file.robot
     by_second = {joint.second.name: joint for joint in joints}
     first_name = {joint.second.name: joint.first.name for joint in joints}
-    free = list(range(len(second.drives)))
-    alone = []
-    for index, drive in enumerate(first.drives):
-        acts_on = set(drive.gears)
-        rivals = [
-            other
-            for other in free
-            if {first_name.get(joint, "") for joint in second.drives[other].gears} == acts_on
-            and (acts_on or second.drives[other].name == drive.name)
-        ]
-        # Drives of one joint: the same name, then the same kind of law
-        rivals.sort(key=lambda other: _unlikeness(drive, second.drives[other]))
-        if not rivals:
-            alone.append(drive)
-            continue
-        free.remove(rivals[0])
-        yield from _paired_drive(common, index, rivals[0], by_second)
-    others = [second.drives[other] for other in free]
+    paired = drive_pairs(first, second, [joint.pair for joint in joints])
+    for index, other_index in paired:
+        yield from _paired_drive(common, index, other_index, by_second)
+    known, known_others = {one for one, _ in paired}, {two for _, two in paired}
+    alone = [drive for k, drive in enumerate(first.drives) if k not in known]
+    others = [drive for k, drive in enumerate(second.drives) if k not in known_others]
     for drive in list(alone):
-        namesake = next((other for other in others if other.name == drive.name and drive.name), None)
+        namesake = next((other for other in others if other.name == drive.name), None)
         if namesake is not None:
             alone.remove(drive)
             others.remove(namesake)
@@ -62,17 +51,7 @@ def drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Diff
             yield difference(drive.name, "drive", Quantity.TRANSMISSION, joints_of_both, (1.0, 0.0), words)
     for in_first, drives in ((True, alone), (False, others)):
         for drive in drives:
-            name = drive.name or ", ".join(drive.gears)
-            yield only_in_one("drive", name, f"on {', '.join(drive.gears) or 'a body'}", in_first)
-
-
-def _unlikeness(drive: FileDrive, other: FileDrive) -> tuple[bool, bool, bool]:
-    """Return a key that sorts drives of one joint by their likeness to a drive."""
-    return (
-        drive.name != other.name,
-        bool(drive.stiffness) != bool(other.stiffness),
-        bool(drive.damping) != bool(other.damping),
-    )
+            yield only_in_one("drive", drive.name, f"on {', '.join(drive.gears) or 'a body'}", in_first)
 
 
 def _paired_drive(

@@ -78,7 +78,6 @@ def _mistakes(properties: MassProperties) -> list[tuple[str, Array]]:
         ("the products of inertia are missing", diagonal),
         ("the inertia is about the origin of the link instead of the center of mass", inertia + shift),
     ]
-    found += [("the rotation of the inertia is lost", order @ np.diag(values) @ order.T) for order in orders]
     for one, other in combinations(range(3), 2):
         exchanged = inertia.copy()
         exchanged[[one, other], [one, other]] = exchanged[[other, one], [other, one]]
@@ -87,6 +86,7 @@ def _mistakes(properties: MassProperties) -> list[tuple[str, Array]]:
         swapped = np.eye(3)
         swapped[[one, other]] = swapped[[other, one]]
         found.append((f"the axes {letters[0]} and {letters[1]} are exchanged", swapped @ inertia @ swapped.T))
+    found += [("the rotation of the inertia is lost", order @ np.diag(values) @ order.T) for order in orders]
     for axis, letter in enumerate("xyz"):
         mirror = np.diag(np.where(np.arange(3) == axis, -1.0, 1.0))
         found.append((f"the inertia is mirrored along {letter}", mirror @ inertia @ mirror))

@@ -60,13 +60,12 @@ class Merged:
 
 
 def _named(robot: Robot) -> Robot:
-    """Return a robot whose elements have the names that rows of differences give them."""
+    """Return a robot whose loops, springs and couplings have the names that rows give them."""
     return replace(
         robot,
         loops=tuple(replace(loop, name=robot.loop_name(loop)) for loop in robot.loops),
         springs=tuple(replace(spring, name=robot.loop_name(spring)) for spring in robot.springs),
         couplings=tuple(replace(c, name=c.name or c.follower) for c in robot.couplings),
-        drives=tuple(replace(drive, name=drive.name or ", ".join(drive.gears)) for drive in robot.drives),
     )
 
 
@@ -79,7 +78,7 @@ def merged(first: Robot, second: Robot, alignment: Alignment) -> Merged:
     """
     first, second = _named(first), _named(second)
     terms = _Terms(first, second, alignment)
-    paired = dict(drive_pairs(first, second, alignment))
+    paired = dict(drive_pairs(first, second, alignment.joints))
     added = [terms.drive(drive, None) for k, drive in enumerate(second.drives) if k not in paired.values()]
     own = [*first.drives, *(replace(drive, gears={}) for drive in added)]
     other = [

@@ -19,6 +19,7 @@ from crosscheck.differences.motion import Likeness, Motion, compare_motions
 from crosscheck.differences.rows import differences
 from crosscheck.differences.run import Run, run_both
 from crosscheck.differences.shapes import shapes
+from crosscheck.differences.unnamed import with_names
 from crosscheck.loading.robots import describe_model
 from newton_euler.reading.robot import RobotFile
 
@@ -147,6 +148,7 @@ def compare_files(
     if cuts := with_same_cuts(first, second, alignment):
         first, second = cuts.first, cuts.second
         alignment = align(first.robot, second.robot, names)
+    first, second = with_names(first), with_names(second)
     progress("comparing numbers")
     rows = differences(first, second, alignment, tolerance)
     if cuts:

@@ -145,10 +145,12 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
             if any(gap.is_open for gap in motion.gaps):
                 return f"poses of {sides[0]} do not fit {sides[1]}: {gap_text(motion)}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
-        case Likeness.EQUAL:
-            return "both move alike"
-        case Likeness.ROUNDING:
-            return "both move alike, within the digits of the files"
+        case Likeness.EQUAL | Likeness.ROUNDING:
+            states = comparison.states
+            is_reduced = states is not None and any(cut.takes_motion for cut in states.cuts)
+            text = "what both have moves alike" if is_reduced else "both move alike"
+            is_equal = motion.likeness is Likeness.EQUAL
+            return text if is_equal else f"{text}, within the digits of the files"
         case Likeness.UNDECIDED:
             return "motions were not compared"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -141,6 +142,13 @@ def test_a_free_base_moves_as_in_pinocchio(tmp_path: Path) -> None:
     check_motion(pin.buildModelFromXML(CHAIN, pin.JointModelFreeFlyer()), found.robot)
     assert len(found.variants) == len(describe(path).variants)
     assert all(variant.bodies[0].joints[0].kind is JointKind.FREE for variant in found.variants)
+
+
+def test_an_axis_without_direction_raises(tmp_path: Path) -> None:
+    path = tmp_path / "model.urdf"
+    path.write_text(re.sub(r'<axis xyz="[^"]*"', '<axis xyz="0 0 0"', CHAIN, count=1))
+    with pytest.raises(SourceError, match=r"axis is 0 0 0; needed: a direction"):
+        describe(path)
 
 
 def test_an_unknown_base_raises(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from command_line import run
 
 import crosscheck
 from crosscheck.compare.outcome import Outcome
+from crosscheck.report.diff import verdict
 from crosscheck.support.errors import CrosscheckError
 
 ROOT = Path(__file__).parents[3]
@@ -234,6 +235,7 @@ def test_the_option_that_lets_a_base_float(tmp_path):
     held = crosscheck.diff(*files)
     [row] = held.differences
     assert (row.quantity, held.same) == ("base", False)
+    assert verdict(held.comparison) == "DIFFERENT: 1 difference; what both have moves alike"
     assert any("base=free lets the second float" in note for note in held.comparison.motion.notes)
     assert crosscheck.diff(*files, second_options={"base": "free"}).outcome is Outcome.SAME
     with pytest.raises(CrosscheckError, match="it has loops and base"):
