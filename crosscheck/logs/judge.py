@@ -16,7 +16,7 @@ import numpy as np
 
 from crosscheck.logs.columns import LogData
 from crosscheck.logs.inputs import held_inputs
-from crosscheck.logs.mistakes import Mistake, find_mistakes
+from crosscheck.logs.mistakes import Mismatch, Mistake, find_mismatches, find_mistakes
 from crosscheck.logs.names import Origin
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import loop_errors
@@ -102,6 +102,8 @@ class LogJudgement(Judgement):
         missing: bodies that the log does not determine, with the joint coordinates that it lacks there.
         compared: names of the compared bodies.
         rows: number of compared rows.
+        unknown_positions: compared bodies of which the log does not determine the position.
+        unknown_orientations: compared bodies of which the log does not determine the orientation.
         points: point of the bodies that positions are of, "center" or "frame"; "" without positions.
         has_energy: True if the log determines the energy.
         has_loops: True if the log determines the poses of all bodies of loops, or if there are no loops.
@@ -113,7 +115,7 @@ class LogJudgement(Judgement):
         start_error: error that another fit of the start velocities causes; None if they are not fitted.
         unused: columns that belong to no quantity.
         dropped: number of rows without some of the numbers.
-        mistakes: other readings with a much smaller error.
+        mistakes: other readings with a much smaller error, and coordinates that contradict the poses.
     """
 
     name: str = ""
@@ -123,6 +125,8 @@ class LogJudgement(Judgement):
     reference_stop: str = ""
     missing: tuple[str, ...] = ()
     compared: tuple[str, ...] = ()
+    unknown_positions: tuple[str, ...] = ()
+    unknown_orientations: tuple[str, ...] = ()
     rows: int = 0
     points: Origin = ""
     has_energy: bool = False
@@ -133,12 +137,19 @@ class LogJudgement(Judgement):
     start_error: RunError | None = None
     unused: tuple[str, ...] = ()
     dropped: int = 0
-    mistakes: tuple[Mistake, ...] = ()
+    mistakes: tuple[Mistake | Mismatch, ...] = ()
 
     @property
     def undetermined(self) -> dict[ErrorKind, str]:
         """Errors that the columns of the log do not determine, with the reason and what is needed."""
         found = {}
+        for kind, part, unknown, columns in (
+            (ErrorKind.POSITION, "position", self.unknown_positions, "position.{}.x to z"),
+            (ErrorKind.ROTATION, "orientation", self.unknown_orientations, "quaternion.{}.w to z"),
+        ):
+            if unknown:
+                needed = f"needed: {columns.format(unknown[0])}, or the coordinates of its joints"
+                found[kind] = f"its columns do not determine the {part} of {', '.join(unknown)}; {needed}"
         if not self.has_energy:
             needed = "needed: velocities of all joints or bodies"
             found[ErrorKind.ENERGY] = f"its columns do not determine the energy; {needed}"
@@ -156,6 +167,10 @@ class LogJudgement(Judgement):
             result["error"]["energy"] = None
         if not self.has_loops:
             result["loop_error"] = None
+        for part, unknown in (("position", self.unknown_positions), ("rotation", self.unknown_orientations)):
+            if set(unknown) == set(self.compared):
+                for name in (part, f"{part}_at", f"relative_{part}", f"largest_{part}"):
+                    result["error"][name] = None
         if (start := self.start) is not None:
             result["start"] = {
                 "moved": start.moved,
@@ -177,6 +192,8 @@ class LogJudgement(Judgement):
             "reference_stop",
             "compared",
             "missing",
+            "unknown_positions",
+            "unknown_orientations",
             "rows",
             "points",
             "has_inputs",
@@ -268,6 +285,8 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         unjudged_from=float(compared.reference.time[-1]) if is_unjudged else None,
         missing=reading.missing(compared),
         compared=run.body_names,
+        unknown_positions=compared.unknown_positions,
+        unknown_orientations=compared.unknown_orientations,
         rows=rows,
         points=compared.points,
         has_energy=compared.has_energy,
@@ -278,7 +297,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
         start_error=reading.start_error(compared),
         unused=data.unused,
         dropped=data.dropped,
-        mistakes=mistakes,
+        mistakes=(*mistakes, *find_mismatches(reading, options, compared)),
     )
 
 

@@ -17,10 +17,13 @@ import numpy as np
 from crosscheck.logs.columns import LogData
 from crosscheck.logs.inputs import is_time_dependent
 from crosscheck.logs.options import LogOptions
+from crosscheck.logs.poses import body_poses, coordinates_in_poses, joint_errors, logged_quantities
 from crosscheck.logs.reading import ComparedLog, LogReading
 from crosscheck.own_run.errors import USABLE_BELOW, RunError, run_error
 from crosscheck.own_run.interpolation import at_outputs, without_energies
 from newton_euler.errors import NewtonEulerError, quoted
+from newton_euler.model.joint import Key
+from newton_euler.scalars import Array
 
 MISTAKE_FACTOR = 10.0
 """Factor by which another reading of a log must reduce the error to be reported. Right readings of logs with
@@ -82,6 +85,27 @@ class Mistake:
         return f"{columns}: {self.what}: {after} {instead}{remedy}"
 
 
+@dataclass(frozen=True)
+class Mismatch:
+    """A logged joint coordinate that differs from the one between the logged poses of the joint's bodies.
+
+    Attributes:
+        columns: the column of the coordinate.
+        what: the coordinate and the largest difference in words.
+        option: option with which the coordinate fits the poses; "" if none is known.
+    """
+
+    columns: tuple[str, ...]
+    what: str
+    option: str
+
+    @property
+    def text(self) -> str:
+        """One line: the column, the difference, and the option to give."""
+        remedy = f"; give {self.option}" if self.option else ""
+        return f"column {quoted(self.columns[0])}: {self.what}{remedy}"
+
+
 class OtherReading(NamedTuple):
     """Another reading of a log.
 
@@ -110,6 +134,7 @@ def find_mistakes(
         compared: the log and its reference with these options; None if the log fits no state.
     """
     found: list[Mistake] = []
+    fits_no_state = compared is None
     end = time.process_time() + MAX_SEARCH_S
     while len(found) < MAX_MISTAKES and (compared is None or compared.error.relative > USABLE_BELOW):
         # the reading with the smallest error
@@ -121,8 +146,10 @@ def find_mistakes(
                 tried = reading.compared(other.options)
             except NewtonEulerError:
                 continue
-            if other.options.time != options.time and not _explains_motion(tried):
-                continue  # in a much shorter time nothing moves, whatever the log has
+            if other.options.time != options.time and (
+                tried.error.relative >= USABLE_BELOW or not _explains_motion(tried)
+            ):
+                continue  # in a much shorter time little moves, whatever the log has
             if best is None or tried.error.relative < best[0].error.relative:
                 best = tried, other
         if best is None:
@@ -135,8 +162,60 @@ def find_mistakes(
         found.append(Mistake(other.columns, other.what, other.option, before, compared.error))
         options = other.options
         data = reading.data(options)
+    if fits_no_state and (compared is None or compared.error.relative >= USABLE_BELOW):
+        return ()  # there is no first error that another reading reduces
     if compared is not None and compared.error.relative > USABLE_BELOW:
         found.extend(_delay(compared))
+    return tuple(found)
+
+
+def find_mismatches(reading: LogReading, options: LogOptions, compared: ComparedLog) -> tuple[Mismatch, ...]:
+    """Compare logged joint coordinates with those that follow from logged poses.
+
+    A coordinate of a joint between two bodies with logged poses has no effect on the error of the log.
+
+    Args:
+        reading: the log.
+        options: options of the user.
+        compared: the log and its reference with these options.
+    """
+    mechanism, scale = reading.scene.mechanism, compared.motion_scale
+    quantities = logged_quantities(compared.data)
+    poses = body_poses(reading.elements, quantities, compared.points or "frame")
+    # poses that violate joints have no exact coordinates
+    violations = joint_errors(mechanism, poses)
+    violation = max(
+        float(np.max(violations.openings, initial=0.0)) / scale.length,
+        float(np.max(violations.angles, initial=0.0)) / scale.angle,
+    )
+    allowed = max(USABLE_BELOW, MISTAKE_FACTOR * violation)
+    in_poses, found = coordinates_in_poses(mechanism, poses), list[Mismatch]()
+    columns = dict(_coordinate_columns(reading, compared.data))
+
+    def difference(key: Key, values: Array) -> float:
+        """Return the largest difference of a coordinate from that of the poses, m or rad."""
+        gaps = values - in_poses[key]
+        if not mechanism.is_slide(*key):
+            gaps = np.arctan2(np.sin(gaps), np.cos(gaps))
+        return float(np.max(np.abs(gaps)))
+
+    for key, measured in compared.data.coordinates.items():
+        slides = mechanism.is_slide(*key)
+        extent = scale.length if slides else scale.angle
+        if key not in in_poses or difference(key, measured.values) <= allowed * extent:
+            continue
+        (name,) = measured.columns
+        option = ""
+        for unit in ("mm", "cm", "m") if slides else ("deg", "rad"):
+            text = f"{columns[name]} [{unit}]"
+            other = reading.compared_rows(replace(options, columns={**options.columns, name: text}))
+            if difference(key, other.coordinates[key].values) <= allowed * extent:
+                option = f"--log-map '{name}={text}'"
+        gap = difference(key, measured.values)
+        by = f"{gap:.3g} m" if slides else f"{np.degrees(gap):.3g} deg"
+        label = quoted(reading.elements.labels[key])
+        what = f"differs by up to {by} from the coordinate of joint {label} in the logged poses"
+        found.append(Mismatch((name,), what, option))
     return tuple(found)
 
 

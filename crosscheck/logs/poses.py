@@ -229,23 +229,39 @@ def loop_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors | None:
 
 def joint_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors:
     """Return the violations of all joints between bodies with known poses."""
-    complete = {body: pose for body, pose in poses.items() if pose.is_complete}
-    places = list(complete)
-    position = np.stack([complete[k].position for k in places], axis=1)  # type: ignore[misc]
-    quaternion = np.stack([complete[k].quaternion for k in places], axis=1)  # type: ignore[misc]
-    rest = np.zeros_like(position)
-    frames = dict(zip(places, stacked_frames(position, quaternion, rest, rest), strict=True))
+    frames, count = _frames(poses)
     errors: dict[str, tuple[Array, Array]] = {}
     for joint, equations in zip(mechanism.joints, mechanism.equations, strict=True):
-        if equations.first in complete and equations.second in complete:
+        if equations.first in frames and equations.second in frames:
             phi = equations.phi(frames[equations.first], frames[equations.second])
-            residuals = np.abs(unstacked(phi, len(position)))  # (n, rows of the joint)
+            residuals = np.abs(unstacked(phi, count))  # (n, rows of the joint)
             openings = np.linalg.norm(residuals * equations.is_length, axis=1)
             errors[joint.name] = openings, np.max(residuals * ~equations.is_length, axis=1, initial=0.0)
     if not errors:
         return LoopErrors((), np.zeros((0, 0)), np.zeros((0, 0)))
     openings, angles = (np.stack(each, axis=1) for each in zip(*errors.values(), strict=True))
     return LoopErrors(tuple(errors), openings, angles)
+
+
+def coordinates_in_poses(mechanism: Mechanism, poses: Poses) -> dict[Key, Array]:
+    """Measure the coordinates (n,) of all joints between bodies with known poses, m or rad, up to pi."""
+    frames, count = _frames(poses)
+    found: dict[Key, Array] = {}
+    for joint, equations in zip(mechanism.joints, mechanism.equations, strict=True):
+        if equations.first in frames and equations.second in frames:
+            for number, measure in enumerate(equations.coordinates):
+                phi = measure.phi(frames[equations.first], frames[equations.second])
+                found[joint.name, number] = unstacked(phi, count)[:, 0]
+    return found
+
+
+def _frames(poses: Poses) -> tuple[dict[int, Any], int]:
+    """Return frames at rest for the bodies with known poses, each for n times at once, and the number n."""
+    complete = {body: pose for body, pose in poses.items() if pose.is_complete}
+    position = np.stack([np.asarray(pose.position) for pose in complete.values()], axis=1)
+    quaternion = np.stack([np.asarray(pose.quaternion) for pose in complete.values()], axis=1)
+    rest = np.zeros_like(position)
+    return dict(zip(complete, stacked_frames(position, quaternion, rest, rest), strict=True)), len(position)
 
 
 def quaternion_products(p: Any, q: Any) -> Array:

@@ -7,6 +7,7 @@ the names of its columns do not show.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -58,7 +59,7 @@ class ComparedLog:
         motion_scale: extent of the reference's motion, by which errors are divided.
         run: logged motion of the known bodies at the compared times.
         points: point of a body that logged positions are of: the "center" of mass, or the origin of the body
-            "frame"; "" if the log has no poses of bodies.
+            "frame"; "" if the log has no positions of bodies.
         poses: poses of all known bodies.
         has_energy: True if the log determines the energy.
         error: error of the log.
@@ -80,6 +81,22 @@ class ComparedLog:
         """Return the reference at some times, s since the start, for the bodies of the log."""
         found = of_bodies(interpolated(self.reference, times), self.run.body_names)
         return found if self.has_energy else without_energies(found)
+
+    @property
+    def unknown_positions(self) -> tuple[str, ...]:
+        """Compared bodies of which the log does not determine the position."""
+        return tuple(self._compared_bodies("position"))
+
+    @property
+    def unknown_orientations(self) -> tuple[str, ...]:
+        """Compared bodies of which the log does not determine the orientation."""
+        return tuple(self._compared_bodies("quaternion"))
+
+    def _compared_bodies(self, unknown: str) -> Iterator[str]:
+        """Yield the compared bodies with an unknown part of the pose, an attribute of `BodyPose`."""
+        for name in self.run.body_names:
+            if getattr(self.poses[self.scene.mechanism.body_index(name)], unknown) is None:
+                yield name
 
 
 class OtherInputs(NamedTuple):
@@ -119,6 +136,10 @@ class LogReading:
         """
         return read_columns(self.table, self.elements, options)
 
+    def compared_rows(self, options: LogOptions) -> LogData:
+        """Return the numbers of the log from the start of the comparison on, see `LogOptions.offset`."""
+        return _from_offset(self.data(options), options.offset)
+
     def compared(self, options: LogOptions) -> ComparedLog:
         """Simulate the reference from the start of the log, and compare.
 
@@ -126,7 +147,7 @@ class LogReading:
             SourceError: for a log that cannot be read so, or whose first row fits no state.
             NewtonEulerError: if the reference stops.
         """
-        data = _from_offset(self.data(options), options.offset)
+        data = self.compared_rows(options)
         points = options.position or self._point(data)
         scene = with_inputs(self._scene_at(data, options), data, self.names)  # logged inputs replace its own
         start = log_start(scene, self.elements, data, points)
@@ -177,7 +198,7 @@ class LogReading:
             reference_stop=stop,
             motion_scale=scale,
             run=run,
-            points=points if data.frames else "",
+            points=points if any(frame.position for frame in data.frames.values()) else "",
             poses=poses,
             has_energy=has_energy,
             error=error,
@@ -205,7 +226,10 @@ class LogReading:
     def _run(
         self, scene: Scene, data: LogData, points: Origin, reference: Trajectory, times: Array
     ) -> tuple[Trajectory, Poses, bool]:
-        """Return the logged motion of known bodies; unknown parts of a pose are those of the reference."""
+        """Return the logged motion of known bodies.
+
+        Unknown parts of a pose are those of the reference, so that they do not count as errors.
+        """
         times = times[times <= reference.time[-1] * (1.0 + 1e-9)]
         data = data.at(np.arange(len(times)))
         quantities = logged_quantities(data)
@@ -286,9 +310,14 @@ class LogReading:
     def missing(self, compared: ComparedLog) -> tuple[str, ...]:
         """Name bodies that the log does not determine, with columns that would determine them.
 
-        A body needs all coordinates of one of its joints.
+        A body needs all coordinates of one of its joints. The log may determine only its position or only its
+        orientation.
         """
         mechanism, found = self.scene.mechanism, list[str]()
+        for name in compared.unknown_positions:
+            found.append(f"position of {name} (position.{name}.x to z are missing)")
+        for name in compared.unknown_orientations:
+            found.append(f"orientation of {name} (quaternion.{name}.w to z are missing)")
         for name in set(mechanism.body_names[1:]) - set(compared.run.body_names):
             ways = []  # by joint
             for joint in mechanism.joints:

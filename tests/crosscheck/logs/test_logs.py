@@ -17,7 +17,7 @@ from crosscheck.loading.load import load_scene
 from crosscheck.logs import reading
 from crosscheck.logs.inputs import with_logged_forces
 from crosscheck.logs.judge import Log, judge_log
-from crosscheck.logs.mistakes import _delay
+from crosscheck.logs.mistakes import _delay, find_mistakes
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.poses import loop_joints
 from crosscheck.logs.table import read_table
@@ -785,3 +785,87 @@ def test_delays_close_to_the_outputs_of_the_reference_are_tried():
     log = reading.LogReading(scene, report.names, read_table(table))
     # the log is accurate, so that the search goes on with smaller delays around zero
     assert list(_delay(log.compared(LogOptions()))) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "differs", "option"),
+    [
+        (np.degrees, True, "; give --log-map 'elbow=coordinate.elbow [deg]'"),
+        (np.negative, True, ""),
+        (lambda angle: angle + 2.0 * np.pi, False, ""),
+    ],
+)
+def test_a_coordinate_that_contradicts_the_poses_is_named(four_bar, change, differs, option):
+    joints, bodies = four_bar[3:5]
+    found = judged(four_bar, bodies | {"motor": joints["motor"], "elbow": change(joints["elbow"])})
+    assert found.error.relative < 2e-4  # of the poses
+    gap = np.angle(np.exp(1j * (change(joints["elbow"]) - joints["elbow"])))
+    size = f"{np.degrees(np.max(np.abs(gap))):.3g} deg"
+    words = (
+        f"column 'elbow': differs by up to {size} from the coordinate of joint 'elbow' in the logged poses"
+    )
+    assert [mistake.text for mistake in found.mistakes] == ([words + option] if differs else [])
+    assert sum(line.startswith("  mistake column 'elbow'") for line in log_lines(found).lines) == differs
+    assert [each["text"] for each in found.summary()["mistakes"]] == ([words + option] if differs else [])
+
+
+def test_coordinates_beside_poses_that_violate_joints_are_not_blamed(four_bar):
+    joints, bodies = four_bar[3:5]
+    # the angle between both bars is wrong as the quaternions are
+    turned = {name: np.roll(x, 20) if "coupler/orientation" in name else x for name, x in bodies.items()}
+    found = judged(four_bar, turned | {"elbow": joints["elbow"]})
+    assert found.band is Band.WRONG
+    assert not any("elbow" in mistake.columns for mistake in found.mistakes)
+
+
+def test_unknown_parts_of_poses_are_no_errors_of_0(four_bar):
+    path, _, _, joints, bodies, _ = four_bar
+    quaternions = {name: x for name, x in bodies.items() if "coupler/orientation" in name}
+    log = {"time": joints["time"], "elbow": joints["elbow"], **quaternions}
+    found = judged(four_bar, log)
+    assert (found.compared, found.unknown_positions, found.unknown_orientations) == (
+        ("coupler",),
+        ("coupler",),
+        (),
+    )
+    assert ErrorKind.POSITION in found.undetermined
+    assert not {ErrorKind.ROTATION, ErrorKind.RELATIVE} & found.undetermined.keys()
+    assert "position of coupler (position.coupler.x to z are missing)" in found.missing
+    error = found.summary()["error"]
+    assert (error["position"], error["position_at"], error["relative_position"]) == (None, None, None)
+    assert error["rotation"] == pytest.approx(found.error.rotation)
+    verdict = crosscheck.check(str(path), ["newton_euler"], runs={"isaac": log}, excitation="off")
+    limited = verdict.crosscheck.with_allowed_errors([AllowedError(ErrorKind.POSITION, 1e-7)])
+    assert limited.outcome.exit_status() == 3
+    assert [(stop.what, stop.reason) for stop in limited.unfinished] == [
+        (
+            "isaac",
+            "its columns do not determine the position of coupler; needed: position.coupler.x to z, or the "
+            "coordinates of its joints",
+        )
+    ]
+
+
+def test_a_log_that_fits_no_state_has_no_reading_with_a_large_error(tmp_path):
+    path = tmp_path / "floating.xml"
+    path.write_text(FLOATING)
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+    # the buoy does not move as a body that is tied to the rod, and its first row is far from it
+    time, zero = 0.01 * np.arange(21), np.zeros(21)
+    table = {"time": time, "hinge": 3.0 * np.sin(40.0 * time), "tip": zero}
+    table |= {f"buoy.{c}": x for c, x in zip("xyz", (40.0 + time, zero, zero), strict=True)}
+    table |= {f"buoy.q{c}": np.full(21, c == "w") for c in "wxyz"}
+    reading_of_log = reading.LogReading(scene, report.names, read_table(table))
+    assert find_mistakes(reading_of_log, LogOptions(), reading_of_log.data(LogOptions()), None) == ()
+
+
+def test_a_unit_of_times_with_a_large_error_is_no_mistake(tmp_path):
+    path = tmp_path / "rod.xml"
+    path.write_text(CLAMPED)
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+    # a motor turns the rod against gravity; in nanoseconds gravity has no effect, either, but the angle has
+    # another error of 0.1 rad in 1 s
+    time = 0.01 * np.arange(101)
+    found = judge_log(scene, report.names, "log", {"time": time, "h": 5.0 * time + 0.1 * time**3})
+    assert found.error.relative > 1.0
+    assert found.mistakes == ()
