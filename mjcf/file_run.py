@@ -105,14 +105,15 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         Args:
             model: compiled model of the file.
             reference: compiled model with which the import of the scene is verified. Its start, qpos with
-                closed loops, is the start of the run. It also maps MuJoCo's bodies to bodies of the scene.
+                closed loops, and its mocap poses are the start of the run. It also maps MuJoCo's bodies to
+                bodies of the scene.
             scene: imported scene.
             report: import report, which lists the elements that the scene does not have.
             inputs: controls of the scene.
         """
         self._model, self.scene, self._report, self._inputs = model, scene, report, inputs
         self.settings = MujocoSettings.of(model)
-        self._start = reference.start
+        self._start, self._mocap_poses = reference.start, reference.mocap_poses
         # bodies of the scene, and the rigid groups of MuJoCo's bodies that each of them represents
         self._names = reference.names
         self._groups = reference.groups
@@ -331,8 +332,13 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         return model, active
 
     def _model_of_run(self, reduced: bool) -> tuple[Any, Array]:
-        """Return a new copy of the model with the settings of the file, see `_prepared`."""
+        """Return a new copy of the model with settings of the file and mocap poses of the start."""
         model = copy.copy(self._model)
+        # new data of a model have the mocap bodies where the model has them
+        mocap_bodies = np.flatnonzero(model.body_mocapid >= 0)
+        mocap_numbers = model.body_mocapid[mocap_bodies]
+        for poses, of_keyframe in zip((model.body_pos, model.body_quat), self._mocap_poses, strict=True):
+            poses[mocap_bodies] = of_keyframe[mocap_numbers]
         active = model.eq_active0.copy()
         if reduced:
             for name in UNSIMULATED_FEATURES:

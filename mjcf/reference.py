@@ -129,6 +129,11 @@ class MjcfReference(ReferenceModel):
             mujoco.mj_resetDataKeyframe(model, self._data, names.index(key))
 
     @property
+    def mocap_poses(self) -> tuple[Array, Array]:
+        """Positions (m, 3), m, and quaternions (m, 4) of the m mocap bodies in the keyframe, world frame."""
+        return self._data.mocap_pos.copy(), self._data.mocap_quat.copy()
+
+    @property
     def groups(self) -> list[tuple[int, Array]]:
         """Root and members, numbers of MuJoCo's bodies, of each rigid group, in the order of `names`."""
         return list(zip(self._roots, self._members, strict=True))
