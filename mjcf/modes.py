@@ -127,7 +127,7 @@ def _removable_elements(model: Any) -> Iterator[_RemovableElement]:
                 ForceElement(f"{what} of the medium", getattr(model.opt, what)), (("opt", what),)
             )
     yield _RemovableElement(
-        ForceElement("gyroscopic forces of the motion", can_be_scaled=False), is_motion=True
+        ForceElement("gyroscopic effect of the motion", can_be_scaled=False), is_motion=True
     )
 
 

@@ -121,10 +121,12 @@ def _fewest_revolutions(
     """Find the smallest angles with given ratios that match the poses up to full revolutions.
 
     Coordinates that follow from the angles by couplings must match the poses, too. If no angles up to
-    `MAX_START_REVOLUTIONS` match, the slowest angle (the one of the smallest ratio) is between -pi and pi.
+    `MAX_START_REVOLUTIONS` match, the slowest angle (the one of the smallest ratio except 0) is between -pi
+    and pi. If a known coordinate has a ratio except 0, this coordinate determines all angles.
 
     Args:
-        ratios: ratio of each angle to a common angle, by key.
+        ratios: ratio of each angle to a common angle, by key; 0 for a coordinate that the common angle does
+            not move. Known coordinates may be among the keys.
         couplings: couplings without a function of time.
         wanted: known coordinates by key.
         x: joint coordinates in the poses of the bodies, by key, m or rad.
@@ -133,12 +135,17 @@ def _fewest_revolutions(
         The angles with their revolutions, rad, by key.
     """
     # candidates of the slowest angle in ascending magnitude, and the other angles for each of them
-    slowest = min(ratios, key=lambda key: (abs(ratios[key]), key))
+    turning = [key for key, ratio in ratios.items() if ratio]
+    slowest = min(turning, key=lambda key: (abs(ratios[key]), key))
     count = np.arange(MAX_START_REVOLUTIONS + 1)
     count = np.stack([count, -count], axis=1).ravel()
     candidates = x[slowest] + 2.0 * np.pi * count
     candidates = candidates[np.argsort(np.abs(candidates), kind="stable")]
-    angles = {key: candidates * (ratio / ratios[slowest]) for key, ratio in ratios.items()}
+    if known_turning := sorted(wanted.keys() & turning):
+        candidates = np.array([wanted[known_turning[0]] * (ratios[slowest] / ratios[known_turning[0]])])
+    angles = {
+        key: candidates * (ratio / ratios[slowest]) for key, ratio in ratios.items() if key not in wanted
+    }
     known: dict[Key, Any] = {**wanted, **angles}
     nonlinear = [coupling for coupling in couplings if coupling.powers]
     if nonlinear:

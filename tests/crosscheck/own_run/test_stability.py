@@ -110,6 +110,8 @@ def test_limit_of_a_top(tmp_path):
     precession = 60.0 * (0.05 / 0.03 - 1.0)
     growth = 0.5 * math.log(1.0 + (found.limit * precession) ** 2) / found.limit * DURATION
     assert growth == pytest.approx(math.log(MAX_GROWTH), rel=PERCENT)
+    # a name in the singular, as of all elements: the sentence is "... makes a mode"
+    assert [each.name for each in found.elements] == ["gyroscopic effect of the motion"]
     assert mode(tmp_path, TOP.format(integrator="implicit")).found.limit == math.inf
 
 

@@ -135,3 +135,30 @@ def test_poses_that_nothing_agrees_with_stay_within_half_a_revolution():
     gear = Coupling("gear", "mesh", "b", {("b", 0): 1.0, ("a", 0): -np.sqrt(2.0)}, None, False)
     found = revolutions([gear], {("a", 0): 3.0, ("b", 0): 0.2}, {("a", 0), ("b", 0)}, 0.0, {})
     assert found == {("a", 0): 0.0, ("b", 0): pytest.approx(2.0 * np.pi)}  # 4.24 is nearest to 6.48
+
+
+DIFFERENTIAL = Coupling("equality", "difference", "a", {("a", 0): 1.0, ("b", 0): -2.0}, None, False)
+
+
+def test_a_coordinate_that_a_fixed_difference_holds_at_zero_tells_no_revolutions():
+    """A slide and an angle are driven by a - 2 b = 0: the fewest turns have a and b only."""
+    driven = [
+        Coupling("equality", name, name, {(name, 0): 1.0, ("a", 0): -0.5, ("b", 0): 1.0}, None, False)
+        for name in ("slide", "wheel")
+    ]
+    # poses of a = 8 - 4 pi and b = 4 - 2 pi, where a is between -pi and pi
+    x = {("a", 0): 8.0 - 2.0 * np.pi, ("b", 0): 4.0 - 2.0 * np.pi, ("slide", 0): 0.0, ("wheel", 0): 0.0}
+    for order in ORDERS:
+        couplings = [[DIFFERENTIAL, *driven][k] for k in order]
+        found = revolutions(couplings, x, {("a", 0), ("b", 0), ("wheel", 0)}, 0.0, {})
+        # multiples of 2 pi, up to round-off
+        assert found == {("a", 0): pytest.approx(-2.0 * np.pi), ("b", 0): 0.0, ("wheel", 0): 0.0}
+
+
+def test_a_slide_that_moves_with_the_sum_of_two_angles_determines_their_revolutions():
+    total = Coupling("equality", "sum", "s", {("s", 0): 1.0, ("a", 0): -1.0, ("b", 0): -1.0}, None, False)
+    # a = 20 and b = 10, which differ from the poses by whole turns
+    x = {("s", 0): 30.0, ("a", 0): 20.0 - 6.0 * np.pi, ("b", 0): 10.0 - 4.0 * np.pi}
+    for couplings in ([DIFFERENTIAL, total], [total, DIFFERENTIAL]):
+        found = revolutions(couplings, x, {("a", 0), ("b", 0)}, 0.0, {})
+        assert found == {("a", 0): pytest.approx(6.0 * np.pi), ("b", 0): pytest.approx(4.0 * np.pi)}
