@@ -93,9 +93,10 @@ class Recorder:
             into.append(np.sqrt(squares))
 
     def loop_errors(self) -> LoopErrors:
-        """Return the violations of all equalities at the recorded times."""
-        names = tuple(element_name(self._model, "equality", k) for k in range(self._model.neq))
-        return LoopErrors(names, np.array(self.openings), np.array(self.angles))
+        """Return the violations of the equalities that are switched on at the recorded times."""
+        active = np.flatnonzero(self._data.eq_active)
+        names = tuple(element_name(self._model, "equality", int(k)) for k in active)
+        return LoopErrors(names, np.array(self.openings)[:, active], np.array(self.angles)[:, active])
 
     def trajectory(
         self,

@@ -30,7 +30,7 @@ from crosscheck.engines.engine import Engine
 from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
-from crosscheck.own_run.allowed import OWN_RUN, AllowedError
+from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind, without_loops
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
@@ -149,13 +149,15 @@ class EngineComparison(ABC):
         return self.logs or ({OWN_RUN: self.own_run} if self.own_run else {})
 
     def limits_of(self, name: str) -> Sequence[AllowedError]:
-        """Return the allowed errors of `OWN_RUN` or of a log, without kinds that the columns do not show."""
-        if not self.logs:
-            return self.allowed_errors
-        if name not in self.logs:
-            return ()
-        undetermined = self.logs[name].undetermined
+        """Return the allowed errors of `OWN_RUN` or of a log, without kinds that the run does not determine."""
+        if name not in self.limited_runs:
+            return () if self.logs else self.allowed_errors
+        undetermined = self._undetermined(name)
         return [each for each in self.allowed_errors if each.kind not in undetermined]
+
+    def _undetermined(self, name: str) -> Mapping[ErrorKind, str]:
+        """Return the errors that one of the `limited_runs` does not determine, with the reason."""
+        return self.logs[name].undetermined if name in self.logs else without_loops(self.limited_runs[name])
 
     @property
     def exceeded(self) -> dict[str, list[AllowedError]]:
@@ -170,16 +172,19 @@ class EngineComparison(ABC):
         """Return this result with largest errors that the `limited_runs` may have.
 
         The result is unfinished if the own run, or its end, is not judged although the engines agree. It is
-        also unfinished if a log has no columns for an error, or if the reference stops before the log ends.
+        also unfinished if a run has no loops or a log no columns for an error, or if the reference stops
+        before the log ends.
         """
         stops = self.unfinished
+        for name in self.limited_runs:
+            undetermined = self._undetermined(name)
+            reasons = [undetermined[each.kind] for each in allowed if each.kind in undetermined]
+            stops = (*stops, *(Stop(name, reason) for reason in dict.fromkeys(reasons)))
         if self.logs:
             for name, log in self.logs.items():
-                reasons = [log.undetermined[each.kind] for each in allowed if each.kind in log.undetermined]
                 if allowed and log.unjudged_from is not None:
                     end = f"not judged from {log.unjudged_from:.3g} s on"
-                    reasons.append(f"{end}, as the reference stops: {log.reference_stop}")
-                stops = (*stops, *(Stop(name, reason) for reason in dict.fromkeys(reasons)))
+                    stops = (*stops, Stop(name, f"{end}, as the reference stops: {log.reference_stop}"))
             return replace(self, allowed_errors=tuple(allowed), unfinished=stops)
         if allowed and self.own_run is None and not self.differs:
             needed = "not judged, as the scene has no run of its own; needed: an MJCF or URDF model"

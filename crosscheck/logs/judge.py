@@ -23,7 +23,7 @@ from crosscheck.logs.poses import loop_errors
 from crosscheck.logs.reading import LogReading, OtherInputs
 from crosscheck.logs.start import LogStart
 from crosscheck.logs.table import read_table
-from crosscheck.own_run.allowed import ErrorKind
+from crosscheck.own_run.allowed import ErrorKind, without_loops
 from crosscheck.own_run.errors import Band, LoopError, MotionScale, RunError, run_error
 from crosscheck.own_run.horizon import comparable_until
 from crosscheck.own_run.judge import Judgement
@@ -141,7 +141,7 @@ class LogJudgement(Judgement):
 
     @property
     def undetermined(self) -> dict[ErrorKind, str]:
-        """Errors that the columns of the log do not determine, with the reason and what is needed."""
+        """Errors that the log does not determine, with the reason and what is needed."""
         found = {}
         for kind, part, unknown, columns in (
             (ErrorKind.POSITION, "position", self.unknown_positions, "position.{}.x to z"),
@@ -156,8 +156,8 @@ class LogJudgement(Judgement):
         if not self.has_loops:
             needed = "needed: coordinates of all joints, or poses of all bodies, of loops"
             reason = f"its columns do not determine the violation of loops; {needed}"
-            found |= dict.fromkeys((ErrorKind.OPENING, ErrorKind.LOOP_ANGLE), reason)
-        return found
+            return found | dict.fromkeys((ErrorKind.OPENING, ErrorKind.LOOP_ANGLE), reason)
+        return found | without_loops(self)
 
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""

@@ -140,6 +140,16 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(names)
 
 
+def without_loops(judgement: Judgement) -> dict[ErrorKind, str]:
+    """Map the errors of loops to why they cannot be limited, if the run has no loop constraints."""
+    if judgement.loop_error.has_loops:
+        return {}
+    return {
+        kind: f"no loops, so that --max-error {kind}=... limits nothing; needed: a model with loop constraints"
+        for kind in (ErrorKind.OPENING, ErrorKind.LOOP_ANGLE)
+    }
+
+
 def exceeded_text(name: str, judgement: Judgement, exceeded: Sequence[AllowedError]) -> str:
     """Format the errors that exceed what the user allows, or why the run has no error.
 

@@ -122,6 +122,11 @@ class LoopError:
     angle: float = 0.0
     angle_at: tuple[str, float] = ("", 0.0)
 
+    @property
+    def has_loops(self) -> bool:
+        """True if the run has loop constraints."""
+        return bool(self.opening_at[0])
+
     @classmethod
     def of(cls, found: LoopErrors, times: Array) -> LoopError:
         """Find the largest violations up to the last one of the given times, s."""

@@ -113,8 +113,9 @@ def junit(result: EngineComparison, whole: Report, name: str, allow_reduced: boo
     runs: dict[str, Judgement | None] = {OWN_RUN: result.own_run, **result.logs}
     for run, judgement in runs.items():
         limits = result.limits_of(run)
-        # limits of errors that the columns of a log do not determine
-        unjudged = [each for each in result.allowed_errors if run in result.logs and each not in limits]
+        # limits of errors that the run does not determine
+        is_limited = run in result.limited_runs
+        unjudged = [each for each in result.allowed_errors if is_limited and each not in limits]
         cases = own_run_cases(judgement, limits) if limits or not unjudged else []
         rows += [run, *cases, *own_run_cases(None, unjudged)]
     parts = [Table("verdict", text_columns("", ""), rows), *whole.parts]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from xml.etree import ElementTree
 
 import mujoco
 import pytest
@@ -219,3 +220,24 @@ def test_the_end_of_a_long_run_that_is_not_judged_is_an_unfinished_judgement(swi
     assert verdict.own_run.unjudged_from == pytest.approx(200 * FINE)
     with pytest.raises(AssertionError, match=r"not judged from 0\.4 s on"):
         verdict.assert_accurate(1e-3)
+
+
+@pytest.mark.parametrize("equality", ["", '<equality><joint joint1="hinge" active="false"/></equality>'])
+@pytest.mark.parametrize("kind", ["opening", "loop_angle"])
+def test_the_loop_error_of_a_file_without_loops_cannot_be_limited(capsys, tmp_path, swing, kind, equality):
+    path = swing(FINE)
+    path.write_text(path.read_text().replace("</mujoco>", f"{equality}</mujoco>"))
+    arguments = [path, "--engines", ",".join(ENGINES), "--output", tmp_path / "out"]
+    status, text, _ = run(capsys, "run", *arguments, f"--max-error={kind}=1", "--max-error=1%")
+    assert status == ExitStatus.UNFINISHED
+    assert verdict_of(text).startswith("UNFINISHED: your settings: no loops")
+    assert f"{kind} 1" not in text
+    assert "  allowed relative 1 %: met" in text
+    # a skipped test case, beside the one of the other limit
+    page = ElementTree.parse(tmp_path / "out" / "junit.xml")
+    cases = {each.get("name"): each.find("skipped") for each in page.iter("testcase")}
+    (limited,) = (each for each in cases if each.startswith(f"{kind} error at most"))
+    assert cases[limited] is not None
+    assert cases["relative error at most 1 %"] is None
+    with pytest.raises(AssertionError, match="no loops"):
+        crosscheck.check(path, ENGINES).assert_accurate(**{kind: 1.0})
