@@ -144,8 +144,9 @@ def without_loops(judgement: Judgement) -> dict[ErrorKind, str]:
     """Map the errors of loops to why they cannot be limited, if the run has no loop constraints."""
     if judgement.loop_error.has_loops:
         return {}
+    needed = "needed: a model with loop constraints"
     return {
-        kind: f"no loops, so that --max-error {kind}=... limits nothing; needed: a model with loop constraints"
+        kind: f"no loops, so that a limit of {kind} limits nothing; {needed}"
         for kind in (ErrorKind.OPENING, ErrorKind.LOOP_ANGLE)
     }
 
