@@ -149,7 +149,7 @@ class EngineComparison(ABC):
         return self.logs or ({OWN_RUN: self.own_run} if self.own_run else {})
 
     def limits_of(self, name: str) -> Sequence[AllowedError]:
-        """Return the allowed errors of `OWN_RUN` or of a log, without those that the run does not determine."""
+        """Return the allowed errors of `OWN_RUN` or of a log, without kinds that the run leaves open."""
         if name not in self.limited_runs:
             return () if self.logs else self.allowed_errors
         undetermined = self._undetermined(name)
