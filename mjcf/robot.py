@@ -102,7 +102,7 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
                 hulls = with_hulls(essentials.texts, model)
                 of_hulls = _Description(compiled(hulls, is_variant=False)).robot
                 texts = hulls
-        numbers = {name: NumbersOfText(text, _is_number) for name, text in texts.items()}
+        numbers = {name: NumbersOfText(text, _is_number, is_angle=_is_angle) for name, text in texts.items()}
         for _ in range(VARIANTS):
             changed = {name: each.variant(random) for name, each in numbers.items()}
             with suppress(ValueError, mujoco.FatalError):  # for example of limits that change places
@@ -132,6 +132,12 @@ def _notes_of_meshes(essentials: Essentials) -> Iterator[str]:
 def _is_number(attribute: str) -> bool:
     """Return False for attributes with names and other text."""
     return attribute not in FREE_TEXT
+
+
+def _is_angle(tag: str, attribute: str) -> bool:
+    """Return whether an attribute holds angles: of frames, of joints, or the controls of position servos."""
+    is_of_joint = tag == "joint" and attribute in ("range", "ref", "springref")
+    return attribute in ("euler", "axisangle") or is_of_joint or (tag, attribute) == ("position", "ctrlrange")
 
 
 def compiled(texts: Mapping[str, str], is_variant: bool) -> mujoco.MjModel:

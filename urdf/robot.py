@@ -64,6 +64,9 @@ NUMBERS = frozenset(name for names in NUMBER_ATTRIBUTES.values() for name in nam
 }
 """Names of attributes with numbers."""
 
+ANGLES = ("rpy", "lower", "upper")
+"""Names of attributes with angles."""
+
 NUMBER_TAGS = (
     "pose",
     "xyz",
@@ -120,7 +123,7 @@ def describe(
         ]
     has_additions = _has_additions(root)
     robot = _robot(path, text, root, loop_content, base, has_additions, notes)
-    numbers = NumbersOfText(text, NUMBERS.__contains__, NUMBER_TAGS)
+    numbers = NumbersOfText(text, NUMBERS.__contains__, NUMBER_TAGS, lambda _, name: name in ANGLES)
     random = np.random.default_rng(0)
     variants = []
     for _ in range(VARIANTS):

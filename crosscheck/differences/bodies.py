@@ -10,7 +10,6 @@ from itertools import combinations
 from crosscheck.differences.difference import Difference, Quantity, difference, numbers
 from crosscheck.differences.frames import CommonFrames
 from crosscheck.differences.inertias import axes_angle, inertia_cause, moments
-from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import MassProperties, Poses, Side, distance, matrix_distance, relative
 
 CLEAR_TURN = 0.01
@@ -140,8 +139,6 @@ def _inertia_rows(
         cause = cause or (words if axes_differ and turn[0] > CLEAR_TURN else "")
         yield difference(name, "body", Quantity.INERTIA, values, change, cause)
     elif axes_differ:
-        if is_turn_by_short_pi(*turn):
-            turn, words = (turn[0], turn[0]), ""
         yield difference(name, "body", Quantity.INERTIA_AXES, (0.0, turn[0]), turn, cause or words)
     else:
         # Axes of nearly equal moments are turned

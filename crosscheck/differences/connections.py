@@ -12,7 +12,6 @@ from numpy.polynomial import Polynomial
 from crosscheck.differences.alignment import JointPair
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.frames import IN_WORLD, LOOP_ENDS, CommonFrames
-from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.stack import Poses, absolute, angle, distance
 from newton_euler.reading.robot import (
     FileJoint,
@@ -179,8 +178,6 @@ def _paired_loop(
             sizes = min(sizes[0], math.pi - sizes[0]), sizes[1]
             if sizes[0] > 1e-9:
                 values = numbers(end.frame.rotation[0, :, 0]), numbers(other_end.frame.rotation[0, :, 0])
-                if is_turn_by_short_pi(*sizes):
-                    sizes = sizes[0], max(sizes)
                 yield difference(name, "loop", Quantity.LOOP_AXIS, values, sizes)
     if loop.kind == LoopKind.ROD:
         lengths = [

@@ -14,7 +14,6 @@ from crosscheck.differences.alignment import JointPair
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.drive_pairs import is_meant
 from crosscheck.differences.frames import MIN_OFFSET, CommonFrames, JointPlace, joint_name
-from crosscheck.differences.short_angles import is_short_pi, is_turn_by_short_pi
 from crosscheck.differences.stack import (
     JointKey,
     Metric,
@@ -247,8 +246,6 @@ class _AxisJoint:
         if not sizes[0] or (at_parent[0] > at_parent[1] and _is_hidden(sizes, at_parent)):
             lines, sizes = self.at_parent, at_parent
             words = f"the link is turned at its parent by {math.degrees(sizes[0]):.4g} degrees"
-        if is_turn_by_short_pi(*sizes):
-            sizes, words = (sizes[0], max(sizes)), ""
         if sizes[0]:
             axes = numbers(lines[0].axis[0]), numbers(lines[1].axis[0])
             yield self._row(Quantity.JOINT_AXIS, axes, sizes, words)
@@ -271,8 +268,6 @@ class _AxisJoint:
         axis = self.at_child[0].axis[0]
         turns = [twist(reference, frame.rotation, axis) for frame in self.child_in_parent]
         change, sizes = turns, self._at_parent(turns[0], turns[1], absolute)
-        if is_turn_by_short_pi(*sizes):
-            sizes = sizes[0], max(sizes)
         if self.slide:
             if sizes[0]:
                 yield self._row(Quantity.JOINT_ORIENTATION, (0.0, float(turns[1][0])), sizes)
@@ -284,7 +279,12 @@ class _AxisJoint:
             yield self._row(Quantity.ZERO, (0.0, float(change[1][0])), sizes)
         zeros = self.common.numbers(self.place.pair, "zero")
         open_offset = self.common.judge.compare(zeros[0], zeros[1], absolute)[1]
-        if abs(self.offset) <= max(sizes[1] + open_offset, MIN_OFFSET):
+        # both robots are posed so that the offset does not show
+        unposed = change[1] - self.place.pair.sense * self.offset
+        open_offset += self._at_parent(change[0], unposed, absolute)[1]
+        if abs(self.offset) <= max(open_offset, MIN_OFFSET):
+            if abs(self.offset) > MIN_OFFSET and not sizes[0]:
+                yield self._row(Quantity.ZERO, (0.0, self.offset), (abs(self.offset), open_offset))
             self.offset = 0.0
 
     def _at_child(self, first: Array, second: Array, metric: Metric) -> tuple[float, float]:
@@ -351,9 +351,6 @@ def _coordinate_rows(
     other = (pair.sense * (other - offset))[:, :: pair.sense]
     sizes = common.judge.compare(limits, other, absolute)
     if sizes[0]:
-        ends = zip(limits[0].tolist(), other[0].tolist(), strict=True)
-        if all(one == two or abs(one - two) <= sizes[1] or is_short_pi(one, two) for one, two in ends):
-            sizes = sizes[0], max(sizes)
         values = [numbers(each[0]) if np.isfinite(each[0]).any() else None for each in (limits, other)]
         yield difference(name, "joint", Quantity.LIMITS, (values[0], values[1]), sizes, slide=slide)
     springs = common.numbers(pair, "stiffness")
@@ -361,8 +358,6 @@ def _coordinate_rows(
         rest, other = common.numbers(pair, "rest")
         other = pair.sense * (other - offset)
         sizes = common.judge.compare(rest, other, absolute)
-        if is_short_pi(float(rest[0]), float(other[0])):
-            sizes = sizes[0], max(sizes)
         if sizes[0]:
             yield difference(
                 name, "joint", Quantity.REST, (float(rest[0]), float(other[0])), sizes, slide=slide

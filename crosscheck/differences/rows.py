@@ -19,7 +19,6 @@ from crosscheck.differences.difference import Difference, Quantity, Standing, Va
 from crosscheck.differences.drives import drive_rows
 from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, joint_name
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
-from crosscheck.differences.short_angles import is_turn_by_short_pi
 from crosscheck.differences.springs import spring_rows
 from crosscheck.differences.stack import angle, distance
 from crosscheck.differences.starts import CHANGES_RUN, start_rows
@@ -174,7 +173,7 @@ def _world_row(common: CommonFrames, gravity: Array) -> Iterator[Difference]:
     ]
     at_base = [common.compare(bases[0], one.axis, other.axis, angle)[1] for one, other in lines]
     uncertainty = max(MIN_TURN, frame.slack_angle, min(at_base, default=0.0))
-    if tilt > uncertainty and not is_turn_by_short_pi(tilt, MIN_TURN):
+    if tilt > uncertainty:
         words = f"the whole robot is turned against gravity by {math.degrees(tilt):.4g} degrees"
         row = difference(name, "body", Quantity.BASE, (0.0, tilt), (tilt, 0.0), words)
         yield replace(row, unit="rad")

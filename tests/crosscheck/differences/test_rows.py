@@ -594,19 +594,6 @@ def test_models_in_memory_have_no_digits_to_lose():
     assert row.size == pytest.approx(1e-9, rel=1e-6)
 
 
-@pytest.mark.parametrize("decimals", [2, 3, 4])
-def test_a_right_angle_with_few_decimals_is_rounding(decimals):
-    first = moved(arm(), "wrist", rotation=turn("x", np.pi / 2))
-    second = moved(arm(), "wrist", rotation=turn("x", round(np.pi / 2, decimals)))
-    (row,) = [
-        each
-        for each in differences(as_file(first, 15), as_file(second, 15), aligned(first, second), None)
-        if each.quantity is Quantity.JOINT_AXIS
-    ]
-    assert row.standing is Standing.ROUNDING
-    assert row.size == pytest.approx(abs(np.pi / 2 - round(np.pi / 2, decimals)), rel=1e-6)
-
-
 def test_digits_of_the_first_axis_do_not_tilt_a_base_whose_frame_is_turned(tmp_path):
     # The second base has its frame turned by 90 degrees. Half a turn, 3.14159 and -3.14159, leaves the axis
     # open by 5.3e-6 rad, twice the part of pi that is cut off
@@ -640,14 +627,6 @@ def test_digits_of_the_first_axis_do_not_tilt_a_base_whose_frame_is_turned(tmp_p
     found = differences(first, second, align(first.robot, second.robot, {}), None)
     assert Standing.DIFFERENT not in {row.standing for row in found}
     assert Quantity.BASE in {row.quantity for row in found if row.standing is Standing.CONVENTION}
-
-
-def test_limits_of_a_right_angle_with_few_decimals_are_rounding():
-    first = with_joint(arm(), "lift", limits=(-np.pi / 2, 1.2))
-    second = with_joint(arm(), "lift", limits=(-1.57, 1.2))
-    found = differences(as_file(first, 15), as_file(second), aligned(first, second), None)
-    assert {row.standing for row in found} == {Standing.ROUNDING}
-    assert Quantity.LIMITS in {row.quantity for row in found}
 
 
 def test_a_reversed_axis_whose_limits_are_not_mirrored_is_one_difference():

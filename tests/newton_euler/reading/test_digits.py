@@ -39,6 +39,38 @@ def test_half_units_by_hand(number: str, expected: float) -> None:
     assert half_unit(number) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        ("1.57", 7.963268e-4),  # pi / 2 = 1.5707963268
+        ("-1.571", 2.036732e-4),
+        ("1.5700", 7.963268e-4),
+        ("1.5708", 5e-6),  # the sixth digit; the distance is 3.7e-6
+        ("3.14", 1.5926536e-3),
+        ("3.1415", 9.26536e-5),  # cut off
+        ("0.785", 3.981634e-4),
+        ("0.523", 5.987756e-4),  # cut off
+        ("2.36", 3.8055098e-3),
+        ("1.57079632679", 5e-12),
+        ("1.6", 5e-6),  # two digits
+        ("1.04", 5e-6),  # pi / 3 is 1.047
+        ("1.5692", 5e-6),
+        ("12.6", 5e-5),  # one decimal
+        ("3", 0.0),
+    ],
+)
+def test_short_fractions_of_pi_are_as_uncertain_as_their_distance(number: str, expected: float) -> None:
+    assert half_unit(number, is_angle=True) == pytest.approx(expected, rel=1e-6)
+
+
+def test_only_angles_are_fractions_of_pi() -> None:
+    text = '<link mass="3.14" rpy="3.14 0 0"/>'
+    numbers = NumbersOfText(text, lambda name: True, is_angle=lambda tag, name: (tag, name) == ("link", "rpy"))
+    values = re.findall(r"\d\.\d+", numbers.variant(np.random.default_rng(0)))
+    # by hand: half a unit of the sixth digit, and pi - 3.14
+    assert [abs(float(value) - 3.14) for value in values] == pytest.approx([5e-6, 1.5926536e-3], rel=1e-6)
+
+
 def test_numbers_change_and_nothing_else() -> None:
     numbers = NumbersOfText(TEXT, lambda name: name not in ("name", "file", "note"), ("pose",))
     random = np.random.default_rng(0)
