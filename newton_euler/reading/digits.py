@@ -77,7 +77,7 @@ def half_unit(number: str, is_angle: bool = False) -> float:
 def _error_of_short_pi(angle: float, decimals: int) -> float:
     """Return the distance, rad, of an angle from the fraction of pi that it abbreviates; 0.0 for others.
 
-    The fraction is rounded to at least two decimals and three digits, or cut off after at least three decimals.
+    The fraction is rounded to at least two decimals and three digits, or cut off after at least three.
     """
     unit = 10.0**-decimals
     exact = float(FRACTIONS_OF_PI[np.abs(FRACTIONS_OF_PI - angle).argmin()])

@@ -21,7 +21,8 @@ ARM = """<robot name="arm"><link name="base"/>
 <link name="upper"><inertial><origin xyz="0.05 0.01 -0.2" rpy="{axes}"/><mass value="{mass}"/>
 <inertia ixx="0.021" iyy="0.022" izz="0.013" ixy="0.001" ixz="0.002" iyz="-0.001"/></inertial></link>
 <joint name="bend" type="revolute"><parent link="upper"/><child link="fore"/>
-<origin xyz="0.01 0.02 -0.4"/><axis xyz="1 0 0"/><limit lower="-0.9" upper="0.8" effort="5" velocity="3"/></joint>
+<origin xyz="0.01 0.02 -0.4"/><axis xyz="1 0 0"/>
+<limit lower="-0.9" upper="0.8" effort="5" velocity="3"/></joint>
 <link name="fore"><inertial><origin xyz="0.02 0.03 -0.15"/><mass value="0.7"/>
 <inertia ixx="0.011" iyy="0.012" izz="0.003" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
 
@@ -91,8 +92,10 @@ def test_the_motion_knows_the_digits_of_pi(tmp_path):
 
 
 def test_angles_of_an_mjcf(tmp_path):
-    text = """<mujoco><compiler angle="radian"/><worldbody><body name="link"><joint name="turn" range="-{0} {1}"/>
-      <inertial pos="0.1 0 {2}" euler="{0} 0 0" mass="1" diaginertia="0.1 0.12 0.13"/></body></worldbody></mujoco>"""
+    text = """<mujoco><compiler angle="radian"/><worldbody><body name="link">
+      <joint name="turn" range="-{0} {1}"/>
+      <inertial pos="0.1 0 {2}" euler="{0} 0 0" mass="1" diaginertia="0.1 0.12 0.13"/>
+      </body></worldbody></mujoco>"""
     paths = [tmp_path / "short.xml", tmp_path / "long.xml"]
     for path, values in zip(paths, (("1.57", "2.36", "0"), ("1.5707963267949", "2.3562", "0")), strict=True):
         path.write_text(text.format(*values), encoding="utf-8")

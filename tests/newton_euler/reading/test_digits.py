@@ -65,7 +65,7 @@ def test_short_fractions_of_pi_are_as_uncertain_as_their_distance(number: str, e
 
 def test_only_angles_are_fractions_of_pi() -> None:
     text = '<link mass="3.14" rpy="3.14 0 0"/>'
-    numbers = NumbersOfText(text, lambda name: True, is_angle=lambda tag, name: (tag, name) == ("link", "rpy"))
+    numbers = NumbersOfText(text, lambda name: True, is_angle=lambda *names: names == ("link", "rpy"))
     values = re.findall(r"\d\.\d+", numbers.variant(np.random.default_rng(0)))
     # by hand: half a unit of the sixth digit, and pi - 3.14
     assert [abs(float(value) - 3.14) for value in values] == pytest.approx([5e-6, 1.5926536e-3], rel=1e-6)
