@@ -10,6 +10,8 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -21,7 +23,7 @@ from mjcf.mesh_masses import with_hulls, with_mesh_masses
 from mjcf.point_springs import point_springs, site_placement
 from mjcf.reading.compile import compile_spec
 from mjcf.reading.essentials import Essentials, essential_texts
-from mjcf.reading.source import copy_model, model_name
+from mjcf.reading.source import UNNAMED, copy_model, model_name
 from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
 from newton_euler.model.source_file import element_lines, path_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
@@ -112,7 +114,7 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
         refused = f"MuJoCo refuses {VARIANTS - len(variants)} of {VARIANTS} variants within the digits"
         description.notes.append(f"{refused}; uncertainties come from the others")
     return RobotFile(
-        description.robot,
+        replace(description.robot, name=description.robot.name or Path(path).stem),
         variants=tuple(variants),
         source=path,
         format="URDF" if path.lower().endswith(".urdf") else "MJCF",
@@ -228,7 +230,7 @@ class _Description:
             model, has_springs=not is_off("spring"), has_dampers=not is_off("damper")
         )
         self.robot = Robot(
-            name=model_name(model),
+            name="" if model_name(model) == UNNAMED else model_name(model),
             bodies=tuple(self._bodies()),
             loops=tuple(self._loops),
             couplings=tuple(self._couplings),
@@ -454,15 +456,12 @@ class _Description:
         off = sorted(switched_off & {"limit", "spring", "damper", "frictionloss", "gravity", "actuation"})
         if off:
             self.notes.append(f"option flags switch off: {', '.join(off)}")
-        if active_equalities < model.neq:
-            self.notes.append(
-                f"{model.neq - active_equalities} equalities are switched off and not described"
-            )
         has_springs = (model.tendon_stiffness != 0.0) | (model.tendon_damping != 0.0)
         has_springs[list(self._springs)] = False
         acts_else = np.any([model.tendon_frictionloss, model.tendon_armature, model.tendon_limited], axis=0)
         tendons = has_springs | acts_else
         counts = {
+            "equalities that are switched off": model.neq - active_equalities,
             "tendons with a spring, damper, friction, armature or limit": np.count_nonzero(tendons),
             "joints with a spring or damper that is not linear": np.count_nonzero(
                 np.any(model.jnt_stiffnesspoly, axis=-1)
@@ -472,7 +471,7 @@ class _Description:
             "flexible bodies": model.nflex,
             "plugins": model.nplugin,
         }
-        self.notes.extend(f"{count} {what}: not described" for what, count in counts.items() if count)
+        self.notes.extend(f"not described: {what} ({count})" for what, count in counts.items() if count)
         if model.opt.density or model.opt.viscosity:
             self.notes.append("forces of a fluid are not described")
 

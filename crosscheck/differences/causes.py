@@ -63,12 +63,15 @@ class Hypothesis:
     row: Difference
 
 
-def with_causes(rows: Iterable[Difference], first: RobotFile, second: RobotFile) -> list[Difference]:
+def with_causes(
+    rows: Iterable[Difference], first: RobotFile, second: RobotFile, tolerance: float | None = None
+) -> list[Difference]:
     """Return one row for each cause: true differences, then rounding, then conventions.
 
     Args:
         rows: rows of single elements.
         first, second: the files.
+        tolerance: relative difference that counts as rounding; None for the digits of the files.
     """
     joined = _with_joint_causes([*rows])
     by_standing: dict[Standing, list[Difference]] = defaultdict(list)
@@ -96,9 +99,10 @@ def with_causes(rows: Iterable[Difference], first: RobotFile, second: RobotFile)
         position = min(best.explains)
         kept = [row for index, row in enumerate(different) if index not in best.explains]
         different = [*kept[:position], best.row, *kept[position:]]
+    allowed = "digits of the files" if tolerance is None else "within the tolerance"
     return [
         *different,
-        *_by_quantity(by_standing[Standing.ROUNDING], "digits of the files"),
+        *_by_quantity(by_standing[Standing.ROUNDING], allowed),
         *_by_quantity(by_standing[Standing.CONVENTION], ""),
     ]
 

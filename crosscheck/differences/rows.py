@@ -76,7 +76,7 @@ def differences(
         if common.stands_still(number)
         for body in alignment.bodies[number].first
     }
-    return [_without_effect(row, at_rest) for row in with_causes(rows, first, second)]
+    return [_without_effect(row, at_rest) for row in with_causes(rows, first, second, tolerance)]
 
 
 def _without_effect(row: Difference, at_rest: set[str]) -> Difference:

@@ -118,14 +118,27 @@ def verdict(comparison: FileComparison) -> str:
             return f"{words}: all numbers and motions are equal"
         case Outcome.SAME_TO_ROUNDING:
             total = sum(len(row.elements) for row in rounded)
+            within = "their digits" if comparison.tolerance is None else "the tolerance"
             effect = max((row.effect or 0.0 for row in rounded), default=motion.change)
-            numbers = f"{total} numbers differ" if total else "numbers differ"
-            return (
-                f"{words}: {numbers} within their digits; accelerations change by at most {percent(effect)}"
-            )
+            numbers = _numbers_differ(total) if total else "numbers differ"
+            return f"{words}: {numbers} within {within}; accelerations change by at most {percent(effect)}"
         case _:
-            plural = "" if len(different) == 1 else "s"
-            return f"{words}: {len(different)} difference{plural}; {motion_text(comparison, FILES)}"
+            return f"{words}: {_counted(len(different), 'difference')}; {motion_text(comparison, FILES)}"
+
+
+def _counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a number with its noun; `plural` if that is not the noun with an s."""
+    return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
+def _numbers_differ(count: int, more: str = "") -> str:
+    """Tell how many numbers differ; `more` comes before the noun."""
+    return f"{_counted(count, more + 'number')} {'differs' if count == 1 else 'differ'}"
+
+
+def _allowance(comparison: FileComparison) -> str:
+    """Name what makes a difference count as rounding."""
+    return "the digits of the files" if comparison.tolerance is None else "the tolerance"
 
 
 def motion_text(comparison: FileComparison, sides: Sides) -> str:
@@ -140,8 +153,7 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
         case Likeness.DIFFERENT:
             if motion.freedoms[0] != motion.freedoms[1]:
                 first, second = motion.freedoms
-                plural = "" if first == 1 else "s"
-                return f"{sides[0]} has {first} independent motion{plural}, {sides[1]} {second}"
+                return f"{sides[0]} has {_counted(first, 'independent motion')}, {sides[1]} {second}"
             if any(gap.is_open for gap in motion.gaps):
                 return f"poses of {sides[0]} do not fit {sides[1]}: {gap_text(motion)}"
             return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
@@ -150,7 +162,7 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
             is_reduced = states is not None and any(cut.takes_motion for cut in states.cuts)
             text = "what both have moves alike" if is_reduced else "both move alike"
             is_equal = motion.likeness is Likeness.EQUAL
-            return text if is_equal else f"{text}, within the digits of the files"
+            return text if is_equal else f"{text}, within {_allowance(comparison)}"
         case Likeness.UNDECIDED:
             return "motions were not compared"
 
@@ -181,7 +193,7 @@ def no_run_text(motion: Motion) -> str:
 def _titles(comparison: FileComparison) -> list[str]:
     """Name both files and their formats."""
     files = comparison.first, comparison.second
-    names = [name or file.robot.name for name, file in zip(_names(files), files, strict=True)]
+    names = [name or file.robot.name or "model" for name, file in zip(_names(files), files, strict=True)]
     return [
         f"{name} ({file.format})" if file.format else name for name, file in zip(names, files, strict=True)
     ]
@@ -208,9 +220,11 @@ def long_table(title: str, comparison: FileComparison, names: tuple[str, str]) -
     columns = [*text_columns("", "element"), Column("quantity", choice=True), *text_columns(*names)]
     columns += number_columns("difference", "motion")
     found: Rows = []
+    is_by_digits = comparison.tolerance is None
+    allowed = "the digits of the files leave open" if is_by_digits else "the tolerance"
     for standing, words in (
-        (Standing.DIFFERENT, "different: by more than the digits of the files leave open"),
-        (Standing.ROUNDING, "rounding: within the digits of the files"),
+        (Standing.DIFFERENT, f"different: by more than {allowed}"),
+        (Standing.ROUNDING, f"rounding: within {_allowance(comparison)}"),
         (Standing.CONVENTION, "no effect on the motion: other terms for the same robot, and settings"),
     ):
         if rows := comparison.of_standing(standing):
@@ -323,10 +337,10 @@ def size_text(row: Difference) -> str:
 def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     """Yield how bodies were paired, what was left out, and how many rows are not listed."""
     if unlisted > 0:
-        yield f"{unlisted} more differences: --verbose lists all"
+        yield f"{_counted(unlisted, 'more difference')}: --verbose lists all"
     alignment = comparison.alignment
-    counts = [len(alignment.bodies), len(alignment.joints)]
-    yield f"paired: {counts[0]} bodies and {counts[1]} joints"
+    bodies = _counted(len(alignment.bodies), "body", "bodies")
+    yield f"paired: {bodies} and {_counted(len(alignment.joints), 'joint')}"
     if alignment.renamed:
         pairs = [f"{one} = {two}" for one, two in alignment.renamed[:3]]
         more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""
@@ -344,7 +358,7 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     rounded = comparison.of_standing(Standing.ROUNDING)
     if rounded and comparison.outcome is Outcome.DIFFERENT:
         total = sum(len(row.elements) for row in rounded)
-        yield f"{total} more numbers differ within the digits of the files"
+        yield f"{_numbers_differ(total, 'more ')} within {_allowance(comparison)}"
     for file, title in zip((comparison.first, comparison.second), _titles(comparison), strict=True):
         for note in file.notes:
             yield f"note: {title}: {note}"

@@ -137,7 +137,7 @@ def test_loops_have_the_frames_of_the_file(arm: RobotFile) -> None:
     # the tip is at (1, 0, 1), the end at (1, 0, 1) of a frame at the origin
     assert (rope.kind, rope.first, rope.second) == (LoopKind.ROD, 1, 2)
     assert rope.length == pytest.approx(0.0, abs=1e-15)
-    assert "1 equalities are switched off and not described" in arm.notes
+    assert "not described: equalities that are switched off (1)" in arm.notes
 
 
 def test_loops_are_open_as_in_mujoco(arm: RobotFile) -> None:

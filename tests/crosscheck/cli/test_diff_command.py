@@ -240,3 +240,28 @@ def test_the_option_that_lets_a_base_float(tmp_path):
     assert crosscheck.diff(*files, second_options={"base": "free"}).outcome is Outcome.SAME
     with pytest.raises(CrosscheckError, match="it has loops and base"):
         crosscheck.diff(*files, second_options={"root": "free"})
+
+
+@pytest.mark.parametrize(("tolerance", "words"), [([], "digits"), (["--tolerance", "1%"], "tolerance")])
+def test_rounding_names_what_allows_it(capsys, arm, tmp_path, tolerance, words):
+    mass = "1.51" if tolerance else "1.500001"
+    folder = tmp_path / "out"
+    _, printed, _ = run(capsys, "diff", arm("first"), arm("other", mass=mass), *tolerance, "--output", folder)
+    allowed = {"digits": "within their digits", "tolerance": "within the tolerance"}[words]
+    assert f"SAME TO ROUNDING: 1 number differs {allowed};" in " ".join(printed.split())
+    [row] = json.loads((folder / "diff.json").read_text())["differences"]
+    assert row["cause"] == {"digits": "digits of the files", "tolerance": "within the tolerance"}[words]
+
+
+def test_one_of_a_kind_is_singular(capsys, tmp_path):
+    text = """<mujoco><option gravity="0 0 {}"/><worldbody><body name="link" gravcomp="1"><joint name="turn"/>
+      <inertial pos="0.1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody></mujoco>"""
+    paths = [tmp_path / "earth.xml", tmp_path / "moon.xml"]
+    for path, gravity in zip(paths, (-9.81, -1.62), strict=True):
+        path.write_text(text.format(gravity), encoding="utf-8")
+    _, printed, _ = run(capsys, "diff", *paths, "--output", tmp_path / "out")
+    words = " ".join(printed.split())
+    assert "paired: 1 body and 1 joint " in words
+    assert "not described: bodies with compensation of gravity (1)" in words
+    # the file has no name of its own: it is not MuJoCo's default, "MuJoCo Model"
+    assert "gravity of earth: 0 0 -9.81 against 0 0 -1.62 m/s^2" in words
