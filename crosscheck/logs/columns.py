@@ -20,9 +20,11 @@ from crosscheck.logs.names import (
     normalized,
     split_unit,
     stated,
+    unknown_unit,
 )
 from crosscheck.logs.options import LogOptions
 from crosscheck.logs.table import MIN_ROWS, LogTable
+from crosscheck.support.units import TIME_UNITS
 from newton_euler.errors import listed, quoted
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.joint import Key
@@ -261,6 +263,11 @@ class _Reader:
             dimension: "length" or "angle", also for their rates; "" for numbers that no option scales.
         """
         factor = 1.0
+        if column.unit and column.unit not in UNITS:
+            valid = [unit for unit, (of, _) in UNITS.items() if not dimension or of == dimension]
+            problem = f"column {quoted(column.name)} has the unit {column.unit!r}"
+            needed = f"{', '.join(valid)}; or --log-map COLUMN={column.target.text} for numbers in SI units"
+            raise self._table.error(f"{problem}; needed: {needed}")
         if column.unit:
             of, factor = UNITS[column.unit]
             if dimension and of != dimension:
@@ -346,13 +353,18 @@ def _times(table: LogTable, options: LogOptions) -> tuple[str, Array]:
     for name in mapped or table.columns:
         # the name without a unit in brackets, and its words without a unit at its end either (`time_ms`)
         core, unit, words = split_unit(name)
+        if (unknown := unknown_unit(name)) and normalized(unknown[0]) in TIME_NAMES and not mapped:
+            problem = f"column {quoted(name)} has the unit {unknown[1]!r}"
+            raise table.error(f"{problem}; needed: {', '.join(TIME_UNITS)}")
         if mapped or normalized(core) in TIME_NAMES or "_".join(words) in TIME_NAMES:
             if name in table.texts:
                 problem = f"column {quoted(name)}: {table.texts[name]}; needed: a finite number"
                 raise table.error(problem)
             dimension, factor = UNITS[unit or options.time]
             if dimension != "time":
-                raise table.error(f"column {quoted(name)} has the unit {unit!r}; needed: s, ms, us or ns")
+                raise table.error(
+                    f"column {quoted(name)} has the unit {unit!r}; needed: {', '.join(TIME_UNITS)}"
+                )
             return name, factor * table.columns[name]
     names = {name: normalized(name) for name in table.columns}
     seconds = [name for name, text in names.items() if SECONDS_NAME.fullmatch(text)]
@@ -399,14 +411,8 @@ def _found_columns(
         columns.sort(key=lambda column: column.mismatch)
         if len(columns) > 1 and columns[0].mismatch == columns[1].mismatch:
             both = " and ".join(quoted(column.name) for column in columns[:2])
-            what = ".".join(filter(None, [key.kind, key.element, _letter(key)]))
-            needed = f"one of the two; --log-map COLUMN={what} chooses it"
-            raise table.error(f"columns {both} are both {what}; needed: {needed}")
+            needed = f"one of the two; --log-map COLUMN={key.text} chooses it"
+            raise table.error(f"columns {both} are both {key.text}; needed: {needed}")
         found[key] = columns[0]
     used = {column.name for column in found.values()}
     return found, [name for name in table.columns if name not in used]
-
-
-def _letter(target: Target) -> str:
-    """Return the letter of a component; "" for a quantity without components."""
-    return COMPONENTS_OF[target.kind][target.component] if target.kind in COMPONENTS_OF else ""

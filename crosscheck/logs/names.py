@@ -14,34 +14,26 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from crosscheck.support.units import ANGLES, LENGTHS, TIME_UNITS
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.reading.file_names import FileFrame, FileNames
 
-DEGREE = np.pi / 180.0
+_MOTION_UNITS = {
+    **{unit: ("length", size) for unit, size in LENGTHS.items()},
+    **{unit: ("angle", size) for unit, size in ANGLES.items()},
+}
 
 UNITS: Mapping[str, tuple[str, float]] = {
-    "s": ("time", 1.0),
-    "ms": ("time", 1e-3),
-    "us": ("time", 1e-6),
-    "ns": ("time", 1e-9),
-    "m": ("length", 1.0),
-    "mm": ("length", 1e-3),
-    "cm": ("length", 1e-2),
-    "m/s": ("length", 1.0),
-    "mm/s": ("length", 1e-3),
-    "rad": ("angle", 1.0),
-    "deg": ("angle", DEGREE),
-    "rad/s": ("angle", 1.0),
-    "deg/s": ("angle", DEGREE),
-    "N": ("force", 1.0),
-    "N m": ("force", 1.0),
-    "Nm": ("force", 1.0),
-    "1": ("number", 1.0),
+    **{unit: ("time", size) for unit, size in TIME_UNITS.items()},
+    **_MOTION_UNITS,
+    **{f"{unit}/s": found for unit, found in _MOTION_UNITS.items()},
+    **dict.fromkeys(("N", "N m", "Nm", "N*m"), ("force", 1.0)),
+    **dict.fromkeys(("1", "-"), ("number", 1.0)),
 }
-"""Dimension and factor to SI of units in names of columns."""
+"""Dimension and factor to SI of units in names of columns. Rates have the dimension of their quantity."""
 
-UNIT_WORDS = ("s", "ms", "us", "ns", "m", "mm", "cm", "rad", "deg")
+UNIT_WORDS = (*TIME_UNITS, *_MOTION_UNITS)
 """Units that the last word of a column's name can be, as in `crank_deg`; rates add the word `s`."""
 
 UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*")
@@ -94,6 +86,19 @@ Its other letters, `q` and `v`, are such words."""
 COMPONENT = re.compile(r"(q|p|pos|t|v|w)?([wxyz]|[0-3])")
 """Last word of a column of a vector or quaternion: a component, with a letter for the quantity in front."""
 
+KNOWN_WORDS = frozenset().union(
+    RATE_WORDS,
+    FORCE_WORDS,
+    INPUT_WORDS,
+    COORDINATE_WORDS,
+    ANGULAR_WORDS,
+    LINEAR_WORDS,
+    QUATERNION_WORDS,
+    POSITION_WORDS,
+    UNUSED_WORDS,
+)
+"""Words that are no units if they stand in brackets."""
+
 Origin = Literal["", "center", "frame", "scene"]
 """Point of a body whose position a log has: "center" of mass of the file's body, origin of the body "frame",
 or center of mass of the "scene"'s body, which merges bodies of the file that are fixed to each other. "" if
@@ -116,6 +121,14 @@ class Target(NamedTuple):
     component: int = 0
     point: Origin = ""
 
+    @property
+    def text(self) -> str:
+        """The quantity as `LogOptions.columns` names it, such as `quaternion.rod.w`."""
+        parts = [self.kind, self.element]
+        if self.kind in COMPONENTS_OF:
+            parts.append(COMPONENTS_OF[self.kind][self.component])
+        return ".".join(filter(None, parts))
+
 
 class FoundColumn(NamedTuple):
     """Quantity of a column, as its name shows.
@@ -123,7 +136,7 @@ class FoundColumn(NamedTuple):
     Attributes:
         name: name of the column.
         target: the quantity.
-        unit: unit in the name; "" for none.
+        unit: unit in the name, or a text in brackets that is none of `UNITS`; "" for none.
         mismatch: twice the number of words in the name that say nothing about the quantity; one more if upper
             and lower case differ from the name of the element.
     """
@@ -190,6 +203,9 @@ def identified(name: str, elements: Elements) -> FoundColumn | None:
     if (column := stated(name, name, elements)) is not None:
         return column
     _, unit, parts = split_unit(name)
+    if not unit and (unknown := unknown_unit(name, elements)):
+        core, unit = unknown
+        parts = normalized(core).split("_")
     text = f"_{'_'.join(parts)}_"
     best: FoundColumn | None = None
     longest = 0
@@ -226,6 +242,8 @@ def stated(text: str, name: str, elements: Elements) -> FoundColumn | None:
         elements: names of joints, bodies and actuators.
     """
     core, unit, _ = split_unit(text, words=False)
+    if not unit and (unknown := unknown_unit(text, elements)):
+        core, unit = unknown
     kind, _, rest = core.partition(".")
     known = {
         "coordinate": elements.coordinates,
@@ -262,6 +280,32 @@ def split_unit(name: str, words: bool = True) -> tuple[str, str, list[str]]:
     if words and len(parts) > 1 and parts[-1] in UNIT_WORDS:
         return name, parts[-1], parts[:-1]
     return name, "", parts
+
+
+def unknown_unit(name: str, elements: Elements | None = None) -> tuple[str, str] | None:
+    """Find a unit in brackets, as in `crank [rev]`, that is none of `UNITS`.
+
+    Args:
+        name: name of the column.
+        elements: elements whose names can stand in brackets, too, as in `qpos[crank]`.
+
+    Returns:
+        The name without the brackets, and the unit. None without brackets, and if they have an index, a
+        component, a word for a quantity or the name of an element.
+    """
+    match = UNIT_IN_BRACKETS.fullmatch(name)
+    if match is None or not match[1] or not match[2].strip():
+        return None
+    text = normalized(match[2])
+    if match[2].strip() in UNITS or text.isdecimal() or COMPONENT.fullmatch(text):
+        return None
+    if KNOWN_WORDS & set(text.split("_")):
+        return None
+    if elements is not None:
+        named = [*elements.coordinates, *elements.frames, *elements.inputs]
+        if any(f"_{normalized(element)}_" in f"_{text}_" for element in named):
+            return None
+    return match[1], match[2].strip()
 
 
 def _input_target(element: str, rest: list[str]) -> tuple[Target, int] | None:
@@ -301,7 +345,7 @@ def _body_target(element: str, rest: list[str]) -> tuple[Target, int] | None:
         kind, of_kind = "position", POSITION_WORDS
     letters = COMPONENTS_OF[kind]
     number = int(letter) if letter.isdecimal() else letters.find(letter)
-    if not 0 <= number < len(letters) or (letter.isdecimal() and not words & of_kind):
+    if not 0 <= number < len(letters) or (letter.isdecimal() and prefix != "q" and not words & of_kind):
         return None
     point: Origin = ""
     if kind == "position":

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.logs.columns import LogData
+from crosscheck.logs.columns import LogData, Measured
 from crosscheck.logs.fitted_velocities import RANK_TOLERANCE, fitted_velocities, free_motions
-from crosscheck.logs.names import Elements, Origin
+from crosscheck.logs.names import COMPONENTS_OF, Elements, Origin
 from crosscheck.logs.poses import Poses, body_poses, logged_quantities
 from crosscheck.logs.rates import RATE_ROWS, Rates, rates_at_start, velocities
 from newton_euler.equations.couplings import counted_angles
@@ -162,6 +162,8 @@ def _completed(scene: Scene, elements: Elements, data: LogData, rates: Rates, kn
         more = np.concatenate([chosen, effect([key])])
         if np.linalg.matrix_rank(more, RANK_TOLERANCE) > count:
             if key not in data.coordinates:
+                joint = mechanism.joint(key[0])
+                _check_parts(elements, data, {joint.first, joint.second})
                 label = elements.labels[key]
                 problem = f"column coordinate.{label} is missing: no column determines joint {quoted(label)}"
                 problem += _unread(data)
@@ -172,6 +174,7 @@ def _completed(scene: Scene, elements: Elements, data: LogData, rates: Rates, kn
             chosen, count = more, count + 1
     if count < free.shape[1]:
         unknown = [name for k, name in enumerate(mechanism.body_names) if k not in known]
+        _check_parts(elements, data, set(unknown))
         problem = f"no columns determine the poses of {listed(map(quoted, unknown)):.200}{_unread(data)}"
         raise SourceError(where, f"{problem}; needed: position.BODY.x to z and quaternion.BODY.w to z")
     # start at the independent ones of the logged coordinates, and at their rates
@@ -194,6 +197,22 @@ def _completed(scene: Scene, elements: Elements, data: LogData, rates: Rates, kn
         columns = [data.coordinates[key].columns[0] for key in keys]
         problem = f"the first row of {', '.join(map(quoted, columns)):.200} fits no state of the model"
         raise SourceError(where, f"{problem}: {error}") from error
+
+
+def _check_parts(elements: Elements, data: LogData, bodies: set[str]) -> None:
+    """Raise `SourceError` if a log has only the position or only the orientation of one of some bodies."""
+    for name, frame in data.frames.items():
+        if elements.frames[name].body not in bodies:
+            continue
+        for missing, beside in (("quaternion", "position"), ("position", "quaternion")):
+            logged: Measured | None = getattr(frame, beside)
+            if getattr(frame, missing) is None and logged is not None:
+                components = COMPONENTS_OF[missing]
+                quantity = f"{missing}.{name}"
+                problem = f"columns {quantity}.{components[0]} to {components[-1]} are missing"
+                needed = f"these columns, or --log-map COLUMN={quantity}.{components[0]}"
+                beside = f"beside {quoted(logged.columns[0])}"
+                raise SourceError(data.where, f"{problem} {beside}{_unread(data)}; needed: {needed}")
 
 
 def _unread(data: LogData) -> str:

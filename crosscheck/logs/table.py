@@ -77,7 +77,8 @@ def read_table(given: Any, where: str = "log") -> LogTable:
         table = _from_columns(where, given)
     lengths = {len(column) for column in table.columns.values()}
     if not lengths or min(lengths) < MIN_ROWS:
-        raise table.error(f"has {min(lengths, default=0)} rows; needed: {MIN_ROWS} or more")
+        count = min(lengths, default=0)
+        raise table.error(f"has {count} {'row' if count == 1 else 'rows'}; needed: {MIN_ROWS} or more")
     return table
 
 
@@ -107,7 +108,7 @@ def _read_parquet(where: str) -> LogTable:
         table = parquet.read_table(where)
     except (OSError, ValueError) as error:  # pyarrow's errors are subclasses of these
         raise SourceError(where, f"cannot be read as Parquet: {' '.join(str(error).split())}") from error
-    return _from_columns(where, {name: table[name].to_pylist() for name in table.column_names})
+    return _from_columns(where, {name: table[name].to_numpy() for name in table.column_names})
 
 
 def _from_columns(where: str, given: Any) -> LogTable:
@@ -119,7 +120,11 @@ def _from_columns(where: str, given: Any) -> LogTable:
     check_names(where, [str(name) for name in names])
     columns, texts = dict[str, Array](), dict[str, str]()
     for name in names:
-        cells = np.asarray(given[name])
+        column = given[name]
+        if str(getattr(column, "dtype", "")).startswith("datetime64") and not isinstance(column, np.ndarray):
+            # with a time zone, as pandas has it, or without one
+            column = column.to_numpy(dtype="datetime64[ns]")
+        cells = np.asarray(column)
         if cells.ndim != 1:
             problem = f"column {quoted(str(name))} has shape {cells.shape}"
             raise SourceError(where, f"{problem}; needed: one number per row, such as {name}.x, {name}.y")

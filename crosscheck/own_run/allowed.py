@@ -15,7 +15,7 @@ from typing import assert_never
 
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.errors import CrosscheckError
-from crosscheck.support.units import quantity_text, significant
+from crosscheck.support.units import ANGLES, LENGTHS, quantity_text, significant
 
 OWN_RUN = "your settings"
 """Name of the run with the settings of the model file, beside the names of logs."""
@@ -63,18 +63,16 @@ class ErrorKind(StrEnum):
 
 
 RATIOS = {"": 1.0, "%": 0.01}
-LENGTHS = {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6}
-ANGLES = {"": 1.0, "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}
 
 LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
 """Units of printed lengths, m, the largest first."""
 
 UNITS = {
     ErrorKind.RELATIVE: RATIOS,
-    ErrorKind.POSITION: LENGTHS,
-    ErrorKind.ROTATION: ANGLES,
-    ErrorKind.OPENING: LENGTHS,
-    ErrorKind.LOOP_ANGLE: ANGLES,
+    ErrorKind.POSITION: {"": 1.0, **LENGTHS},
+    ErrorKind.ROTATION: {"": 1.0, **ANGLES},
+    ErrorKind.OPENING: {"": 1.0, **LENGTHS},
+    ErrorKind.LOOP_ANGLE: {"": 1.0, **ANGLES},
     ErrorKind.ENERGY: RATIOS,
 }
 """Factors to SI units by the name of the unit, for each kind of error; no name means SI units."""

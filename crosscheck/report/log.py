@@ -122,7 +122,7 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
     if judgement.dropped:
         yield f"{judgement.dropped} rows without some of the numbers were left out"
     if judgement.unused:
-        names = _name_list(judgement.unused)
+        names = _name_list([name or "one without a name" for name in judgement.unused])
         yield f"columns not read, as the model has no joint, body or quantity of that name: {names}"
 
 

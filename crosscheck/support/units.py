@@ -1,8 +1,18 @@
-"""Numbers with units, for texts: the unit is chosen after rounding, as 999.6 um is 1 mm and not 1e+03 um."""
+"""Units that users may give, and numbers with units for texts.
+
+The unit of a text is chosen after rounding, as 999.6 um is 1 mm and not 1e+03 um.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+"""Units of lengths in options and in columns of logs, m."""
+
+ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}
+"""Units of angles in options and in columns of logs, rad."""
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of short times, s, the largest first."""

@@ -869,3 +869,74 @@ def test_a_unit_of_times_with_a_large_error_is_no_mistake(tmp_path):
     found = judge_log(scene, report.names, "log", {"time": time, "h": 5.0 * time + 0.1 * time**3})
     assert found.error.relative > 1.0
     assert found.mistakes == ()
+
+
+@pytest.mark.parametrize(
+    ("new", "words"),
+    [
+        ("motor [rev]", "column 'motor [rev]' has the unit 'rev'; needed: rad, mrad, deg, rad/s"),
+        ("motor (rpm)", "column 'motor (rpm)' has the unit 'rpm'; needed: rad, mrad, deg, rad/s"),
+        ("time [h]", "column 'time [h]' has the unit 'h'; needed: s, ms, us, ns"),
+        ("/poses/crank/position/x [in]", "has the unit 'in'; needed: m, cm, mm, um, m/s"),
+    ],
+)
+def test_units_that_are_unknown_name_the_valid_ones(four_bar, new, words):
+    tables = four_bar[3] | {name: x for name, x in four_bar[4].items() if "crank" in name}
+    old = re.sub(r" .*", "", new)
+    with pytest.raises(SourceError) as error:
+        judged(four_bar, renamed(tables, lambda name: new if name == old else name))
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("new", ["qpos[motor]", "motor (measured position)", "q.motor [rad]"])
+def test_brackets_without_units_are_accepted(four_bar, new):
+    found = judged(four_bar, renamed(four_bar[3], lambda name: new if name == "motor" else name))
+    assert found.error.relative < 2e-4
+
+
+def test_numbered_components_of_quaternions(four_bar):
+    def numbered(name):
+        return re.sub(r"/poses/(\w+)/orientation/(\w)", lambda m: f"{m[1]}.q{'wxyz'.index(m[2])}", name)
+
+    found = judged(four_bar, renamed(four_bar[4], numbered))
+    assert (found.error.relative < 2e-4, found.unused, found.compared) == (True, (), BODIES)
+
+
+@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Berlin"])
+def test_times_that_are_dates(four_bar, tmp_path, zone):
+    pandas = pytest.importorskip("pandas")
+    joints = four_bar[3]
+    times = pandas.Timestamp("2026-01-01") + pandas.to_timedelta(joints["time"], unit="s")
+    dates = pandas.Series(times).dt.tz_localize(zone)
+    table = pandas.DataFrame(joints | {"time": dates})
+    # floats of seconds since 1970 are known to 2.4e-7 s
+    assert judged(four_bar, table).error.relative < 2e-4
+    table.to_parquet(tmp_path / "log.parquet")
+    assert judged(four_bar, tmp_path / "log.parquet").error.relative < 2e-4
+    table.assign(time=pandas.to_timedelta(joints["time"], unit="s")).to_parquet(tmp_path / "log.parquet")
+    assert judged(four_bar, tmp_path / "log.parquet").error.relative < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("logged", "missing"), [("position", "quaternion.buoy.w to z"), ("quaternion", "position.buoy.x to z")]
+)
+def test_half_of_the_pose_of_a_free_body_names_the_other_half(tmp_path, logged, missing):
+    path = tmp_path / "free.xml"
+    path.write_text(FLOATING.replace("<connect", "<!--").replace('anchor=".5 0 0"/>', "-->"))
+    scene, report = load_scene(str(path), {"excitation": "off"}, verified=False)
+    time, letters = 0.01 * np.arange(21), {"position": "xyz", "quaternion": "wxyz"}[logged]
+    table = {"time": time, "hinge": 0.0 * time, "tip": 0.0 * time}
+    table |= {f"{logged}.buoy.{c}": np.full(21, c == "w") for c in letters}
+    with pytest.raises(SourceError) as error:
+        judge_log(scene, report.names, "log", table)
+    assert f"columns {missing} are missing beside '{logged}.buoy.{letters[0]}'" in str(error.value)
+
+
+def test_a_column_without_a_name_is_called_so(four_bar):
+    found = judged(four_bar, {"": four_bar[3]["time"], **four_bar[3]})
+    assert log_lines(found).lines[-1].endswith("of that name: one without a name")
+
+
+def test_a_log_of_one_row_has_a_singular():
+    with pytest.raises(SourceError, match="log: has 1 row; needed: 3 or more"):
+        read_table({"time": [0.0], "motor": [0.0]})

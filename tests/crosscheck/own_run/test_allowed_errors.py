@@ -70,7 +70,7 @@ def test_allowed_errors_have_units(text, kind, largest):
     ("text", "message"),
     [
         ("1mm", "no unit 'mm' of relative; choose from %"),
-        ("position=3deg", "no unit 'deg' of position; choose from m, mm, um"),
+        ("position=3deg", "no unit 'deg' of position; choose from m, cm, mm, um"),
         (
             "positon=1",
             "unknown error 'positon'; choose from relative, position, rotation, opening, loop_angle, energy",
