@@ -25,6 +25,7 @@ from mjcf.reading.compile import compile_spec
 from mjcf.reading.essentials import Essentials, essential_texts
 from mjcf.reading.source import UNNAMED, copy_model, model_name
 from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
+from mjcf.settings import settings
 from newton_euler.model.source_file import element_lines, path_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.robot import (
@@ -224,18 +225,17 @@ class _Description:
         equalities = [] if no_loops else [k for k in range(model.neq) if model.eq_active0[k]]
         self._loops: list[FileLoop] = []
         self._couplings: list[FileCoupling] = []
-        for number in equalities:
-            self._add_equality(number)
-        self._springs = point_springs(
-            model, has_springs=not is_off("spring"), has_dampers=not is_off("damper")
-        )
+        others = [number for number in equalities if not self._add_equality(number)]
+        springs = point_springs(model, has_springs=not is_off("spring"), has_dampers=not is_off("damper"))
+        drives = tuple(self._drive(k) for k in range(model.nactuator))
         self.robot = Robot(
             name="" if model_name(model) == UNNAMED else model_name(model),
             bodies=tuple(self._bodies()),
             loops=tuple(self._loops),
             couplings=tuple(self._couplings),
-            drives=tuple(self._drive(k) for k in range(model.nactuator)),
-            springs=tuple(self._springs.values()),
+            drives=drives,
+            springs=tuple(springs.values()),
+            settings=settings(model, others, springs, drives),
             starts=tuple(starts(model)),
             gravity=np.zeros(3) if is_off("gravity") else model.opt.gravity.copy(),
             time_step=float(model.opt.timestep),
@@ -300,8 +300,8 @@ class _Description:
             effort=max(abs(limit) for limit in self._efforts[number]),
         )
 
-    def _add_equality(self, number: int) -> None:
-        """Describe equality `number` as a loop or a coupling."""
+    def _add_equality(self, number: int) -> bool:
+        """Describe equality `number` as a loop or a coupling; return False for equalities of other forms."""
         model, name = self._model, self._model.equality(number).name
         data = model.eq_data[number].tolist()
         objects = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
@@ -314,11 +314,10 @@ class _Description:
             while len(powers) > 1 and powers[-1] == 0.0:
                 powers.pop()
             self._couplings.append(FileCoupling(name, follower, leader, tuple(powers)))
-        elif kind == EQUALITY.mjEQ_TENDON and objects[1] < 0 and self._add_tendon(name, objects[0], data[0]):
-            pass
         else:
-            what = kind.name.removeprefix("mjEQ_").lower()
-            self.notes.append(f"equality {name or number!r} of type {what} is not described")
+            is_single = kind == EQUALITY.mjEQ_TENDON and objects[1] < 0
+            return is_single and self._add_tendon(name, objects[0], data[0])
+        return True
 
     def _closure(self, name: str, is_weld: bool, number: int) -> FileLoop:
         """Describe a connect or a weld, between two bodies or two sites."""
@@ -405,6 +404,11 @@ class _Description:
         ):
             if value:
                 other[quantity] = float(value)
+        if GAIN.mjGAIN_MUSCLE == gain_type or BIAS.mjBIAS_MUSCLE == bias_type:
+            other |= _numbered("length range", model.actuator_lengthrange[number].tolist())
+        group = int(model.actuator_group[number])
+        if 0 <= group < 31 and model.opt.disableactuator >> group & 1:
+            other["switched off"] = "by its group"
         if model.actuator_actlimited[number]:
             low, high = model.actuator_actrange[number].tolist()
             other |= {"smallest activation": low, "largest activation": high}
@@ -446,6 +450,12 @@ class _Description:
         names = " and ".join(name_of(target).name for target in targets if target >= 0)
         other: dict[str, float | str] = {"transmission": f"{_word(kind)} {names}".strip()}
         other |= _numbered("gear", gear)
+        if name_of == model.site:
+            for site in targets:
+                if site >= 0:
+                    name = model.site(site).name
+                    other |= _numbered(f"position of {name}", model.site_pos[site].tolist())
+                    other |= _numbered(f"quaternion of {name}", model.site_quat[site].tolist())
         if kind == TRANSMISSION.mjTRN_SLIDERCRANK:
             other["crank length"] = float(model.actuator_cranklength[number])
         return {}, other
@@ -456,24 +466,9 @@ class _Description:
         off = sorted(switched_off & {"limit", "spring", "damper", "frictionloss", "gravity", "actuation"})
         if off:
             self.notes.append(f"option flags switch off: {', '.join(off)}")
-        has_springs = (model.tendon_stiffness != 0.0) | (model.tendon_damping != 0.0)
-        has_springs[list(self._springs)] = False
-        acts_else = np.any([model.tendon_frictionloss, model.tendon_armature, model.tendon_limited], axis=0)
-        tendons = has_springs | acts_else
-        counts = {
-            "equalities that are switched off": model.neq - active_equalities,
-            "tendons with a spring, damper, friction, armature or limit": np.count_nonzero(tendons),
-            "joints with a spring or damper that is not linear": np.count_nonzero(
-                np.any(model.jnt_stiffnesspoly, axis=-1)
-                | np.any(model.dof_dampingpoly[model.jnt_dofadr], axis=-1)
-            ),
-            "bodies with compensation of gravity": np.count_nonzero(model.body_gravcomp),
-            "flexible bodies": model.nflex,
-            "plugins": model.nplugin,
-        }
-        self.notes.extend(f"not described: {what} ({count})" for what, count in counts.items() if count)
-        if model.opt.density or model.opt.viscosity:
-            self.notes.append("forces of a fluid are not described")
+        if active_equalities < model.neq:
+            count = model.neq - active_equalities
+            self.notes.append(f"not described: equalities that are switched off ({count})")
 
 
 def _word(member: mujoco.mjtGain | mujoco.mjtBias | mujoco.mjtDyn | mujoco.mjtTrn) -> str:

@@ -411,7 +411,8 @@ def _same_everywhere(rows: list[Difference]) -> Iterator[Hypothesis]:
     groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
     for index, row in enumerate(rows):
         if row.quantity != Quantity.PRESENCE:
-            key = (row.element_kind, row.quantity, row.unit, *_without_side(row))
+            what = row.cause if row.quantity is Quantity.SETTING else row.quantity
+            key = (row.element_kind, what, row.unit, *_without_side(row))
             groups[key].append(index)
     for group in groups.values():
         those = [rows[index] for index in group]

@@ -169,7 +169,7 @@ def _changed(terms: Merged, row: Difference, rows: Sequence[Difference]) -> Robo
     robot = terms.first
     if row.quantity is Quantity.GRAVITY:
         return replace(robot, gravity=terms.second.gravity)
-    if row.element_kind == "model":
+    if row.element_kind == "model" or row.quantity is Quantity.SETTING:
         return None
     if row.element_kind == "loop":
         return _with_loops(terms, row.quantity, names)

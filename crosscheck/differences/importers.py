@@ -52,7 +52,7 @@ LIMITS = {
         frozenset({"coupling"}), "buildModelFromUrdf reads mimic joints as free ones unless mimic=True"
     ),
     (Importer.PINOCCHIO, "MJCF"): Limit(
-        frozenset({DRIVES, "coupling", "loop", "spring", Quantity.STIFFNESS}),
+        frozenset({DRIVES, "coupling", "loop", "spring", Quantity.STIFFNESS, Quantity.SETTING}),
         "a pinocchio.Model has no actuators and springs, and of equalities its reader knows connect only",
     ),
 }

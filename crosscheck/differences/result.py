@@ -69,6 +69,11 @@ class FileComparison:
         is_rounded = self.motion.likeness is Likeness.ROUNDING or self.of_standing(Standing.ROUNDING)
         return Outcome.SAME_TO_ROUNDING if is_rounded else Outcome.SAME
 
+    @property
+    def unmodeled(self) -> tuple[str, ...]:
+        """Elements of either file whose forces are in no motion that was compared."""
+        return tuple(dict.fromkeys((*self.first.robot.unmodeled, *self.second.robot.unmodeled)))
+
     @cached_property
     def run(self) -> Run | None:
         """Distance of the bodies in a run from the same start; None for robots without common states.
@@ -98,6 +103,7 @@ class FileComparison:
         return {
             "differences": [asdict(row) | {"standing": row.standing.value} for row in self.rows],
             "motion": asdict(self.motion),
+            "unmodeled": list(self.unmodeled),
             "renamed": [list(names) for names in self.alignment.renamed],
         }
 

@@ -19,6 +19,7 @@ from crosscheck.differences.difference import Difference, Quantity, Standing, Va
 from crosscheck.differences.drives import drive_rows
 from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, joint_name
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
+from crosscheck.differences.settings import setting_rows
 from crosscheck.differences.springs import spring_rows
 from crosscheck.differences.stack import angle, distance
 from crosscheck.differences.starts import CHANGES_RUN, start_rows
@@ -69,6 +70,7 @@ def differences(
         *drive_rows(common, joints),
         *spring_rows(common),
         *start_rows(common, joints),
+        *setting_rows(common),
     ]
     at_rest = {
         first.robot.bodies[body].name

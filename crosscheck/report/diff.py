@@ -108,20 +108,21 @@ def verdict(comparison: FileComparison) -> str:
     """Format the result in one sentence."""
     different, motion = comparison.differences, comparison.motion
     rounded = comparison.of_standing(Standing.ROUNDING)
-    words = comparison.outcome.value
+    words, without = comparison.outcome.value, _without(comparison)
     match comparison.outcome:
         case Outcome.SAME if motion.likeness is Likeness.UNDECIDED:
             return f"{words}: all numbers are equal; motions were not compared"
         case Outcome.SAME:
             if comparison.of_standing(Standing.CONVENTION):
-                return f"{words}: all motions are equal; what differs does not change them"
-            return f"{words}: all numbers and motions are equal"
+                return f"{words}: all motions{without} are equal; what differs does not change them"
+            return f"{words}: all numbers and motions{without} are equal"
         case Outcome.SAME_TO_ROUNDING:
             total = sum(len(row.elements) for row in rounded)
             within = "their digits" if comparison.tolerance is None else "the tolerance"
             effect = max((row.effect or 0.0 for row in rounded), default=motion.change)
             numbers = _numbers_differ(total) if total else "numbers differ"
-            return f"{words}: {numbers} within {within}; accelerations change by at most {percent(effect)}"
+            change = f"accelerations{without} change by at most {percent(effect)}"
+            return f"{words}: {numbers} within {within}; {change}"
         case _:
             return f"{words}: {_counted(len(different), 'difference')}; {motion_text(comparison, FILES)}"
 
@@ -161,10 +162,18 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
             states = comparison.states
             is_reduced = states is not None and any(cut.takes_motion for cut in states.cuts)
             text = "what both have moves alike" if is_reduced else "both move alike"
+            text += _without(comparison)
             is_equal = motion.likeness is Likeness.EQUAL
             return text if is_equal else f"{text}, within {_allowance(comparison)}"
         case Likeness.UNDECIDED:
             return "motions were not compared"
+
+
+def _without(comparison: FileComparison) -> str:
+    """Name the forces, at most three, that are in no motion that was compared; "" without such forces."""
+    names = comparison.unmodeled
+    more = f" and {len(names) - 3} more" if names[3:] else ""
+    return f" without {', '.join(names[:3])}{more}" if names else ""
 
 
 def gap_text(motion: Motion) -> str:
@@ -346,6 +355,8 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
         more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""
         yield f"paired by structure, as names differ: {', '.join(pairs)}{more}"
     yield from comparison.motion.notes
+    if comparison.unmodeled:
+        yield f"no compared motion has the forces of: {', '.join(comparison.unmodeled)}"
     if comparison.run:
         yield run_text(comparison.run)
     elif comparison.motion.likeness is not Likeness.UNDECIDED:

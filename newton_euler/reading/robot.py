@@ -231,6 +231,11 @@ class FileDrive:
     force_limits: tuple[float, float] = (-math.inf, math.inf)
     other: Mapping[str, float | str] = field(default_factory=dict)
 
+    @property
+    def is_modeled(self) -> bool:
+        """Whether the force follows from gears, gain, stiffness and damping; that of a muscle does not."""
+        return bool(self.gears) and not self.other.keys() & {"gain type", "bias type"}
+
 
 @dataclass(frozen=True, eq=False)
 class FileStart:
@@ -245,6 +250,26 @@ class FileStart:
     name: str
     coordinates: Mapping[str, float]
     velocities: Mapping[str, float]
+
+
+class Setting(NamedTuple):
+    """Name of a number or a word of a model file for which the description of a robot has no model.
+
+    Attributes:
+        element_kind: kind of the element, such as "tendon", in the terms of the file.
+        element: name of the element; "" for the whole model.
+        name: what the number is, such as "range".
+        exerts: whether it makes forces that are in no other part of the description.
+    """
+
+    element_kind: str
+    element: str
+    name: str
+    exerts: bool = False
+
+
+SettingValue = tuple[float, ...] | str
+"""Numbers or a word of a model file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +287,7 @@ class Robot:
         integrator: name of the integrator of such runs; "" if the format has none.
         springs: springs and dampers between points.
         starts: named starts of runs.
+        settings: numbers of the file that are in none of the above, such as the range of a tendon.
     """
 
     name: str
@@ -274,10 +300,22 @@ class Robot:
     integrator: str = ""
     springs: tuple[FileSpring, ...] = ()
     starts: tuple[FileStart, ...] = ()
+    settings: Mapping[Setting, SettingValue] = field(default_factory=dict)
 
     def joint(self, key: tuple[int, int]) -> FileJoint:
         """Return a joint by the index of its body and its own index in `FileBody.joints`."""
         return self.bodies[key[0]].joints[key[1]]
+
+    @property
+    def unmodeled(self) -> tuple[str, ...]:
+        """What makes forces that the description has no model for, such as "gravcomp of body 'hand'"."""
+        of_settings = (
+            f"{key.name} of {key.element_kind} {key.element!r}" if key.element else key.name
+            for key in self.settings
+            if key.exerts
+        )
+        of_drives = (f"drive {drive.name!r}" for drive in self.drives if not drive.is_modeled)
+        return (*of_settings, *of_drives)
 
     def loop_name(self, loop: FileLoop | FileSpring) -> str:
         """Return the name of a loop or spring, or those of its bodies if it has no name."""

@@ -1,0 +1,173 @@
+"""Numbers of MJCF files for which the description of a robot has no model, and their forces in MuJoCo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import pytest
+
+import crosscheck
+from crosscheck.compare.outcome import Outcome
+from crosscheck.differences.difference import Quantity, Value
+from crosscheck.report.diff import verdict
+from newton_euler.scalars import Array
+
+ARM = """
+<mujoco model="arm"><option{option}/><worldbody>
+  <body name="upper"><joint name="shoulder" axis="0 1 0"{shoulder}/>
+    <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.02"/>
+  <body name="fore" pos="0.3 0 0"{fore}><joint name="elbow" axis="0 1 0"/>
+    <site name="tip" pos="{tip} 0 0.05"/>
+    <inertial pos="0.1 0 0.02" mass="0.5" diaginertia="0.01 0.01 0.01"/>
+  <body name="hand" pos="0.2 0 0"><joint name="wrist" axis="0 1 0"/>
+    <inertial pos="0.05 0 0" mass="0.25" diaginertia="0.001 0.001 0.001"/></body></body></body></worldbody>
+<tendon><fixed name="cord"{cord}><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-1"/>
+  <joint joint="wrist" coef="{coef}"/></fixed></tendon>{end}</mujoco>"""
+PLAIN = {"option": "", "shoulder": "", "fore": "", "tip": "0.1", "cord": "", "coef": "1", "end": ""}
+THRUSTER = '<actuator><motor name="push" site="tip" gear="0 0 1 0 0 0"/></actuator>'
+MOTOR = '<actuator><motor name="push" joint="elbow" group="1"/></actuator>'
+HOLD = '<equality><tendon name="hold" tendon1="cord"/></equality>'
+
+
+class Case(NamedTuple):
+    """Two files that differ in one number, its row, and the force that no compared motion has."""
+
+    first: dict[str, str]
+    second: dict[str, str]
+    element: str
+    what: str
+    values: tuple[Value, Value]
+    unmodeled: str
+
+
+CASES = {
+    "gravity compensation": Case(
+        {}, {"fore": ' gravcomp="0.75"'}, "fore", "gravcomp", (None, 0.75), "gravcomp of body 'fore'"
+    ),
+    "spring of a tendon": Case(
+        {"cord": ' stiffness="5"'},
+        {"cord": ' stiffness="50"'},
+        "cord",
+        "stiffness",
+        ((5.0, 0.0, 0.0), (50.0, 0.0, 0.0)),
+        "stiffness of tendon 'cord'",
+    ),
+    "polynomial of a spring": Case(
+        {"shoulder": ' stiffness="3"'},
+        {"shoulder": ' stiffness="3 2 1"'},
+        "shoulder",
+        "polynomial of the stiffness",
+        (None, (2.0, 1.0)),
+        "polynomial of the stiffness of joint 'shoulder'",
+    ),
+    "polynomial of a damper": Case(
+        {"shoulder": ' damping="0.25"'},
+        {"shoulder": ' damping="0.25 2"'},
+        "shoulder",
+        "polynomial of the damping",
+        (None, (2.0, 0.0)),
+        "polynomial of the damping of joint 'shoulder'",
+    ),
+    "equality of three joints": Case(
+        {"end": HOLD},
+        {"end": HOLD, "coef": "3"},
+        "cord",
+        "coefficient of 'wrist'",
+        (1.0, 3.0),
+        "coefficients of equality 'hold'",
+    ),
+    "place of a thruster": Case(
+        {"end": THRUSTER},
+        {"end": THRUSTER, "tip": "0.4"},
+        "push",
+        "position of tip 1",
+        (0.1, 0.4),
+        "drive 'push'",
+    ),
+    "fluid": Case(
+        {"option": ' density="1000"'},
+        {"option": ' density="1000" viscosity="2"'},
+        "arm",
+        "viscosity",
+        (None, 2.0),
+        "density",
+    ),
+    "actuation switched off": Case(
+        {"end": MOTOR},
+        {"end": MOTOR + '<option><flag actuation="disable"/></option>'},
+        "arm",
+        "flag actuation",
+        (None, "disable"),
+        "",
+    ),
+    "group switched off": Case(
+        {"end": MOTOR},
+        {"end": MOTOR, "option": ' actuatorgroupdisable="1"'},
+        "push",
+        "switched off",
+        (None, "by its group"),
+        "",
+    ),
+}
+
+
+def compared(folder: Path, first: dict[str, str], second: dict[str, str]) -> crosscheck.Diff:
+    paths = [folder / "first.xml", folder / "second.xml"]
+    for path, numbers in zip(paths, (first, second), strict=True):
+        path.write_text(ARM.format(**PLAIN | numbers))
+    return crosscheck.diff(*map(str, paths))
+
+
+def accelerations(numbers: dict[str, str]) -> Array:
+    """Return the accelerations of the joints by MuJoCo in one state, with controls of 1."""
+    model = mujoco.MjModel.from_xml_string(ARM.format(**PLAIN | numbers))
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = (0.3, 0.2, -0.4), (1.0, -2.0, 0.5), 1.0
+    mujoco.mj_forward(model, data)
+    return data.qacc.copy()
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_a_number_that_changes_accelerations_in_mujoco_is_a_row(case: Case, tmp_path: Path) -> None:
+    one, two = accelerations(case.first), accelerations(case.second)
+    # far beyond round-off, which is below 1e-12
+    assert np.linalg.norm(two - one) > 1e-3 * np.linalg.norm(one)
+    found = compared(tmp_path, case.first, case.second)
+    (row,) = found.differences
+    assert (row.element, row.quantity, row.cause) == (case.element, Quantity.SETTING, case.what)
+    assert (row.first, row.second) == case.values
+    assert row.effect is None
+    assert found.outcome is Outcome.DIFFERENT
+    assert case.unmodeled in ("", *found.comparison.unmodeled)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_the_result_of_equal_files_names_forces_that_no_motion_has(case: Case, tmp_path: Path) -> None:
+    found = compared(tmp_path, case.second, case.second)
+    assert found.outcome is Outcome.SAME
+    names = ", ".join(found.comparison.unmodeled)
+    words = f" without {names}" if case.unmodeled else ""
+    assert verdict(found.comparison) == f"SAME: all numbers and motions{words} are equal"
+
+
+def test_numbers_that_make_no_force_by_themselves_are_rows(tmp_path: Path) -> None:
+    """Ranges of tendons and muscles; forces of a tendon at its range are one-sided, as of a joint."""
+    muscle = '<actuator><muscle name="flexor" joint="elbow" lengthrange="0 {}"/></actuator>'
+    first = {"cord": ' limited="true" range="-0.1 0.1"', "end": muscle.format(1)}
+    second = {"cord": ' limited="true" range="-0.5 0.5"', "end": muscle.format(2)}
+    found = compared(tmp_path, first, second)
+    rows = {row.cause: (row.element, row.first, row.second) for row in found.differences}
+    assert rows == {
+        "range": ("cord", (-0.1, 0.1), (-0.5, 0.5)),
+        "length range 2": ("flexor", 1.0, 2.0),
+    }
+    assert found.comparison.unmodeled == ("drive 'flexor'",)
+
+
+def test_digits_of_the_file_leave_settings_open(tmp_path: Path) -> None:
+    """0.7500001 and 0.75 are equal to six digits."""
+    found = compared(tmp_path, {"fore": ' gravcomp="0.75"'}, {"fore": ' gravcomp="0.7500001"'})
+    assert found.outcome is Outcome.SAME_TO_ROUNDING
