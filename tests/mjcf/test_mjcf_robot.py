@@ -179,7 +179,9 @@ def test_drives_have_the_numbers_of_the_file(arm: RobotFile) -> None:
     assert (slow.gain, slow.constant, slow.stiffness, slow.damping) == (7.0, 1.0, -2.0, -3.0)
     assert (slow.other["dynamics"], slow.other["dynamics 1"]) == ("filter", 0.25)
     assert dict(thruster.gears) == {}
-    assert dict(thruster.other) == {"transmission": "site tip", "gear 3": 1.0, "gear 6": 0.5}
+    # the site has the axes of its body
+    place = {"position of tip 1": 0.5, "quaternion of tip 1": 1.0}
+    assert dict(thruster.other) == {"transmission": "site tip", "gear 3": 1.0, "gear 6": 0.5} | place
 
 
 def test_lines_are_those_of_the_file(arm: RobotFile) -> None:
