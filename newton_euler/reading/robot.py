@@ -233,7 +233,7 @@ class FileDrive:
 
     @property
     def is_modeled(self) -> bool:
-        """Whether the force follows from gears, gain, stiffness and damping; that of a muscle does not."""
+        """True if the force follows from gears, gain, stiffness and damping; that of a muscle does not."""
         return bool(self.gears) and not self.other.keys() & {"gain type", "bias type"}
 
 
@@ -308,7 +308,7 @@ class Robot:
 
     @property
     def unmodeled(self) -> tuple[str, ...]:
-        """What makes forces that the description has no model for, such as "gravcomp of body 'hand'"."""
+        """Names of what makes forces without a model in the description, such as "gravcomp of body 'hand'"."""
         of_settings = (
             f"{key.name} of {key.element_kind} {key.element!r}" if key.element else key.name
             for key in self.settings
