@@ -308,7 +308,7 @@ class Robot:
 
     @property
     def unmodeled(self) -> tuple[str, ...]:
-        """Names of what makes forces without a model in the description, such as "gravcomp of body 'hand'"."""
+        """Names of forces that the description has no model for, such as "gravcomp of body 'hand'"."""
         of_settings = (
             f"{key.name} of {key.element_kind} {key.element!r}" if key.element else key.name
             for key in self.settings
