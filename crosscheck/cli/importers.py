@@ -26,10 +26,13 @@ def importers_command(file: str, output: Path | None) -> int:
     """
     from crosscheck.differences.importers import compare_importers
     from crosscheck.report.importers import report
-    from crosscheck.report.output import usual_folder
+    from crosscheck.report.output import check_no_other_results
     from crosscheck.support.files import check_no_source, check_writable, write_files
 
-    folder = output or usual_folder(Path("output/importers"), file, "comparison of importers")
+    # with its suffix, as one robot often has an MJCF and a URDF file of the same name
+    folder = output or Path("output/importers") / Path(file).name
+    if output is None:
+        check_no_other_results(folder, [file], "comparison of importers")
     path = folder / "importers.json"
     check_no_source([path], [file])
     check_writable(path)

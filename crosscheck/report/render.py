@@ -95,7 +95,7 @@ def terminal(parts: Iterable[Part]) -> str:
         for part in parts:
             if part.folded:
                 continue
-            if part.title and isinstance(previous, Lines):
+            if isinstance(previous, Lines) and (part.title or isinstance(part, Table)):
                 console.print()
             previous = part
             if part.title:

@@ -293,3 +293,17 @@ def test_loops_in_another_order_are_paired_by_their_points(file, names):
     text = CONNECTED.replace('name="z"', f'name="{names[0]}"').replace('name="y"', f'name="{names[1]}"')
     found = crosscheck.importers(file(text))
     assert results(found) == {"MuJoCo": "SAME", "Pinocchio": "SAME"}
+
+
+def test_an_mjcf_and_a_urdf_file_of_one_name_have_folders_of_their_own(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    body = '<body name="link"><joint name="j" axis="1 0 0"/><geom size="0.1"/></body>'
+    texts = {"robot.xml": f"<mujoco><worldbody>{body}</worldbody></mujoco>", "robot.urdf": urdf()}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+        status, output, _ = run(capsys, "importers", name)
+        assert status == 0
+        assert f"wrote output/importers/{name}/importers.json" in output
+    for name in texts:
+        result = tmp_path / "output" / "importers" / name / "importers.json"
+        assert json.loads(result.read_text())["source"] == name

@@ -46,6 +46,14 @@ REPORT = Report(
 )
 
 
+def test_an_empty_line_separates_sentences_from_a_table_without_title():
+    table = Table("", text_columns("level", "checks"), [["model", "28 ok"]])
+    lines = terminal([Lines("", ["your settings  ACCURATE"]), table, Lines("", ["untested"])]).splitlines()
+    assert [line.split()[0] if line else "" for line in lines] == [
+        *("your", "", "level", "model", "", "untested"),
+    ]
+
+
 def test_terminal():
     assert terminal(REPORT.parts).splitlines() == [
         "figures",
