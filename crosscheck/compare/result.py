@@ -31,6 +31,7 @@ from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
 from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind, without_loops
+from crosscheck.own_run.errors import early_chaos_text
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
@@ -172,13 +173,15 @@ class EngineComparison(ABC):
         """Return this result with largest errors that the `limited_runs` may have.
 
         The result is unfinished if the own run, or its end, is not judged although the engines agree. It is
-        also unfinished if a run has no loops or a log no columns for an error, or if the reference stops
-        before the log ends.
+        also unfinished if a run has no loops or a log no columns for an error, if the reference stops before
+        the log ends, or if no output of a run is compared.
         """
         stops = self.unfinished
-        for name in self.limited_runs:
+        for name, run in self.limited_runs.items():
             undetermined = self._undetermined(name)
             reasons = [undetermined[each.kind] for each in allowed if each.kind in undetermined]
+            if allowed and not run.is_judged:
+                reasons.append(f"not judged: {early_chaos_text(run.scale)}")
             stops = (*stops, *(Stop(name, reason) for reason in dict.fromkeys(reasons)))
         if self.logs:
             for name, log in self.logs.items():

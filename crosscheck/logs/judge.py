@@ -261,7 +261,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
     # the reference stops before the log and before all reasons to end the comparison
     is_unjudged = bool(compared.reference_stop) and until is None and not all(horizons)
     other_inputs = None
-    if error.band is not Band.ACCURATE and not mistakes:
+    if error.band in (Band.USABLE, Band.WRONG) and not mistakes:
         other_inputs = reading.other_inputs(options, compared)
     loops = loop_errors(reading.scene.mechanism, compared.poses)
     return LogJudgement(

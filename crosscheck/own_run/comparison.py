@@ -15,9 +15,17 @@ from itertools import count
 from typing import Any
 
 from crosscheck.engines.engine import newton_euler_options
-from crosscheck.own_run.errors import LoopError, MotionScale, RunError, outputs_before, run_error
+from crosscheck.own_run.errors import (
+    LoopError,
+    MotionScale,
+    RunError,
+    early_chaos_text,
+    outputs_before,
+    run_error,
+)
 from crosscheck.own_run.horizon import comparable_until
 from crosscheck.own_run.interpolation import common_outputs
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.reading.file_run import CONTACT_OF, Event, FileRun, FileSimulation
@@ -26,6 +34,14 @@ from newton_euler.runs.simulate import simulate
 
 MAX_STEPS = 200_000
 """Largest number of time steps of the judged run; a longer run is judged up to this number."""
+
+
+MIN_OUTPUTS = 10
+"""Smallest number of outputs after the start at which a motion is compared. If a motion is chaotic before so
+many outputs of the scene, outputs are closer to each other."""
+
+MAX_OUTPUTS = 20_000
+"""Largest number of outputs that are closer to each other than those of the scene."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +119,9 @@ class Comparison:
     ) -> Comparison:
         """Choose output times that are multiples of the file's time step, and simulate the reference.
 
+        The output period is that of the scene. If a mechanism has fewer than `MIN_OUTPUTS` outputs before its
+        motion is chaotic, the period is shorter.
+
         Args:
             simulation: the file in its own engine.
             method: arguments of `newton_euler.simulate` for the reference; those of crosschecks if None.
@@ -118,19 +137,27 @@ class Comparison:
         # evaluations of the equations of motion: the limit of a run, and the number per simulated second
         max_duration = simulation.max_evaluations / simulation.evaluations(simulation.settings)
         duration = min(scene.duration, max_duration, MAX_STEPS * step)
-        steps = int(duration / step * (1.0 + 1e-9)) // every * every
-        steps = max(steps, math.lcm(every, 4))  # RK4 at four times the step needs one output
-        sampled = replace(
-            scene,
-            output_period=every * step,
-            duration=steps * step,
-            outputs=frozenset({"velocities", "energy"}),
-        )
-        reference = simulate(sampled, **(method or newton_euler_options(sampled)))
-        if method is None:
-            horizons = comparable_until(sampled, reference)
-        scale = MotionScale.of(reference, scene.mechanism, horizons)
-        return cls(simulation, sampled, reference, scale, every, steps, None)
+        whole = int(duration / step * (1.0 + 1e-9))  # number of steps
+        if method is not None:
+            every = _steps_between_outputs(every, step, whole, horizons)
+        while True:
+            # RK4 at four times the step needs one output
+            steps = max(whole // every * every, math.lcm(every, 4))
+            sampled = replace(
+                scene,
+                output_period=every * step,
+                duration=steps * step,
+                outputs=frozenset({"velocities", "energy"}),
+            )
+            reference = simulate(sampled, **(method or newton_euler_options(sampled)))
+            if method is None:
+                horizons = comparable_until(sampled, reference)
+            closer = _steps_between_outputs(every, step, whole, horizons)
+            if method is not None or closer == every:
+                scale = MotionScale.of(reference, scene.mechanism, horizons)
+                return cls(simulation, sampled, reference, scale, every, steps, None)
+            # times at which a motion becomes chaotic are output times, and may be earlier at closer outputs
+            every = closer
 
     def ending_at(self, until: float) -> Comparison:
         """Return the comparison up to a time, s, which divides errors by the motion up to then."""
@@ -183,13 +210,27 @@ class Comparison:
     def is_comparable(self, run: FileRun) -> bool:
         """Return True if a run has an output after the start at which it is compared."""
         common, _ = common_outputs(self.until_end(run.trajectory), self.reference)
-        return len(common.time) > 1
+        return self.scale.outputs(common.time) > 1
+
+    def check_outputs(self) -> None:
+        """Raise `CrosscheckError` if no output after the start can be compared."""
+        if self.scale.outputs(self.reference.time) == 1:
+            raise CrosscheckError(
+                f"not judged: {early_chaos_text(self.scale)}; needed: a shorter --set duration, or a start "
+                "at which the motion is stable"
+            )
 
     @property
     def unjudged_from(self) -> float | None:
         """Time, s, at which the compared run ends although the motion of the file goes on; else None."""
         whole = self.simulation.scene.duration
         return self.scene.duration if self.scene.duration + self.scene.output_period < whole else None
+
+    @property
+    def extended_to(self) -> float | None:
+        """Time, s, at which the compared run ends if that is after the end of the scene; else None."""
+        end = self.scene.duration
+        return end if end > self.simulation.scene.duration * (1.0 + 1e-9) else None
 
     @property
     def completed(self) -> list[FileRun]:
@@ -208,6 +249,19 @@ class Comparison:
         """Find the largest violations of the loop constraints of a run, up to the time `until`."""
         return LoopError.of(run.loop_errors, self.until_end(run.trajectory).time)
 
+    def relative_run_time(self, settings: Any, run: FileRun, own: FileRun) -> float:
+        """Return the run time per second of motion, as a multiple of that with the settings of the file.
+
+        It is the multiple of the evaluations if the run with the settings of the file stopped early.
+
+        Args:
+            settings, run: settings, and a complete run with them.
+            own: run with the settings of the file.
+        """
+        if not own.stopped:
+            return _pace(run) / _pace(own)
+        return self.simulation.evaluations(settings) / self.simulation.evaluations(self.simulation.settings)
+
     def measured(self, settings: Any, run: FileRun) -> tuple[Mapping[str, str], str, RunError]:
         """Return the fields of `MeasuredSettings` for settings and the run with them."""
         return self.simulation.changes(settings), self.simulation.fragment(settings), self.error(run)
@@ -219,3 +273,30 @@ class Comparison:
     def until_end(self, run: Trajectory) -> Trajectory:
         """Return a run up to the time at which the comparison ends."""
         return run.first(outputs_before(run.time, self.until))
+
+
+def _pace(run: FileRun) -> float:
+    """Return the run time per second of motion."""
+    return run.trajectory.wall_time / float(run.trajectory.time[-1])
+
+
+def _steps_between_outputs(every: int, step: float, steps: int, horizons: Sequence[float | None]) -> int:
+    """Return a number of steps between outputs with which all mechanisms have `MIN_OUTPUTS` outputs.
+
+    A smaller number than `every` is 1, 2, or four times a product of twos and fives. Then RK4 at four times
+    the step has the same outputs, and the period is a short decimal number if the step is one.
+
+    Args:
+        every: number of steps between the outputs of the scene.
+        step: time step, s.
+        steps: number of steps of the run, which has at most `MAX_OUTPUTS` such outputs.
+        horizons: time, s, at which the comparison of each mechanism ends; None for the whole run.
+    """
+    horizon = min((each for each in horizons if each is not None), default=math.inf)
+    if MIN_OUTPUTS * every * step < horizon * (1.0 - 1e-9):
+        return every
+    numbers = {1, 2, *(4 * 2**k * 5**m for k in range(20) for m in range(10))}
+    fewest = steps / MAX_OUTPUTS
+    closer = [number for number in numbers if fewest <= number < every]
+    enough = [number for number in closer if MIN_OUTPUTS * number * step < horizon * (1.0 - 1e-9)]
+    return max(enough, default=min(closer, default=every))

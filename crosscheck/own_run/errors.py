@@ -42,6 +42,8 @@ class Band(StrEnum):
     """The relative error is below 1 %."""
     WRONG = "WRONG"
     """The relative error is 1 % or more, or the run diverged."""
+    NOT_JUDGED = "NOT JUDGED"
+    """No output after the start is compared, as the motion is chaotic or unstable before the first one."""
 
     @property
     def verdict(self) -> Literal["holds", "doubtful", "fails"]:
@@ -49,7 +51,7 @@ class Band(StrEnum):
         match self:
             case Band.ACCURATE:
                 return "holds"
-            case Band.USABLE:
+            case Band.USABLE | Band.NOT_JUDGED:
                 return "doubtful"
             case Band.WRONG:
                 return "fails"
@@ -72,6 +74,7 @@ class RunError:
         largest_position: largest error of any center of mass, m. It is larger than `position` if a body of
             another mechanism that moves farther has this error.
         largest_rotation: largest error of any orientation, rad.
+        outputs: number of outputs after the start at which all mechanisms are compared.
     """
 
     position: float
@@ -83,6 +86,7 @@ class RunError:
     relative_rotation: float
     largest_position: float
     largest_rotation: float
+    outputs: int
 
     @property
     def relative(self) -> float:
@@ -101,6 +105,8 @@ class RunError:
     @property
     def band(self) -> Band:
         """The band of the relative error."""
+        if not self.outputs:
+            return Band.NOT_JUDGED
         if self.relative < ACCURATE_BELOW:
             return Band.ACCURATE
         return Band.USABLE if self.relative < USABLE_BELOW else Band.WRONG
@@ -190,7 +196,8 @@ class MotionScale:
     Attributes:
         mechanisms: extent of the motion of each mechanism.
         energy: largest kinetic energy plus the range of the potential energy of all bodies, J, while all
-            mechanisms are compared.
+            mechanisms are compared; at least the energy of pendulums of the mechanisms' masses and sizes that
+            swing by `MIN_SCALE`.
     """
 
     mechanisms: tuple[MechanismMotion, ...]
@@ -231,7 +238,13 @@ class MotionScale:
             )
         count = min(motion.outputs(reference.time) for motion in motions)
         kinetic, potential = (energy[:count] for energy in _energies(reference))
-        return cls(tuple(motions), energy=float(np.max(kinetic) + np.ptp(potential)))
+        masses = [sum(mechanism.bodies[body].mass for body in bodies) for bodies in groups]
+        # energy m g l (1 - cos a) of a pendulum that swings by the angle a, for small angles, g = 9.81 m/s^2
+        swings = [
+            0.5 * mass * 9.81 * motion.size * MIN_SCALE**2
+            for mass, motion in zip(masses, motions, strict=True)
+        ]
+        return cls(tuple(motions), energy=max(float(np.max(kinetic) + np.ptp(potential)), sum(swings)))
 
     @cached_property
     def by_body(self) -> Mapping[str, MechanismMotion]:
@@ -251,6 +264,12 @@ class MotionScale:
     def outputs(self, times: Array) -> int:
         """Return the number of output times, s, at which all mechanisms are compared."""
         return min(motion.outputs(times) for motion in self.mechanisms)
+
+
+def early_chaos_text(scale: MotionScale) -> str:
+    """Tell that a motion is chaotic before its first output after the start, and since when."""
+    since = min(motion.until for motion in scale.mechanisms if motion.until is not None)
+    return f"the motion is chaotic or unstable before its first output after the start, at {since:.3g} s"
 
 
 def outputs_before(times: Array, end: float | None) -> int:
@@ -293,11 +312,12 @@ def run_error(run: Trajectory, reference: Trajectory, scale: MotionScale) -> Run
         position_at=(names[worst[1]], float(times[worst[0]])),
         rotation=float(rotation[turned]),
         rotation_at=(names[turned[1]], float(times[turned[0]])),
-        energy=energy_error / scale.energy if scale.energy else 0.0,
+        energy=energy_error / scale.energy,
         relative_position=float(position[worst]) / lengths[worst[1]],
         relative_rotation=float(rotation[turned]) / angles[turned[1]],
         largest_position=float(np.max(position)),
         largest_rotation=float(np.max(rotation)),
+        outputs=min(motion.outputs(times) for motion in motions) - 1,
     )
 
 

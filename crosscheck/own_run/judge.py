@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.own_run.comparison import Comparison, merged
+from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison, merged
 from crosscheck.own_run.errors import Band, LoopError, MotionScale, RunError, errors_over_time
 from crosscheck.own_run.remedies import MeasuredRemedy, find_remedies
 from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
@@ -22,10 +22,6 @@ STATES = 8
 
 CANCELLATION = 1.25
 """Smallest ratio of the error by one cause and the error of the run at which errors count as cancelling."""
-
-MIN_OUTPUTS = 10
-"""Smallest number of outputs between the start and the first event at which the run until then is judged. The
-error of a short motion is a large part of the motion, as that grows with the square of time."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +91,8 @@ class Judgement:
             compared until its `MechanismMotion.until`.
         unjudged_from: time, s, from which the run is not judged because it has too many time steps; None if
             the whole motion is judged.
+        extended_to: time, s, until which the run is judged although the scene ends before, as its duration
+            is too few time steps; None if the run ends with the scene.
         run_inputs: start, controls, changed numbers and output times of the judged run. With these,
             the engine alone can repeat the run, see `FileSimulation.run_inputs`.
     """
@@ -119,6 +117,7 @@ class Judgement:
     are_assumed: bool = False
     harmless: tuple[str, ...] = ()
     unjudged_from: float | None = None
+    extended_to: float | None = None
     other: MeasuredError | None = None
 
     @property
@@ -134,6 +133,11 @@ class Judgement:
         exact = [cause.error.relative_by(by_position) for cause in self.causes if not cause.is_choice]
         largest = max(exact, default=0.0)
         return not self.stopped and largest > CANCELLATION * self.error.relative_by(by_position)
+
+    @property
+    def is_judged(self) -> bool:
+        """False if no output of a complete run after the start is compared, see `Band.NOT_JUDGED`."""
+        return self.band is not Band.NOT_JUDGED
 
     @property
     def band(self) -> Band:
@@ -200,7 +204,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
     remedies: tuple[MeasuredRemedy, ...] = ()
     stability: Stability | None = None
     changes: tuple[ModelChange, ...] = ()
-    if run.stopped or error.band is not Band.ACCURATE:
+    if run.stopped or error.band in (Band.USABLE, Band.WRONG):
         causes = tuple(_causes(compared, run, error.stated_by_position))
         tested = dict.fromkeys(
             cause.name
@@ -233,6 +237,7 @@ def judge(simulation: FileSimulation[Any], acting: Sequence[Event] = ()) -> Judg
         are_assumed=simulation.are_assumed,
         harmless=harmless,
         unjudged_from=compared.unjudged_from,
+        extended_to=compared.extended_to,
         other=other,
     )
 
@@ -243,7 +248,10 @@ def _measured(compared: Comparison, run: FileRun) -> MeasuredError:
 
 
 def _is_long_enough(compared: Comparison, error: RunError) -> bool:
-    """Return True if a comparison has `MIN_OUTPUTS`, and the mechanism of the largest error clearly moves."""
+    """Return True if a comparison has `MIN_OUTPUTS`, and the mechanism of the largest error clearly moves.
+
+    The error of a short motion is a large part of the motion, as that grows with the square of time.
+    """
     by_position = error.relative_position >= error.relative_rotation
     body, _ = error.position_at if by_position else error.rotation_at
     outputs = len(compared.until_end(compared.reference).time) - 1  # after the start
@@ -271,9 +279,10 @@ def measure_error(
         horizons: result of `horizons`; empty if no mechanism is chaotic.
 
     Raises:
-        CrosscheckError: if the run diverges.
+        CrosscheckError: if the run diverges, or if the motion is chaotic before its first output.
     """
     compared = Comparison.of(simulation, {"rtol": rtol, "atol": 0.01 * rtol}, horizons)
+    compared.check_outputs()
     run = compared.run(simulation.settings)
     if run.stopped:
         raise CrosscheckError(f"the run with the settings of the file diverges: {run.stopped}")

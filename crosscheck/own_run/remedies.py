@@ -98,16 +98,11 @@ def _completed(compared: Comparison, run: FileRun, kinds: Iterable[tuple[float, 
         if tried.stopped or not compared.is_comparable(tried):
             continue
         evaluations = simulation.evaluations(settings) / simulation.evaluations(simulation.settings)
-        run_time = evaluations if run.stopped else _pace(tried) / _pace(own)
+        run_time = compared.relative_run_time(settings, tried, own)
         # the fields of `MeasuredSettings`: changes, fragment (text for the file), error
         measured = compared.measured(settings, tried)
         remedy = MeasuredRemedy(*measured, evaluations=evaluations, run_time=run_time)
         yield _Trial(divisor, settings, remedy)
-
-
-def _pace(run: FileRun) -> float:
-    """Return the run time per second of motion."""
-    return run.trajectory.wall_time / float(run.trajectory.time[-1])
 
 
 def _smaller_steps(compared: Comparison) -> list[tuple[float, Any]]:

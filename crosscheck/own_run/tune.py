@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from crosscheck.own_run.comparison import Comparison, MeasuredSettings, merged
+from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison, MeasuredSettings, merged
 from crosscheck.own_run.errors import MotionScale
-from newton_euler.reading.file_run import Event, FileSimulation
+from newton_euler.reading.file_run import Event, FileRun, FileSimulation
 
 MAX_ORDER = 6.0
 """Largest order of convergence that the search allows for: the 4 of RK4, and a margin for steps that are too
@@ -32,10 +32,6 @@ MAX_LONG_RUN = 10.0
 
 MAX_STEPS_BETWEEN_OUTPUTS = 100_000
 """Largest number of time steps between two outputs."""
-
-MIN_OUTPUTS = 10
-"""Smallest number of outputs at which a run is compared whose time step is longer than the time between two
-outputs of the scene."""
 
 MIN_RATIO = 2.0
 """Smallest ratio of the errors of listed settings."""
@@ -56,7 +52,7 @@ class Tried(MeasuredSettings):
         stopped: reason why the run ended early; "" for a complete run.
         evaluations: evaluations of the equations of motion per second of motion.
         run_time: measured run time, as a multiple of that with the settings of the file; None if the run
-            was not timed.
+            was not timed. The multiple of the evaluations if the run with the settings of the file stopped.
     """
 
     stopped: str
@@ -64,8 +60,8 @@ class Tried(MeasuredSettings):
     run_time: float | None = None
 
     def reaches(self, target: float) -> bool:
-        """Return True if the run is complete and its relative error is at most `target`."""
-        return not self.stopped and self.error.relative <= target
+        """Return True if the run is complete and compared, and its relative error is at most `target`."""
+        return not self.stopped and self.error.outputs > 0 and self.error.relative <= target
 
 
 @dataclass(frozen=True)
@@ -140,9 +136,11 @@ def search_settings(
 
     Raises:
         NewtonEulerError: if the scene has no reference solution.
+        CrosscheckError: if the motion is chaotic before its first output.
     """
     progress("simulating the reference")
     compared = Comparison.of(simulation)
+    compared.check_outputs()
     # without what the reference does not have, if any of that acts
     events = merged(compared.run(simulation.settings, reduced=False).events, acting)
     reduced = bool(events)
@@ -184,11 +182,12 @@ def search_settings(
     while waiting and waiting[0].evaluations <= most and found is None:
         each = heapq.heappop(waiting)
         result = tried(each.settings)
-        if not result.stopped and all(result.error.relative < one.error.relative for _, one in tradeoff):
+        is_better = all(result.error.relative < one.error.relative for _, one in tradeoff)
+        if not result.stopped and result.error.outputs and is_better:
             tradeoff.append((each.settings, result))
         if result.reaches(target):
             found = result
-        is_far = result.stopped or result.error.relative >= MIN_SATURATED
+        is_far = result.stopped or not result.error.outputs or result.error.relative >= MIN_SATURATED
         refined = 1.0 if is_far else (result.error.relative / target) ** (1.0 / MAX_ORDER)
         if (finer := candidate(each.kind, each.steps, refined * each.steps)) is not None:
             heapq.heappush(waiting, finer)
@@ -197,13 +196,15 @@ def search_settings(
         events = compared.run(settings, reduced=False).events
 
     # measured run times, of the listed settings only
-    def wall_time(settings: Any) -> float:
-        return min(compared.run(settings, reduced).trajectory.wall_time for _ in range(TIMINGS))
+    def fastest(settings: Any) -> FileRun:
+        runs_of_settings = [compared.run(settings, reduced) for _ in range(TIMINGS)]
+        return min(runs_of_settings, key=lambda run: run.trajectory.wall_time)
 
     progress("measuring run times")
-    own_time = wall_time(simulation.settings)
+    own_run = fastest(simulation.settings)
     listed = tuple(
-        replace(one, run_time=wall_time(settings) / own_time) for settings, one in _thinned(tradeoff)
+        replace(one, run_time=compared.relative_run_time(settings, fastest(settings), own_run))
+        for settings, one in _thinned(tradeoff)
     )
     return SettingsSearch(
         simulation.engine,

@@ -18,6 +18,7 @@ from crosscheck.own_run.errors import (
     MechanismMotion,
     MotionScale,
     RunError,
+    early_chaos_text,
 )
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
 from crosscheck.own_run.judge import Judgement
@@ -88,6 +89,9 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
         yield f"  note    {chaos}, and no run with other steps can match"
     if judgement.unjudged_from is not None:
         yield f"  note    judged until {judgement.unjudged_from:.3g} s, as the run has too many time steps"
+    if judgement.extended_to is not None:
+        reason = "as the duration of the scene is too few time steps"
+        yield f"  note    judged until {judgement.extended_to:.3g} s, {reason}"
     if judgement.stopped_as_it_stands:
         yield f"  note    with what acts in the file, the run stops: {judgement.stopped_as_it_stands}"
     if causes := _causes(judgement):
@@ -105,8 +109,8 @@ def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError
 
 
 def allowed_lines(judgement: Judgement, allowed: Sequence[AllowedError]) -> Iterator[str]:
-    """Yield a line with the allowed errors that a run does not exceed, if there are any."""
-    if met := [each for each in allowed if not each.is_exceeded_by(judgement)]:
+    """Yield a line with the allowed errors that a judged run does not exceed, if there are any."""
+    if judgement.is_judged and (met := [each for each in allowed if not each.is_exceeded_by(judgement)]):
         limits = ", ".join(f"{each.kind} {in_unit(each.largest, each.kind)}" for each in met)
         yield f"  allowed {limits}: met"
 
@@ -118,7 +122,7 @@ def own_run_cases(judgement: Judgement | None, allowed: Sequence[AllowedError]) 
         judgement: the judgement; None if the run could not be judged.
         allowed: largest errors that the user allows.
     """
-    if judgement is None:
+    if judgement is None or (allowed and not judgement.is_judged):
         return [[_limit(each), Cell("not judged", "doubtful")] for each in allowed]
     if not allowed:
         return [["accuracy", Cell(f"{headline(judgement)}; no --max-error limits it", "doubtful")]]
@@ -290,6 +294,8 @@ def headline(judgement: Judgement) -> str:
         return f"DIVERGED{without if judgement.stopped_reduced else ''}"
     if judgement.stopped_as_it_stands:
         return "DIVERGED with what acts in the file and not in the reference"
+    if not judgement.is_judged:
+        return f"{Band.NOT_JUDGED}: {early_chaos_text(judgement.scale)}"
     if error.relative < ROUND_OFF:
         return "ACCURATE, the same as the reference to round-off"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]

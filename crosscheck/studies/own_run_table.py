@@ -87,7 +87,7 @@ def own_run_result(path: Path, summary: Path, script: Path) -> OwnRunResult | No
         The row; None if the run was not judged.
     """
     own_run: dict[str, Any] | None = json.loads(summary.read_text(encoding="utf-8"))["own_run"]
-    if own_run is None:
+    if own_run is None or own_run["band"] == Band.NOT_JUDGED:
         return None
     # the judged run omits contacts, limits and friction that act; the run "as it stands" has them
     stopped = own_run["stopped"] or own_run["stopped_as_it_stands"]

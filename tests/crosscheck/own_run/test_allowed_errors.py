@@ -241,3 +241,21 @@ def test_the_loop_error_of_a_file_without_loops_cannot_be_limited(capsys, tmp_pa
     assert cases["relative error at most 1 %"] is None
     with pytest.raises(AssertionError, match="no loops"):
         crosscheck.check(path, ENGINES).assert_accurate(**{kind: 1.0})
+
+
+def test_a_run_of_which_nothing_is_compared_passes_no_limit(capsys, tmp_path, swing, monkeypatch):
+    monkeypatch.setattr("crosscheck.own_run.comparison.comparable_until", lambda *_: (0.001,))
+    verdict = crosscheck.check(str(swing(FINE)), ENGINES, excitation="off", duration=0.5)
+    assert verdict.own_run.band is Band.NOT_JUDGED
+    with pytest.raises(AssertionError, match="UNFINISHED: your settings: not judged: the motion is chaotic"):
+        verdict.assert_accurate(1e-3)
+    output = tmp_path / "out"
+    options = ["--set", "excitation=off", "--set", "duration=0.5", "--engines", ",".join(ENGINES)]
+    status, text, _ = run(
+        capsys, "run", swing(FINE), *options, "--max-error", "0.5", "--output", output
+    )
+    assert status == ExitStatus.UNFINISHED
+    assert verdict_of(text).startswith("UNFINISHED: your settings: not judged: the motion is chaotic")
+    assert "allowed" not in text
+    cases = (output / "junit.xml").read_text()
+    assert '<skipped message="your settings: relative error at most 50 %: not judged' in cases

@@ -55,6 +55,14 @@ PENDULUM = """<mujoco model="swing"><option timestep="0.0025"/><worldbody>
   </worldbody></mujoco>"""
 """A slow motion, for which RK4 can take longer steps than the time between two outputs."""
 
+STIFF = """<mujoco model="stiff"><option timestep="0.002"/><worldbody>
+  <body name="arm"><joint name="a" axis="0 1 0" damping="2"/>
+    <geom type="capsule" fromto="0 0 0 .5 0 0" size=".03" mass="2" contype="0"/>
+    <body name="tip" pos=".5 0 0"><joint name="b" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass=".2" contype="0"/></body></body></worldbody>
+  <actuator><position name="elbow" joint="b" kp="20000"/></actuator></mujoco>"""
+"""A servo that is far too stiff for the time step: the run diverges after 12 ms."""
+
 MODELS = {
     "pendulum": PENDULUM,
     "softness of the defaults": FOUR_BAR,
@@ -210,6 +218,19 @@ def test_the_settings_of_a_urdf_are_found_and_can_be_given(tmp_path):
     _, again = loaded(path, own_run=str(tmp_path / "own.yaml"))
     assert again.evaluations(again.settings) == found.evaluations
     assert judge(again).error.relative == pytest.approx(found.error.relative, rel=0.5)  # at other times
+
+
+def test_run_times_are_multiples_of_evaluations_if_the_own_run_diverges(tmp_path, monkeypatch):
+    """A run that stops after some steps has a short run time, which says nothing about others."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
+    path = tmp_path / "model.xml"
+    path.write_text(STIFF)
+    _, simulation = loaded(path)
+    search = search_settings(simulation, TARGET)
+    assert "QACC" in search.own.stopped
+    assert search.tradeoff
+    for tried in search.tradeoff:
+        assert tried.run_time == pytest.approx(tried.evaluations / search.own.evaluations, rel=1e-12)
 
 
 def test_command(capsys, tmp_path):

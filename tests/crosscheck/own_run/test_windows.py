@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 
 from crosscheck.loading.load import load_scene
 from crosscheck.own_run.allowed import ErrorKind
-from crosscheck.own_run.comparison import Comparison
-from crosscheck.own_run.errors import Band
-from crosscheck.own_run.judge import judge
+from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison
+from crosscheck.own_run.errors import Band, run_error
+from crosscheck.own_run.judge import horizons, judge, measure_error
+from crosscheck.own_run.tune import search_settings
 from crosscheck.report.own_run import headline, own_run_lines
+from crosscheck.support.errors import CrosscheckError
 from newton_euler.reading.file_run import Event
 
 G = 9.81
@@ -256,3 +259,74 @@ def test_loop_errors_are_those_of_the_judged_window(tmp_path):
     assert found.other.loop_error.opening == pytest.approx(max(openings), rel=PERCENT)
     assert ErrorKind.OPENING.of(found) == found.other.loop_error.opening > found.loop_error.opening
     assert "without that, to the end: position " in line_of(found, "note")
+
+
+# a pendulum on a ball joint with a second link, which is chaotic from about 2 s on
+CHAOTIC = """<mujoco><option timestep="0.002"/><worldbody>
+  <body name="a" pos="0 0 1"><joint type="ball"/>
+    <geom type="capsule" fromto="0 0 0 .5 0 0" size=".03" mass="1" contype="0"/>
+    <body name="c" pos=".5 0 0"><joint axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5" contype="0"/></body></body></worldbody>
+  <keyframe><key name="k"/></keyframe></mujoco>"""
+
+
+def test_a_motion_that_is_chaotic_before_the_first_output_of_the_scene_has_closer_outputs(tmp_path):
+    found = judge(simulation_of(tmp_path, CHAOTIC, key="k", duration=20, output_period=4))
+    (motion,) = found.scale.mechanisms
+    assert 1.5 < motion.until < 2.5
+    times = found.reference.time[1 : motion.outputs(found.reference.time)]
+    assert len(times) == found.error.outputs >= MIN_OUTPUTS
+    run, _ = mujoco_alone(CHAOTIC, 0.002, times)
+    exact, _ = mujoco_alone(CHAOTIC, 2e-4, times, mujoco.mjtIntegrator.mjINT_RK4)
+    assert found.error.position == pytest.approx(np.max(np.linalg.norm(run - exact, axis=2)), rel=PERCENT)
+    assert found.band is Band.WRONG
+
+
+def test_outputs_of_a_baseline_are_closer_too(tmp_path):
+    simulation = simulation_of(tmp_path, CHAOTIC, key="k", duration=20, output_period=4)
+    found = measure_error(simulation, 1e-9, horizons(simulation))
+    assert found.error.outputs >= MIN_OUTPUTS
+    # the error grows, and the last output before the end of the comparison may be another one
+    assert found.error.position == pytest.approx(judge(simulation).error.position, rel=0.1)
+
+
+def test_a_motion_that_is_chaotic_within_a_time_step_is_not_judged(tmp_path, monkeypatch):
+    monkeypatch.setattr("crosscheck.own_run.comparison.comparable_until", lambda *_: (0.001,))
+    simulation = simulation_of(tmp_path, CHAOTIC, key="k", duration=0.5)
+    found = judge(simulation)
+    assert (found.band, found.band.verdict, found.error.outputs) == (Band.NOT_JUDGED, "doubtful", 0)
+    assert (found.causes, found.remedies) == ((), ())
+    assert headline(found).startswith("NOT JUDGED: the motion is chaotic or unstable before its first output")
+    with pytest.raises(CrosscheckError, match=r"not judged: the motion is chaotic .* at 0\.001 s"):
+        search_settings(simulation, 1e-3)
+    with pytest.raises(CrosscheckError, match="not judged"):
+        measure_error(simulation, 1e-9, (0.001,))
+
+
+def test_the_number_of_closer_outputs_is_limited(tmp_path, monkeypatch):
+    monkeypatch.setattr("crosscheck.own_run.comparison.comparable_until", lambda *_: (0.1,))
+    monkeypatch.setattr("crosscheck.own_run.comparison.MAX_OUTPUTS", 250)
+    compared = Comparison.of(simulation_of(tmp_path, CHAOTIC, key="k", duration=20, output_period=4))
+    # 10,000 steps of 2 ms: 250 outputs are 40 steps or 80 ms apart, and only one is before 100 ms
+    assert compared.every == 40
+    assert compared.is_comparable(compared.run_once(compared.simulation.settings))
+
+
+def test_a_scene_of_half_a_time_step_is_judged_until_four_steps_with_a_note(tmp_path):
+    found = judge(simulation_of(tmp_path, CHAOTIC, key="k", duration=0.001))
+    assert found.extended_to == pytest.approx(0.008)
+    assert line_of(found, "note").startswith("  note    judged until 0.008 s")
+    assert judge(simulation_of(tmp_path, CHAOTIC, key="k", duration=0.02)).extended_to is None
+
+
+def test_energies_of_a_mechanism_at_rest_are_divided_by_those_of_a_small_swing(tmp_path):
+    """The chain has 10 links of 1000 kg/m^3; a pendulum of its mass and size that swings by 0.01 rad."""
+    found = judge(simulation_of(tmp_path, CHAIN, duration=0.2))
+    mass = float(np.sum(mujoco.MjModel.from_xml_string(CHAIN).body_mass))
+    assert found.scale.energy == pytest.approx(mass * G * 1.0 * (1.0 - math.cos(0.01)), rel=1e-4)
+    # an energy error appears although nothing moves in the reference
+    kinetic = found.reference.kinetic_energy.copy()
+    kinetic[1:] += 1e-6
+    gained = replace(found.reference, kinetic_energy=kinetic)
+    error = run_error(gained, found.reference, found.scale)
+    assert error.energy == pytest.approx(1e-6 / found.scale.energy)
