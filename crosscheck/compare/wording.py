@@ -13,7 +13,7 @@ from crosscheck.compare.check import not_judged
 from crosscheck.compare.outcome import Outcome
 from crosscheck.compare.result import EngineComparison
 from crosscheck.engines.engine_runs import stops_text
-from crosscheck.own_run.allowed import exceeded_text
+from crosscheck.own_run.allowed import OWN_RUN, exceeded_text
 
 
 def verdict_of(result: EngineComparison) -> str:
@@ -129,7 +129,9 @@ def _reduced_model_text(result: EngineComparison) -> str:
     """Format the elements that act and are not simulated, with the time of the first; empty if none act."""
     if result.acting:  # in the compared motion
         return reduced_model_text(result.acting)
-    if result.is_reduced and result.own_run:  # in the run with the file's settings, whose errors are limited
-        first = result.own_run.events[0]
-        return f"your settings are judged without {first.element}, which acts from {first.time:.4g} s on"
-    return ""
+    if not result.is_reduced:
+        return ""
+    # in a run whose errors are limited: that with the file's settings, or a log
+    name, first = next((name, run.events[0]) for name, run in result.limited_runs.items() if run.events)
+    who = "your settings are" if name == OWN_RUN else f"the log {name} is"
+    return f"{who} judged without {first.element}, active from {first.time:.4g} s on"

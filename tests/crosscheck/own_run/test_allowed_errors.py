@@ -251,9 +251,7 @@ def test_a_run_of_which_nothing_is_compared_passes_no_limit(capsys, tmp_path, sw
         verdict.assert_accurate(1e-3)
     output = tmp_path / "out"
     options = ["--set", "excitation=off", "--set", "duration=0.5", "--engines", ",".join(ENGINES)]
-    status, text, _ = run(
-        capsys, "run", swing(FINE), *options, "--max-error", "0.5", "--output", output
-    )
+    status, text, _ = run(capsys, "run", swing(FINE), *options, "--max-error", "0.5", "--output", output)
     assert status == ExitStatus.UNFINISHED
     assert verdict_of(text).startswith("UNFINISHED: your settings: not judged: the motion is chaotic")
     assert "allowed" not in text
