@@ -277,27 +277,62 @@ def _motions(
             axis = np.eye(3)["XYZ".index(letter)]
             yield FileJoint(f"{name}_{letter}", JointKind.HINGE, axis, point=np.zeros(3))
     elif kind == "planar":
-        for letter, axis in zip("xyz", np.eye(3), strict=True):
+        # the format defines no limits of a planar joint; as in MuJoCo, they bound its first motion
+        for letter, axis in zip("xyz", _axes_of_plane(_axis(path, joint)), strict=True):
             motion = JointKind.HINGE if letter == "z" else JointKind.SLIDE
-            yield FileJoint(f"{name}_{letter}", motion, axis, point=np.zeros(3))
+            yield _single_motion(joint, f"{name}_{letter}", motion, axis, extensions, limited=letter == "x")
     elif kind in JOINT_KINDS:
-        dynamics, limit = joint.find("dynamics"), joint.find("limit")
-        has_limits = limit is not None and kind in ("revolute", "prismatic")
-        stiffness, rest = extensions.springs.get(name, (0.0, 0.0))
-        yield FileJoint(
-            name,
-            JOINT_KINDS[kind],
-            axis=np.zeros(3) if kind == "floating" else _axis(path, joint),
-            point=np.zeros(3),
-            damping=_number(dynamics, "damping") + extensions.dampings.get(name, 0.0),
-            armature=extensions.armatures.get(name, 0.0),
-            friction=_number(dynamics, "friction"),
-            stiffness=stiffness,
-            rest=rest,
-            limits=(_limit(limit, "lower"), _limit(limit, "upper")) if has_limits else (-math.inf, math.inf),
-            effort=_limit(limit, "effort", math.inf),
-            speed=_limit(limit, "velocity", math.inf),
-        )
+        axis = np.zeros(3) if kind == "floating" else _axis(path, joint)
+        yield _single_motion(joint, name, JOINT_KINDS[kind], axis, extensions)
+
+
+def _single_motion(
+    joint: ET.Element,
+    name: str,
+    kind: JointKind,
+    axis: Array,
+    extensions: Extensions,
+    limited: bool = True,
+) -> FileJoint:
+    """Describe one motion of a joint, with the damping, friction and limits of the joint.
+
+    Args:
+        joint: element of the joint.
+        name: name of the motion.
+        kind: kind of the motion.
+        axis: (3,) unit vector in the frame of the joint; zeros for a free joint.
+        extensions: springs, dampers and rotors that tools add to joints.
+        limited: whether the limits of the joint are those of this motion.
+    """
+    dynamics, limit = joint.find("dynamics"), joint.find("limit") if limited else None
+    has_range = limit is not None and joint.get("type") in ("revolute", "prismatic", "planar")
+    in_file = str(joint.get("name"))
+    stiffness, rest = extensions.springs.get(in_file, (0.0, 0.0))
+    return FileJoint(
+        name,
+        kind,
+        axis,
+        point=np.zeros(3),
+        damping=_number(dynamics, "damping") + extensions.dampings.get(in_file, 0.0),
+        armature=extensions.armatures.get(in_file, 0.0),
+        friction=_number(dynamics, "friction"),
+        stiffness=stiffness,
+        rest=rest,
+        limits=(_limit(limit, "lower"), _limit(limit, "upper")) if has_range else (-math.inf, math.inf),
+        effort=_limit(limit, "effort", math.inf),
+        speed=_limit(limit, "velocity", math.inf),
+    )
+
+
+def _axes_of_plane(normal: Array) -> Array:
+    """Return two axes of a plane and its unit normal (3,) as rows (3, 3): x, y, z, by the shortest turn."""
+    x, y, z = normal
+    if z < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])  # half a turn about x
+    turn = 1.0 / (1.0 + z)
+    first = 1.0 - turn * x * x, -turn * x * y, -x
+    second = -turn * x * y, 1.0 - turn * y * y, -y
+    return np.array([first, second, normal])
 
 
 def _axis(path: str, joint: ET.Element) -> Array:

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -221,6 +222,27 @@ def described(folder: Path, text: str, loops: str = "") -> RobotFile:
         return describe(folder / "robot.urdf")
     (folder / "robot.yaml").write_text(loops)
     return describe(folder / "robot.urdf", folder / "robot.yaml")
+
+
+@pytest.mark.parametrize("axis", ["1 0 0", "0 2 0", "0 0 -1", "0.2 1 0.1"])
+def test_a_planar_joint_moves_in_the_plane_across_its_axis_as_in_mujoco(axis: str, tmp_path: Path) -> None:
+    """The format defines the axis as the normal of the plane; Pinocchio's planar joints are across z."""
+    planar = joint("glides", "planar", "base", "a", '<dynamics damping="0.5" friction="0.25"/>')
+    text = robot(link("a"), planar.replace("0.2 1 0.1", axis))
+    x, y, turn = described(tmp_path, text).robot.bodies[1].joints
+    model = mujoco.MjModel.from_xml_string(text)
+    # MuJoCo keeps the three motions of the joint in the same order; its axes have round-off of a turn
+    ours = np.array([x.axis, y.axis, turn.axis])
+    assert ours @ ours.T == pytest.approx(np.eye(3), abs=1e-14)
+    assert ours[2] == pytest.approx(model.jnt_axis[2], abs=1e-14)
+    assert np.linalg.det(ours) == pytest.approx(np.linalg.det(model.jnt_axis), abs=1e-14)
+    assert [each.kind for each in (x, y, turn)] == [JointKind.SLIDE, JointKind.SLIDE, JointKind.HINGE]
+    assert [each.damping for each in (x, y, turn)] == model.dof_damping.tolist() == [0.5] * 3
+    assert [each.friction for each in (x, y, turn)] == model.dof_frictionloss.tolist() == [0.25] * 3
+    assert model.jnt_limited.tolist() == [1, 0, 0]
+    assert x.limits == tuple(model.jnt_range[0].tolist())
+    assert (x.effort, y.effort, turn.effort) == (9.0, math.inf, math.inf)
+    assert y.limits == turn.limits == (-math.inf, math.inf)
 
 
 def test_joints_have_the_numbers_of_the_file(tmp_path: Path) -> None:
