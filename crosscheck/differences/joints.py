@@ -323,7 +323,12 @@ def _is_hidden(sizes: tuple[float, float], others: tuple[float, float]) -> bool:
 
 
 def _ball_rows(common: CommonFrames, place: JointPlace, name: str) -> Iterator[Difference]:
-    """Yield the row of the center of a ball joint, at the parent, or at the child if only that differs."""
+    """Yield the rows of the limits of a ball joint and of its center, at the child if only that differs."""
+    limits, other_limits = common.numbers(place.pair, "limits")
+    sizes = common.judge.compare(limits, other_limits, absolute)
+    if sizes[0]:
+        values = [numbers(each[0]) if np.isfinite(each[0]).any() else None for each in (limits, other_limits)]
+        yield difference(name, "joint", Quantity.LIMITS, (values[0], values[1]), sizes)
     for number, words in ((place.parent, ""), (place.child, "in the frame of the moved link")):
         line, other = common.lines(place.pair, number)
         sizes = common.compare(number, line.point, other.point, distance)

@@ -167,6 +167,18 @@ def test_numbers_that_make_no_force_by_themselves_are_rows(tmp_path: Path) -> No
     assert found.comparison.unmodeled == ("drive 'flexor'",)
 
 
+def test_largest_angles_of_balls_are_limits(tmp_path: Path) -> None:
+    text = ARM.format(**PLAIN).replace('name="wrist" axis="0 1 0"', 'name="wrist" type="ball" range="0 {}"')
+    text = text.replace('<joint joint="wrist" coef="1"/>', "").replace("<option/>", "")
+    text = text.replace("<worldbody>", '<compiler angle="radian" autolimits="true"/><worldbody>')
+    paths = [tmp_path / "first.xml", tmp_path / "second.xml"]
+    for path, angle in zip(paths, (1, 2), strict=True):
+        path.write_text(text.replace("{}", str(angle)))
+    (row,) = crosscheck.diff(*map(str, paths)).differences
+    assert (row.element, row.quantity, row.unit) == ("wrist", Quantity.LIMITS, "rad")
+    assert (row.first, row.second) == ((0.0, 1.0), (0.0, 2.0))
+
+
 def test_digits_of_the_file_leave_settings_open(tmp_path: Path) -> None:
     """0.7500001 and 0.75 are equal to six digits."""
     found = compared(tmp_path, {"fore": ' gravcomp="0.75"'}, {"fore": ' gravcomp="0.7500001"'})
