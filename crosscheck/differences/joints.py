@@ -324,11 +324,7 @@ def _is_hidden(sizes: tuple[float, float], others: tuple[float, float]) -> bool:
 
 def _ball_rows(common: CommonFrames, place: JointPlace, name: str) -> Iterator[Difference]:
     """Yield the rows of the limits of a ball joint and of its center, at the child if only that differs."""
-    limits, other_limits = common.numbers(place.pair, "limits")
-    sizes = common.judge.compare(limits, other_limits, absolute)
-    if sizes[0]:
-        values = [numbers(each[0]) if np.isfinite(each[0]).any() else None for each in (limits, other_limits)]
-        yield difference(name, "joint", Quantity.LIMITS, (values[0], values[1]), sizes)
+    yield from _limits_row(common, name, *common.numbers(place.pair, "limits"), slide=False)
     for number, words in ((place.parent, ""), (place.child, "in the frame of the moved link")):
         line, other = common.lines(place.pair, number)
         sizes = common.compare(number, line.point, other.point, distance)
@@ -354,10 +350,7 @@ def _coordinate_rows(
     limits, other = common.numbers(pair, "limits")
     # Mirroring exchanges the lower and the upper limit
     other = (pair.sense * (other - offset))[:, :: pair.sense]
-    sizes = common.judge.compare(limits, other, absolute)
-    if sizes[0]:
-        values = [numbers(each[0]) if np.isfinite(each[0]).any() else None for each in (limits, other)]
-        yield difference(name, "joint", Quantity.LIMITS, (values[0], values[1]), sizes, slide=slide)
+    yield from _limits_row(common, name, limits, other, slide)
     springs = common.numbers(pair, "stiffness")
     if springs[0][0] and springs[1][0]:
         rest, other = common.numbers(pair, "rest")
@@ -367,6 +360,16 @@ def _coordinate_rows(
             yield difference(
                 name, "joint", Quantity.REST, (float(rest[0]), float(other[0])), sizes, slide=slide
             )
+
+
+def _limits_row(
+    common: CommonFrames, name: str, first: Array, second: Array, slide: bool
+) -> Iterator[Difference]:
+    """Yield the row of the smallest and largest coordinates (V, 2) of a joint, as in the first file."""
+    sizes = common.judge.compare(first, second, absolute)
+    if sizes[0]:
+        values = [numbers(each[0]) if np.isfinite(each[0]).any() else None for each in (first, second)]
+        yield difference(name, "joint", Quantity.LIMITS, (values[0], values[1]), sizes, slide=slide)
 
 
 def _finite(value: float) -> float | None:
