@@ -1,8 +1,8 @@
 """Find out whether a log is read wrongly: other readings that reduce its error by a large factor.
 
 The error of a log is its deviation from the reference: a simulation of the scene from the start of the log.
-Other readings are orders of quaternions, units, points of bodies, zeros of coordinates, and times. They are
-tried one after the other. A `Mistake` names the columns and the option that selects the other reading.
+The readings of `crosscheck.logs.other_readings` are tried one after the other. A `Mistake` names the columns
+and the option that selects the other reading, a `Mismatch` a coordinate that contradicts logged poses.
 """
 
 from __future__ import annotations
@@ -10,13 +10,17 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from crosscheck.logs.columns import LogData
-from crosscheck.logs.inputs import is_time_dependent
 from crosscheck.logs.options import LogOptions
+from crosscheck.logs.other_readings import (
+    OtherReading,
+    coordinate_columns,
+    other_readings,
+    readings_of_elements,
+)
 from crosscheck.logs.poses import body_poses, coordinates_in_poses, joint_errors, logged_quantities
 from crosscheck.logs.reading import ComparedLog, LogReading
 from crosscheck.own_run.errors import USABLE_BELOW, RunError, run_error
@@ -43,9 +47,6 @@ DELAY_ROUNDS = 4
 
 MAX_DELAY = 0.25
 """Largest delay that is searched, as a fraction of the duration of the log."""
-
-REST = 1e-3
-"""Largest motion of a log, divided by its whole motion, that counts as rest at its start."""
 
 MIN_MOTION = 1e-9
 """Motion, sizes of the mechanism and rad, that counts as round-off: files often have nine digits or more."""
@@ -106,22 +107,6 @@ class Mismatch:
         return f"column {quoted(self.columns[0])}: {self.what}{remedy}"
 
 
-class OtherReading(NamedTuple):
-    """Another reading of a log.
-
-    Attributes:
-        options: options that select it.
-        columns: columns that it concerns.
-        what: the reading in words, such as "unit deg".
-        option: the option that differs, as on the command line.
-    """
-
-    options: LogOptions
-    columns: tuple[str, ...]
-    what: str
-    option: str
-
-
 def find_mistakes(
     reading: LogReading, options: LogOptions, data: LogData, compared: ComparedLog | None
 ) -> tuple[Mistake, ...]:
@@ -137,25 +122,16 @@ def find_mistakes(
     fits_no_state = compared is None
     end = time.process_time() + MAX_SEARCH_S
     while len(found) < MAX_MISTAKES and (compared is None or compared.error.relative > USABLE_BELOW):
-        # the reading with the smallest error
-        best: tuple[ComparedLog, OtherReading] | None = None
-        for other in other_readings(reading, options, data):
-            if time.process_time() > end:
-                break
-            try:
-                tried = reading.compared(other.options)
-            except NewtonEulerError:
-                continue
-            if other.options.time != options.time and (
-                tried.error.relative >= USABLE_BELOW or not _explains_motion(tried)
-            ):
-                continue  # in a much shorter time little moves, whatever the log has
-            if best is None or tried.error.relative < best[0].error.relative:
-                best = tried, other
-        if best is None:
-            break
         before = None if compared is None else compared.error
-        if before is not None and best[0].error.relative * MISTAKE_FACTOR >= before.relative:
+        # the most frequent readings, and unless one of them fits, those of single elements
+        best: tuple[ComparedLog, OtherReading] | None = None
+        for others in (other_readings, readings_of_elements):
+            best = _best_reading(reading, options, others(reading, options, data), end, best)
+            if best is not None and best[0].error.relative < USABLE_BELOW:
+                break
+        if best is None or (
+            before is not None and best[0].error.relative * MISTAKE_FACTOR >= before.relative
+        ):
             break
         # search further mistakes in addition to this one
         compared, other = best
@@ -167,6 +143,38 @@ def find_mistakes(
     if compared is not None and compared.error.relative > USABLE_BELOW:
         found.extend(_delay(compared))
     return tuple(found)
+
+
+def _best_reading(
+    reading: LogReading,
+    options: LogOptions,
+    others: Iterator[OtherReading],
+    end: float,
+    best: tuple[ComparedLog, OtherReading] | None,
+) -> tuple[ComparedLog, OtherReading] | None:
+    """Return the reading with the smallest error among others and the best one so far; None for none.
+
+    Args:
+        reading: the log.
+        options: options of the present reading.
+        others: other readings.
+        end: processor time, s, after which no further reading is tried.
+        best: the best other reading so far, and the log read so.
+    """
+    for other in others:
+        if time.process_time() > end:
+            break
+        try:
+            tried = reading.compared(other.options)
+        except NewtonEulerError:
+            continue
+        if other.options.time != options.time and (
+            tried.error.relative >= USABLE_BELOW or not _explains_motion(tried)
+        ):
+            continue  # in a much shorter time little moves, whatever the log has
+        if best is None or tried.error.relative < best[0].error.relative:
+            best = tried, other
+    return best
 
 
 def find_mismatches(reading: LogReading, options: LogOptions, compared: ComparedLog) -> tuple[Mismatch, ...]:
@@ -190,7 +198,7 @@ def find_mismatches(reading: LogReading, options: LogOptions, compared: Compared
     )
     allowed = max(USABLE_BELOW, MISTAKE_FACTOR * violation)
     in_poses, found = coordinates_in_poses(mechanism, poses), list[Mismatch]()
-    columns = dict(_coordinate_columns(reading, compared.data))
+    columns = dict(coordinate_columns(reading, compared.data))
 
     def difference(key: Key, values: Array) -> float:
         """Return the largest difference of a coordinate from that of the poses, m or rad."""
@@ -226,100 +234,6 @@ def _explains_motion(compared: ComparedLog) -> bool:
     motion = max(each.length for each in mechanisms) / size + max(each.angle for each in mechanisms)
     error_of_log = error.largest_position / size + error.largest_rotation
     return motion > MISTAKE_FACTOR * max(error_of_log, MIN_MOTION)
-
-
-def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> Iterator[OtherReading]:
-    """Yield readings that differ from the present one in one option.
-
-    Args:
-        reading: the log.
-        options: options of the present reading.
-        data: numbers of the log with these options.
-    """
-    # order of quaternions
-    quaternions = [frame.quaternion for frame in data.frames.values() if frame.quaternion is not None]
-    if quaternions:
-        columns = tuple(name for each in quaternions for name in each.columns)
-        for order in ("xyzw", "wxyz"):
-            if order != options.quaternion:
-                other = replace(options, quaternion=order)
-                what = f"order {', '.join(order)} of the columns"
-                yield OtherReading(other, columns, what, f"--log-set quaternion={order}")
-    # units of all angles, of all lengths, and of single angles
-    angles = data.without_unit.get("angle", [])
-    if angles:
-        unit = "deg" if options.angle == "rad" else "rad"
-        other = replace(options, angle=unit)  # type: ignore[arg-type]
-        yield OtherReading(other, tuple(angles), f"unit {unit}", f"--log-set angle={unit}")
-    for unit in ("mm", "cm", "m"):
-        if (lengths := data.without_unit.get("length", [])) and unit != options.length:
-            other = replace(options, length=unit)  # type: ignore[arg-type]
-            yield OtherReading(other, tuple(lengths), f"unit {unit}", f"--log-set length={unit}")
-    if len(angles) > 1 and options.angle == "rad":
-        for name, quantity in dict(_coordinate_columns(reading, data)).items():
-            if name in angles:
-                other = replace(options, columns={**options.columns, name: f"{quantity} [deg]"})
-                yield OtherReading(other, (name,), "unit deg", f"--log-map '{name}={quantity} [deg]'")
-    # points of bodies, and zeros of coordinates
-    positions = [frame.position for frame in data.frames.values() if frame.position is not None]
-    if positions:
-        columns = tuple(name for each in positions for name in each.columns)
-        for point, words in (("center", "centers of mass"), ("frame", "origins of body frames")):
-            if point != options.position:
-                other = replace(options, position=point)  # type: ignore[arg-type]
-                yield OtherReading(other, columns, words, f"--log-set position={point}")
-    # `zero`: logged coordinates are zero at the zero pose of the model "file", or at the scene's "start".
-    # Without a model file there are no names in the file (`reading.names`), and the start is the only zero
-    if data.coordinates and reading.names is not None and options.zero == "file":
-        columns = tuple(name for each in data.coordinates.values() for name in each.columns)
-        other = replace(options, zero="start")
-        yield OtherReading(other, columns, "coordinates from the start of the file", "--log-set zero=start")
-    # steps that logged inputs belong to
-    if (data.inputs or data.forces) and options.inputs == "log":
-        columns = tuple(
-            name for each in (*data.inputs.values(), *data.forces.values()) for name in each.columns
-        )
-        what = "inputs of the step before each row"
-        yield OtherReading(replace(options, inputs="before"), columns, what, "--log-set inputs=before")
-    # unit of times, and time zero of the scene
-    if options.time == "s":
-        for unit in ("ms", "us", "ns"):
-            other = replace(options, time=unit)  # type: ignore[arg-type]
-            yield OtherReading(other, ("time",), f"unit {unit}", f"--log-set time={unit}")
-    first = float(data.time[0])
-    if options.offset == 0.0 and (row := _last_row_at_rest(data)) > 0:
-        motion = float(data.time[row])
-        other = replace(options, offset=motion)
-        what = f"times {motion - first:.4g} s earlier, as nothing moves before"
-        yield OtherReading(other, ("time",), what, f"--log-set offset={motion:.9g}")
-    if options.offset == 0.0 and first != 0.0 and is_time_dependent(reading.scene):
-        other = replace(options, offset=first)
-        what = f"time {first:.6g} s as time zero"
-        yield OtherReading(other, ("time",), what, f"--log-set offset={first:.9g}")
-
-
-def _last_row_at_rest(data: LogData) -> int:
-    """Return the last of the rows at the start of a log in which nothing moves, see `REST`."""
-    kinds = (
-        [each.values for each in data.coordinates.values()],
-        [frame.position.values for frame in data.frames.values() if frame.position],
-        [frame.quaternion.values for frame in data.frames.values() if frame.quaternion],
-    )
-    moves = np.zeros(len(data.time), dtype=bool)
-    for values in filter(None, kinds):
-        columns = np.column_stack(values)
-        moved = np.max(np.abs(columns - columns[0]), axis=1)
-        moves |= moved > REST * np.max(moved)
-    return max(0, int(np.argmax(moves)) - 1)  # 0 also if nothing moves in any row
-
-
-def _coordinate_columns(reading: LogReading, data: LogData) -> Iterator[tuple[str, str]]:
-    """Yield the column of each joint coordinate, and the quantity as `LogOptions.columns` names it."""
-    # a coordinate may have several names, of the scene and of the model file
-    for key, measured in data.coordinates.items():
-        for name, (named_key, _) in reading.elements.coordinates.items():
-            if named_key == key:
-                yield measured.columns[0], f"coordinate.{name}"
 
 
 def _delay(compared: ComparedLog) -> Iterator[Mistake]:

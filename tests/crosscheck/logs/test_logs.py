@@ -207,7 +207,33 @@ def held(table, rows):
     return late | {"time": step * np.arange(len(table["time"]) + rows)}
 
 
+def exchanged(table, first, second):
+    """A log with the columns of two elements exchanged."""
+    names = {first: second, second: first}
+    return renamed(table, lambda name: re.sub(rf"\b({first}|{second})(?=\b|_)", lambda m: names[m[1]], name))
+
+
 DAMAGE = {
+    "order of one body": (
+        lambda j, b: b | {name: x for name, x in xyzw(b).items() if "coupler" in name},
+        "coupler/orientation/w' and 3 more: order x, y, z, w",
+        "--log-map '/poses/coupler/orientation/w=quaternion.coupler.x'",
+    ),
+    "millimeters of one body": (
+        lambda j, b: {n: 1e3 * c if "coupler/position" in n else c for n, c in b.items()},
+        "coupler/position/x' and 2 more: unit mm",
+        "--log-map '/poses/coupler/position/x=position.coupler.x [mm]'",
+    ),
+    "exchanged joints": (
+        lambda j, b: exchanged(j, "motor", "pivot"),
+        "'pivot' and 3 more: joints 'pivot' and 'motor' exchanged",
+        "--log-map 'pivot=coordinate.motor' --log-map 'pivot_vel=rate.motor'",
+    ),
+    "exchanged bodies": (
+        lambda j, b: exchanged(b, "crank", "rocker"),
+        "'/poses/rocker/position/x' and 13 more: bodies 'rocker' and 'crank' exchanged",
+        "",
+    ),
     "order, by name": (
         lambda j, b: xyzw(b),
         "orientation/w' and 11 more: order x, y, z, w",
