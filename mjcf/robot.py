@@ -297,7 +297,7 @@ class _Description:
             stiffness=self._stiffness[number],
             rest=float(model.qpos_spring[in_q]) if has_axis else 0.0,
             limits=self._limits[number],
-            effort=max(abs(limit) for limit in self._efforts[number]),
+            effort=self._efforts[number],
         )
 
     def _add_equality(self, number: int) -> bool:

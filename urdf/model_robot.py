@@ -226,7 +226,10 @@ class _Description:
             armature=float(model.armature[in_v]),
             friction=float(dry),
             limits=limits,
-            effort=finite_or_infinite(model.upperEffortLimit[in_v]),
+            effort=(
+                finite_or_infinite(model.lowerEffortLimit[in_v]),
+                finite_or_infinite(model.upperEffortLimit[in_v]),
+            ),
             speed=finite_or_infinite(model.upperVelocityLimit[in_v]),
         )
 

@@ -308,6 +308,7 @@ def _single_motion(
     has_range = limit is not None and joint.get("type") in ("revolute", "prismatic", "planar")
     in_file = str(joint.get("name"))
     stiffness, rest = extensions.springs.get(in_file, (0.0, 0.0))
+    effort = _limit(limit, "effort", math.inf)
     return FileJoint(
         name,
         kind,
@@ -319,7 +320,7 @@ def _single_motion(
         stiffness=stiffness,
         rest=rest,
         limits=(_limit(limit, "lower"), _limit(limit, "upper")) if has_range else (-math.inf, math.inf),
-        effort=_limit(limit, "effort", math.inf),
+        effort=(-effort, effort),
         speed=_limit(limit, "velocity", math.inf),
     )
 

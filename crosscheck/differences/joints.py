@@ -33,7 +33,6 @@ JOINT_NUMBERS: dict[Quantity, str] = {
     Quantity.ARMATURE: "armature",
     Quantity.FRICTION: "friction",
     Quantity.STIFFNESS: "stiffness",
-    Quantity.EFFORT: "effort",
     Quantity.SPEED: "speed",
 }
 """Numbers of a joint that do not depend on frames, zeros and signs, with the names of their fields."""
@@ -63,12 +62,15 @@ def joint_rows(common: CommonFrames, place: JointPlace, zeros: dict[JointKey, fl
             assert_never(place.kind)
     for quantity, field in JOINT_NUMBERS.items():
         first, second = common.numbers(pair, field)
-        if quantity == Quantity.EFFORT:
-            first, second = _effort(common, pair, first, second)
         sizes = common.judge.compare(first, second, relative)
         if sizes[0]:
             values = _finite(first[0]), _finite(second[0])
             yield difference(name, "joint", quantity, values, sizes, slide=slide)
+    efforts = _efforts(common, pair)
+    sizes = common.judge.compare(*efforts, relative)
+    if sizes[0]:
+        shown = _effort_shown(efforts[0][0]), _effort_shown(efforts[1][0])
+        yield difference(name, "joint", Quantity.EFFORT, shown, sizes, slide=slide)
 
 
 def regrouped_rows(common: CommonFrames) -> Iterator[Difference]:
@@ -134,14 +136,23 @@ def moved_joint_row(common: CommonFrames, pair: JointPair) -> Difference:
     return difference(name, "joint", Quantity.PARENT, (parents[0], parents[1]), (1.0, 0.0))
 
 
-def _effort(common: CommonFrames, pair: JointPair, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return the efforts (V,) of a joint in both files; if one file has no drives, those of the drives count.
+def _effort_shown(effort: Array) -> Value:
+    """Return the largest effort if it is that of both directions, both efforts if not, None without limit."""
+    low, high = effort.tolist()
+    return _finite(high) if low == -high else (low, high)
+
+
+def _efforts(common: CommonFrames, pair: JointPair) -> tuple[Array, Array]:
+    """Return the efforts (V, 2) of a joint in both files, in the sense of the first file.
+
+    If one file has no drives, the efforts of the drives count.
 
     Args:
         common: both robots.
         pair: the joints.
-        first, second: efforts (V,) of the joints themselves.
     """
+    first, second = common.numbers(pair, "effort")
+    second = (pair.sense * second)[:, :: pair.sense]
     robots = common.first.file.robot, common.second.file.robot
     if bool(robots[0].drives) == bool(robots[1].drives):
         return first, second
@@ -151,7 +162,8 @@ def _effort(common: CommonFrames, pair: JointPair, first: Array, second: Array) 
         limits = [
             _largest_force(drive) * abs(drive.gears[name]) for drive in robot.drives if name in drive.gears
         ]
-        efforts.append(np.minimum(effort, sum(limits) if limits else math.inf))
+        largest = sum(limits) if limits else math.inf
+        efforts.append(np.clip(effort, -largest, largest))
     return efforts[0], efforts[1]
 
 

@@ -155,7 +155,8 @@ class Twins:
             if not np.isfinite([own, other]).all() or not own.any():
                 return None
             # limits are equal, or mirrored if the axes are
-            versions = [other, -other[::-1]] if row.quantity is Quantity.LIMITS else [other]
+            is_range = row.quantity in (Quantity.LIMITS, Quantity.EFFORT)
+            versions = [other, -other[::-1]] if is_range else [other]
             measures.append(own)
             gaps.append(min(float(np.linalg.norm(own - version)) for version in versions))
         name = first.joint(self._twin_joints[0][keys[0]]).name

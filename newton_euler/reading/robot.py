@@ -94,7 +94,7 @@ class FileJoint:
         rest: coordinate at which the spring has no force, rad or m.
         limits: smallest and largest coordinate, rad or m, of a ball 0 and the largest angle; infinite without
             limit.
-        effort: largest force or torque of all drives together, N or N m; infinite without limit.
+        effort: smallest and largest force or torque of all drives together, N or N m; infinite without limit.
         speed: largest velocity, m/s or rad/s; infinite without limit.
     """
 
@@ -109,7 +109,7 @@ class FileJoint:
     stiffness: float = 0.0
     rest: float = 0.0
     limits: tuple[float, float] = (-math.inf, math.inf)
-    effort: float = math.inf
+    effort: tuple[float, float] = (-math.inf, math.inf)
     speed: float = math.inf
 
 

@@ -67,7 +67,7 @@ ARM = """<mujoco model="arm"><compiler angle="degree" autolimits="true"/>
   <body name="upper" pos="0 0 1">
     <inertial pos="0.1 0 0" mass="2.5" fullinertia="0.02 0.03 0.04 0.001 0.002 0.003"/>
     <joint name="shoulder" axis="0 2 0" ref="30" range="-30 120" springref="10" stiffness="4" armature="0.125"
-           actuatorfrcrange="-12 12"/>
+           actuatorfrcrange="-6 12"/>
     <body name="lower" pos="0.5 0 0"><inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.02 0.015"/>
       <joint name="elbow" axis="0 1 0" damping="0"/><site name="tip" pos="0.5 0 0"/></body></body>
   <body name="slider"><inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/>
@@ -109,9 +109,9 @@ def test_joints_have_the_numbers_of_the_file(arm: RobotFile) -> None:
     assert shoulder.zero == pytest.approx(math.radians(30.0), rel=1e-15)
     assert shoulder.limits == pytest.approx((math.radians(-30.0), math.radians(120.0)), rel=1e-15)
     assert shoulder.rest == pytest.approx(math.radians(10.0), rel=1e-15)
-    assert (shoulder.stiffness, shoulder.armature, shoulder.effort) == (4.0, 0.125, 12.0)
+    assert (shoulder.stiffness, shoulder.armature, shoulder.effort) == (4.0, 0.125, (-6.0, 12.0))
     assert (shoulder.damping, shoulder.friction, shoulder.speed) == (0.25, 0.5, math.inf)
-    assert (elbow.damping, elbow.limits, elbow.effort) == (0.0, (-math.inf, math.inf), math.inf)
+    assert (elbow.damping, elbow.limits, elbow.effort) == (0.0, (-math.inf, math.inf), (-math.inf, math.inf))
     upper = arm.robot.bodies[0]
     full = [[0.02, 0.001, 0.002], [0.001, 0.03, 0.003], [0.002, 0.003, 0.04]]
     # MuJoCo stops its search for principal axes at an error of 1e-12

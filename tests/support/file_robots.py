@@ -41,7 +41,9 @@ def turn(axis: str, angle: float) -> Array:
 
 
 def hinge(name: str, axis: list[float], **numbers: Any) -> FileJoint:
-    """Return a hinge through the origin of its body."""
+    """Return a hinge through the origin of its body; its effort is the same in both directions."""
+    if "effort" in numbers:
+        numbers["effort"] = (-numbers["effort"], numbers["effort"])
     return FileJoint(name, JointKind.HINGE, np.array(axis, dtype=float), np.zeros(3), **numbers)
 
 
@@ -150,7 +152,7 @@ def walker() -> Robot:
         for link in links
     ]
     drives = tuple(
-        FileDrive(f"{joint.name}_motor", {joint.name: 1.0}, 1.0, control_limits=(-joint.effort, joint.effort))
+        FileDrive(f"{joint.name}_motor", {joint.name: 1.0}, 1.0, control_limits=joint.effort)
         for link in links
         for joint in link.joints
         if joint.kind == JointKind.HINGE
@@ -216,7 +218,9 @@ def with_body(robot: Robot, name: str, **changes: Any) -> Robot:
 
 
 def with_joint(robot: Robot, name: str, **changes: Any) -> Robot:
-    """Return a robot in which fields of one joint are replaced."""
+    """Return a robot in which fields of one joint are replaced; an effort is that of both directions."""
+    if "effort" in changes:
+        changes["effort"] = (-changes["effort"], changes["effort"])
     bodies = [
         replace(link, joints=tuple(replace(j, **changes) if j.name == name else j for j in link.joints))
         for link in robot.bodies

@@ -187,7 +187,7 @@ def test_a_model_in_memory_has_the_numbers_of_the_file() -> None:
     )
     first, slide = bodies["a"].joints[0], bodies["b"].joints[0]
     assert (first.damping, first.friction) == (0.5, 0.1)
-    assert (first.limits, first.effort, first.speed) == ((-1.0, 1.0), 9.0, 9.0)
+    assert (first.limits, first.effort, first.speed) == ((-1.0, 1.0), (-9.0, 9.0), 9.0)
     assert slide.kind == JointKind.SLIDE
     assert bodies["d"].joints[0].limits == (-math.inf, math.inf)
     compound = compound_model()
@@ -241,7 +241,7 @@ def test_a_planar_joint_moves_in_the_plane_across_its_axis_as_in_mujoco(axis: st
     assert [each.friction for each in (x, y, turn)] == model.dof_frictionloss.tolist() == [0.25] * 3
     assert model.jnt_limited.tolist() == [1, 0, 0]
     assert x.limits == tuple(model.jnt_range[0].tolist())
-    assert (x.effort, y.effort, turn.effort) == (9.0, math.inf, math.inf)
+    assert (x.effort[1], y.effort[1], turn.effort[1]) == (9.0, math.inf, math.inf)
     assert y.limits == turn.limits == (-math.inf, math.inf)
 
 
@@ -258,11 +258,11 @@ def test_joints_have_the_numbers_of_the_file(tmp_path: Path) -> None:
     joints = {joint.name: joint for body in found.robot.bodies for joint in body.joints}
     first, third, fourth = joints["first"], joints["third"], joints["fourth"]
     assert (first.damping, first.friction, first.limits) == (0.5, 0.1, (-1.0, 1.0))
-    assert (first.effort, first.speed, joints["second"].effort) == (7.0, 3.0, 9.0)
+    assert (first.effort, first.speed, joints["second"].effort) == ((-7.0, 7.0), 3.0, (-9.0, 9.0))
     # limits of a continuous joint do not count, but those of effort and speed do
-    assert (third.limits, third.effort) == ((-math.inf, math.inf), 9.0)
+    assert (third.limits, third.effort) == ((-math.inf, math.inf), (-9.0, 9.0))
     assert (fourth.stiffness, fourth.rest, fourth.armature, fourth.damping) == (2.0, 0.25, 0.125, 0.5)
-    assert (fourth.effort, fourth.axis.tolist()) == (math.inf, [1.0, 0.0, 0.0])
+    assert (fourth.effort[1], fourth.axis.tolist()) == (math.inf, [1.0, 0.0, 0.0])
     (coupling,) = found.robot.couplings
     assert (coupling.follower, coupling.leader, coupling.powers) == ("fourth", "first", (0.5, -2.0))
     assert found.robot.gravity is None
@@ -373,7 +373,7 @@ def test_uncertainties_by_hand(tmp_path: Path) -> None:
         # numbers from 1 to 10 have a sixth significant digit of 1e-5; whole numbers are exact
         low, high = rod.joints[0].limits
         assert (abs(low + 1.5), high) == (pytest.approx(0.5e-5, rel=1e-9), 2.0)
-        assert abs(rod.joints[0].effort - 3.25) == pytest.approx(0.5e-5, rel=1e-9)
+        assert abs(rod.joints[0].effort[1] - 3.25) == pytest.approx(0.5e-5, rel=1e-9)
         assert rod.joints[0].speed == 1.0
 
 

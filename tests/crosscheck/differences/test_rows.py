@@ -7,12 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+import mujoco
 import numpy as np
 import pytest
 
 from crosscheck.differences.alignment import Alignment, JointGroups, align
 from crosscheck.differences.difference import Difference, Quantity, Standing, unit
 from crosscheck.differences.rows import differences
+from mjcf.robot import describe as describe_mjcf
 from newton_euler.reading.robot import (
     FileCoupling,
     FileDrive,
@@ -758,6 +760,25 @@ def test_a_file_without_drives_has_the_efforts_of_the_drives_of_the_other_file()
     weaker = with_drive(first, "left_knee_motor", control_limits=(-35, 35))
     _, row = sorted(rows_of(weaker, second), key=lambda row: row.element_kind)
     assert (row.element, row.quantity, row.first, row.second) == ("left_knee", Quantity.EFFORT, 35.0, 50.0)
+
+
+def test_efforts_of_each_direction_are_compared_in_the_sense_of_the_first_file() -> None:
+    text = """<mujoco><worldbody><body name="arm"><joint name="turn" axis="0 {0} 0"{1}/>
+      <inertial pos="0.1 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
+    texts = [
+        text.format(axis, f' limited="true" range="{low} {high}" actuatorfrcrange="{efforts}"')
+        for axis, low, high, efforts in (
+            (1, -20, 40, "-10 20"), (1, -20, 40, "-20 20"), (-1, -40, 20, "-20 10")
+        )
+    ]  # fmt: skip
+    first, both, reversed_joint = (describe_mjcf(mujoco.MjModel.from_xml_string(each)) for each in texts)
+    (row,) = rows_of(first.robot, both.robot)
+    assert (row.quantity, row.first, row.second) == (Quantity.EFFORT, (-10.0, 20.0), 20.0)
+    pairs = align(first.robot, reversed_joint.robot, {})
+    assert [pair.sense for pair in pairs.joints] == [-1]
+    rows = differences(first, reversed_joint, pairs, None)
+    assert Quantity.SIGN in {row.quantity for row in rows}
+    assert not {Quantity.EFFORT, Quantity.LIMITS} & {row.quantity for row in rows}
 
 
 def test_three_slides_and_a_ball_let_the_base_float_as_a_free_joint_does():
