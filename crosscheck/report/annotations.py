@@ -19,6 +19,7 @@ from urllib.parse import quote
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.alignment import Alignment
 from crosscheck.differences.difference import Difference, Quantity
+from crosscheck.differences.frames import joint_name
 from crosscheck.differences.result import FileComparison
 from crosscheck.report.diff import effect_text, sentence, size_text, verdict
 from crosscheck.report.render import printable
@@ -65,10 +66,10 @@ class Annotation:
 def annotate(comparison: FileComparison) -> list[Annotation]:
     """Return the true differences of two files, the largest effect on motion first."""
     files = comparison.second, comparison.first
-    renamed = _partners(comparison.first.robot, comparison.second.robot, comparison.alignment)
+    partners = _partners(comparison.first.robot, comparison.second.robot, comparison.alignment)
     found = []
     for row in comparison.differences:
-        names = renamed.get(row.element, row.element), row.element
+        names = partners.get((row.element_kind, row.element), row.element), row.element
         is_there = row.second is not None, row.first is not None
         lines = [
             _line_of(file, row, name)
@@ -83,37 +84,33 @@ def annotate(comparison: FileComparison) -> list[Annotation]:
     return found
 
 
-def _partners(first: Robot, second: Robot, alignment: Alignment) -> dict[str, str]:
-    """Return the names of bodies and joints in the second robot, by their names in the first."""
-    joints = {
-        first.bodies[pair.first[0]].joints[pair.first[1]].name: second.bodies[pair.second[0]]
-        .joints[pair.second[1]]
-        .name
-        for pair in alignment.joints
-    }
-    bodies = {
-        first.bodies[index].name: second.bodies[pair.second[0]].name
-        for pair in alignment.bodies
-        for index in pair.first
-    }
-    return joints | bodies
+def _partners(first: Robot, second: Robot, alignment: Alignment) -> dict[tuple[str, str], str]:
+    """Return the names of bodies and joints in the second robot, by kind and name in the first."""
+    partners = {}
+    for joints in alignment.joints:
+        partners["joint", joint_name(first, joints.first)] = joint_name(second, joints.second)
+    for bodies in alignment.bodies:
+        others = [second.bodies[index].name for index in bodies.second]
+        for index in bodies.first:
+            name = first.bodies[index].name
+            partners["body", name] = name if name in others else others[0]
+    return partners
 
 
-def _line_of(file: RobotFile, row: Difference, partner: str) -> SourceLine:
+def _line_of(file: RobotFile, row: Difference, name: str) -> SourceLine:
     """Return the line of the element of a row; the first line of the file for an element without name.
 
     Args:
         file: the file.
         row: the row.
-        partner: name of the element in this file, unless it has the name of the row.
+        name: name of the element in this file.
     """
-    for name in (row.element, partner):
-        for tag in TAGS.get(row.element_kind, ()):
-            if (tag, name) in file.lines:
-                return file.lines[tag, name]
-        for (_, other), line in file.lines.items():
-            if other == name:
-                return line
+    for tag in TAGS.get(row.element_kind, ()):
+        if (tag, name) in file.lines:
+            return file.lines[tag, name]
+    for (_, other), line in file.lines.items():
+        if other == name:
+            return line
     return SourceLine(file.source, 1)
 
 

@@ -73,6 +73,21 @@ def test_lines_are_those_of_the_elements(files: tuple[str, str]) -> None:
     assert "1.5 against 1.8 kg" in found["mass"].text
 
 
+def test_lines_are_those_of_partners_if_names_are_exchanged(files: tuple[str, str]) -> None:
+    """A joint has the name of a body, and names of joints are exchanged; lines are counted by hand."""
+    text = """<mujoco><worldbody>
+<body name="a"><joint name="{0}" axis="0 1 0" damping="{2}"/>
+<inertial pos="0.1 0 0" mass="{3}" diaginertia="0.02 0.1 0.1"/>
+<body name="b" pos="0.3 0 0.1"><joint name="{1}" axis="1 0 0"/>
+<inertial pos="0.1 0.2 0" mass="0.8" diaginertia="0.01 0.04 0.03"/></body>
+</body></worldbody></mujoco>"""
+    Path(files[0]).write_text(text.format("q", "a", 0.2, 1.5))
+    Path("second.xml").write_text(text.format("a", "q", 0.3, 1.8))
+    found = {each.rule: each for each in annotate(crosscheck.diff(files[0], "second.xml").comparison)}
+    assert [line.line for line in found["damping"].lines] == [2, 2]
+    assert [line.line for line in found["mass"].lines] == [2, 2]
+
+
 def test_files_in_the_current_folder_come_first(
     files: tuple[str, str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
