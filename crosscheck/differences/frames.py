@@ -185,18 +185,19 @@ class CommonFrames:
         )
 
     def stands_still(self, number: int) -> bool:
-        """Return whether both robots stand on a pair of bodies that is fixed to the ground.
+        """Return whether both robots stand on a pair of bodies that is fixed to the ground."""
+        pair = self.alignment.bodies[number]
+        ends = (self.first.file.robot, pair.first[0]), (self.second.file.robot, pair.second[0])
+        return all(self.is_on_ground(robot, body) for robot, body in ends)
+
+    def is_on_ground(self, robot: Robot, body: int) -> bool:
+        """Return whether a body of one of the robots is fixed to the ground.
 
         A URDF does not tell a robot whose base floats from one that is fixed, unless its root is "world".
         """
         files = self.first.file, self.second.file
-        if not any(file.format != "URDF" or file.robot.bodies[0].name == "world" for file in files):
-            return False
-        pair = self.alignment.bodies[number]
-        return not any(
-            _has_joint_above(file.robot, body)
-            for file, body in zip(files, (pair.first[0], pair.second[0]), strict=True)
-        )
+        has_ground = any(file.format != "URDF" or file.robot.bodies[0].name == "world" for file in files)
+        return has_ground and not _has_joint_above(robot, body)
 
     def lines(self, pair: JointPair, number: int) -> tuple[Line, Line]:
         """Return the axis of a joint in both robots, in the common frame of a pair of bodies."""

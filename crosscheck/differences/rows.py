@@ -78,15 +78,28 @@ def differences(
         if common.stands_still(number)
         for body in alignment.bodies[number].first
     }
-    return [_without_effect(row, at_rest) for row in with_causes(rows, first, second, tolerance)]
+    fixed_alone = {
+        file.robot.bodies[body].name
+        for file, bodies in ((first, alignment.first_bodies), (second, alignment.second_bodies))
+        for body in bodies
+        if common.is_on_ground(file.robot, body)
+    }
+    return [_without_effect(row, at_rest, fixed_alone) for row in with_causes(rows, first, second, tolerance)]
 
 
-def _without_effect(row: Difference, at_rest: set[str]) -> Difference:
-    """Return a row that is no true difference if it is about the mass of bodies that stand still."""
-    is_mass = row.element_kind == "body" and row.quantity in MASS_QUANTITIES
-    if row.standing is not Standing.DIFFERENT or not is_mass or not {*row.elements} <= at_rest:
+def _without_effect(row: Difference, at_rest: set[str], fixed_alone: set[str]) -> Difference:
+    """Return a row that is no true difference if it is about masses that stand still.
+
+    Args:
+        row: the row.
+        at_rest: names of bodies that stand still in both files.
+        fixed_alone: names of bodies that only one file has, fixed to the ground.
+    """
+    is_mass = row.quantity in MASS_QUANTITIES and {*row.elements} <= at_rest
+    is_fixed = row.quantity is Quantity.PRESENCE and {*row.elements} <= fixed_alone
+    if row.standing is not Standing.DIFFERENT or row.element_kind != "body" or not (is_mass or is_fixed):
         return row
-    words = "the base is fixed"
+    words = "the base is fixed" if is_mass else "fixed to the ground"
     cause = f"{row.cause}; {words}" if row.cause else words
     return replace(row, cause=cause, effect=0.0, convention=True)
 

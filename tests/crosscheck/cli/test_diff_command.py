@@ -265,3 +265,27 @@ def test_one_of_a_kind_is_singular(capsys, tmp_path):
     assert "not described: bodies with compensation of gravity (1)" in words
     # the file has no name of its own: it is not MuJoCo's default, "MuJoCo Model"
     assert "gravity of earth: 0 0 -9.81 against 0 0 -1.62 m/s^2" in words
+
+
+FUSED = """<mujoco><compiler fusestatic="{}"/><worldbody><body name="stand" pos="0 0 1">
+  <inertial pos="0 0 0" mass="3" diaginertia="0.1 0.1 0.1"/>
+  <body name="arm"><joint name="turn" axis="0 1 0"/>
+    <inertial pos="0.1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></body></worldbody></mujoco>"""
+
+
+def test_a_body_fixed_to_the_ground_that_only_one_file_has_is_no_difference(tmp_path):
+    paths = [tmp_path / "parts.xml", tmp_path / "fused.xml"]
+    for path, fuses in zip(paths, ("false", "true"), strict=True):
+        path.write_text(FUSED.format(fuses), encoding="utf-8")
+    # MuJoCo's own accelerations are equal to the last bit, and only one model has the body
+    models = [mujoco.MjModel.from_xml_path(str(path)) for path in paths]
+    states = [mujoco.MjData(model) for model in models]
+    for model, state in zip(models, states, strict=True):
+        mujoco.mj_forward(model, state)
+    assert [model.nbody for model in models] == [3, 2]
+    assert states[0].qacc.tolist() == states[1].qacc.tolist()
+    found = crosscheck.diff(*paths)
+    assert (found.outcome, found.same) == (Outcome.SAME, True)
+    [row] = found.comparison.rows
+    assert (row.element, row.quantity, row.first, row.second) == ("stand", "presence", 3.0, None)
+    assert (row.standing, row.cause) == ("convention", "fixed to the ground")
