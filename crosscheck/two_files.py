@@ -39,12 +39,12 @@ class Diff(Shown):
 
     @property
     def same(self) -> bool:
-        """True if no number differs by more than the digits of the files leave open."""
+        """True if no number or motion differs by more than the digits of the files leave open."""
         return self.comparison.outcome.passes()
 
     @property
     def outcome(self) -> Outcome:
-        """`SAME`, `SAME_TO_ROUNDING` or `DIFFERENT`."""
+        """`SAME`, `SAME_TO_ROUNDING`, `DIFFERENT`, or `UNFINISHED` if motions could not be compared."""
         return self.comparison.outcome
 
     @property

@@ -60,7 +60,8 @@ def diff_command(
     and by structure. Each difference has one row with its effect on the motion. Differences within the
     digits of the files are rounding. In GitHub Actions, differences are annotations at lines of the files.
 
-    The exit status is 0 if the robots are the same, also to rounding, and 1 if they differ.
+    The exit status is 0 if the robots are the same, also to rounding, 1 if they differ, and 3 if the numbers
+    are the same but the motions could not be compared.
     """
     options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
     return compare_and_show((first, second), options, output, _pairs(names), tolerance)

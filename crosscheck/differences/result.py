@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from crosscheck.compare.outcome import Outcome
@@ -60,12 +61,17 @@ class FileComparison:
 
     @property
     def outcome(self) -> Outcome:
-        """`SAME`, `SAME_TO_ROUNDING` if only the digits of the files differ, or `DIFFERENT`."""
+        """`SAME`, `SAME_TO_ROUNDING` if only the digits of the files differ, or `DIFFERENT`.
+
+        `UNFINISHED` if the numbers are the same, but the motions could not be compared.
+        """
         # with a tolerance, other motion may be the effect of numbers that differ by less
         is_allowed = self.tolerance is not None and self.of_standing(Standing.ROUNDING)
         moves_differently = self.motion.likeness is Likeness.DIFFERENT and not is_allowed
         if moves_differently or self.differences:
             return Outcome.DIFFERENT
+        if self.motion.likeness is Likeness.UNDECIDED and self._can_move and not self._is_one_text:
+            return Outcome.UNFINISHED
         is_rounded = self.motion.likeness is Likeness.ROUNDING or self.of_standing(Standing.ROUNDING)
         return Outcome.SAME_TO_ROUNDING if is_rounded else Outcome.SAME
 
@@ -73,6 +79,17 @@ class FileComparison:
     def unmodeled(self) -> tuple[str, ...]:
         """Elements of either file whose forces are in no motion that was compared."""
         return tuple(dict.fromkeys((*self.first.robot.unmodeled, *self.second.robot.unmodeled)))
+
+    @property
+    def _can_move(self) -> bool:
+        """Whether one of the robots has joints."""
+        return any(body.joints for file in (self.first, self.second) for body in file.robot.bodies)
+
+    @cached_property
+    def _is_one_text(self) -> bool:
+        """Whether both files have the same content, so that the robots move alike."""
+        paths = [Path(file.source) for file in (self.first, self.second) if file.source]
+        return len(paths) == 2 and paths[0].read_bytes() == paths[1].read_bytes()
 
     @cached_property
     def run(self) -> Run | None:

@@ -110,6 +110,9 @@ def verdict(comparison: FileComparison) -> str:
     rounded = comparison.of_standing(Standing.ROUNDING)
     words, without = comparison.outcome.value, _without(comparison)
     match comparison.outcome:
+        case Outcome.UNFINISHED:
+            equal = f"equal within {_allowance(comparison)}" if rounded else "equal"
+            return f"{words}: all numbers are {equal}; motions were not compared"
         case Outcome.SAME if motion.likeness is Likeness.UNDECIDED:
             return f"{words}: all numbers are equal; motions were not compared"
         case Outcome.SAME:

@@ -289,3 +289,30 @@ def test_a_body_fixed_to_the_ground_that_only_one_file_has_is_no_difference(tmp_
     [row] = found.comparison.rows
     assert (row.element, row.quantity, row.first, row.second) == ("stand", "presence", 3.0, None)
     assert (row.standing, row.cause) == ("convention", "fixed to the ground")
+
+
+OPEN = """<mujoco><worldbody><site name="far" pos="{x} 0.3 0.2"/><body name="arm">
+  <joint name="turn" axis="0 1 0"/><inertial pos="0.1 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+  <site name="tip" pos="0.3 0 0"/></body></worldbody>
+  <equality><connect site1="tip" site2="far"/></equality></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("x", "comment", "outcome", "status"),
+    [
+        ("5", "", "SAME", 0),  # the same text
+        ("5", "<!-- second -->", "UNFINISHED", 3),
+        ("5.0000001", "", "UNFINISHED", 3),  # rounding
+        ("6", "", "DIFFERENT", 1),
+    ],
+)
+def test_loops_that_do_not_close_are_not_the_same(capsys, tmp_path, x, comment, outcome, status):
+    """No pose brings the tip, 0.3 m from the joint, to a point 5 m away, so that no motions are compared."""
+    paths = [tmp_path / "first.xml", tmp_path / "second.xml"]
+    paths[0].write_text(OPEN.format(x="5"), encoding="utf-8")
+    paths[1].write_text(OPEN.format(x=x) + comment, encoding="utf-8")
+    found, printed, _ = run(capsys, "diff", *paths, "--output", tmp_path / "out")
+    assert found == status
+    assert f"{outcome}: " in printed
+    assert "motions were not compared" in " ".join(printed.split())
+    assert crosscheck.diff(*paths).same == (status == 0)
