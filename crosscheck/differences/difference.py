@@ -23,6 +23,7 @@ class Quantity(StrEnum):
     BASE = "base"
     PARENT = "parent"
     PRESENCE = "presence"
+    NAME = "name"
     GRAVITY = "gravity"
     KIND = "kind"
     JOINT_ORIGIN = "joint origin"
@@ -170,6 +171,7 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             Quantity.BASE
             | Quantity.PARENT
             | Quantity.PRESENCE
+            | Quantity.NAME
             | Quantity.KIND
             | Quantity.JOINT_AXIS
             | Quantity.SIGN

@@ -57,6 +57,7 @@ def differences(
     zeros: dict[tuple[int, int], float] = {}
     rows = [
         *_presence_rows(common),
+        *_name_row(common),
         *_model_rows(common),
         *(row for number in common.frames if number != IN_WORLD for row in body_rows(common, number)),
         *(row for place in common.joints for row in joint_rows(common, place, zeros)),
@@ -138,6 +139,19 @@ def _presence_rows(common: CommonFrames) -> Iterator[Difference]:
                     (body_mass / total if body_mass else 1.0, 0.0),
                 )
                 yield replace(row, unit="kg", elements=tuple(dict.fromkeys((row.element, *names))))
+
+
+def _name_row(common: CommonFrames) -> Iterator[Difference]:
+    """Yield one row for all names that the second file gives to other bodies or joints than the first."""
+    others = dict(common.alignment.renamed)
+    exchanged = [name for name in others if name in others.values()]
+    if exchanged:
+        name = exchanged[0]
+        joints = {joint.name for body in common.first.file.robot.bodies for joint in body.joints}
+        words = "both files have these names, for other elements: what finds elements by name takes another"
+        kind = "joint" if name in joints else "body"
+        row = difference(name, kind, Quantity.NAME, (name, others[name]), (1.0, 0.0), words)
+        yield replace(row, elements=tuple(exchanged))
 
 
 def _model_rows(common: CommonFrames) -> Iterator[Difference]:

@@ -155,7 +155,8 @@ def table(pairs: Sequence[ListedPair], found: dict[str, PairResult]) -> Iterator
         found: results by the name of the pair.
     """
     counts = Counter(result.verdict for result in found.values())
-    order = (Outcome.SAME.value, Outcome.SAME_TO_ROUNDING.value, Outcome.DIFFERENT.value, REFUSED)
+    outcomes = Outcome.SAME, Outcome.SAME_TO_ROUNDING, Outcome.UNFINISHED, Outcome.DIFFERENT
+    order = (*(outcome.value for outcome in outcomes), REFUSED)
     slowest = max((result.processor_time for result in found.values()), default=math.nan)
     yield f"{len(found)} pairs: {', '.join(f'{counts[each]} {each}' for each in order if counts[each])}."
     yield f"The slowest took {slowest:.1f} s of processor time."

@@ -316,3 +316,36 @@ def test_loops_that_do_not_close_are_not_the_same(capsys, tmp_path, x, comment, 
     assert f"{outcome}: " in printed
     assert "motions were not compared" in " ".join(printed.split())
     assert crosscheck.diff(*paths).same == (status == 0)
+
+
+LEGS = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint name="float"/>
+  <inertial pos="0 0 0" mass="3" diaginertia="0.1 0.1 0.1"/>
+  <body name="{0}" pos="0 0.2 0"><joint name="{0}_hip" axis="0 1 0"/>
+    <inertial pos="0 0.02 -0.2" mass="1" diaginertia="0.01 0.01 0.003"/></body>
+  <body name="{1}" pos="0 -0.2 0"><joint name="{1}_hip" axis="0 1 0"/>
+    <inertial pos="0 -0.02 -0.2" mass="1" diaginertia="0.01 0.01 0.003"/></body></body>
+  </worldbody></mujoco>"""
+
+
+def test_names_that_are_exchanged_are_one_difference(tmp_path):
+    paths = [tmp_path / "first.xml", tmp_path / "second.xml"]
+    for path, names in zip(paths, (("left", "right"), ("right", "left")), strict=True):
+        path.write_text(LEGS.format(*names), encoding="utf-8")
+    # MuJoCo's own models: the joint of one name is at other places
+    places = [mujoco.MjModel.from_xml_path(str(path)).body("left").pos.tolist() for path in paths]
+    assert places == [[0.0, 0.2, 0.0], [0.0, -0.2, 0.0]]
+    found = crosscheck.diff(*paths)
+    [row] = found.differences
+    assert (row.quantity, row.first, row.second) == ("name", "left", "right")
+    assert set(row.elements) == {"left", "right", "left_hip", "right_hip"}
+    assert found.motion.likeness == "equal to round-off"
+    # pairs that the user names are meant
+    names = {"left": "right", "right": "left", "left_hip": "right_hip", "right_hip": "left_hip"}
+    assert crosscheck.diff(*paths, names=names).same
+
+
+def test_other_names_are_no_difference(tmp_path):
+    paths = [tmp_path / "first.xml", tmp_path / "second.xml"]
+    for path, names in zip(paths, (("left", "right"), ("L", "R")), strict=True):
+        path.write_text(LEGS.format(*names), encoding="utf-8")
+    assert crosscheck.diff(*paths).outcome is Outcome.SAME
