@@ -82,12 +82,12 @@ class FileComparison:
 
     @property
     def _can_move(self) -> bool:
-        """Whether one of the robots has joints."""
+        """True if one of the robots has joints."""
         return any(body.joints for file in (self.first, self.second) for body in file.robot.bodies)
 
     @cached_property
     def _is_one_text(self) -> bool:
-        """Whether both files have the same content, so that the robots move alike."""
+        """True if both files have the same content, so that the robots move alike."""
         paths = [Path(file.source) for file in (self.first, self.second) if file.source]
         return len(paths) == 2 and paths[0].read_bytes() == paths[1].read_bytes()
 
