@@ -110,7 +110,7 @@ def test_a_disagreement_is_an_assertion(verdict):
 
 
 def test_its_recording_names_the_verdict_and_leads_to_what_is_worst(verdict):
-    *_, text, title, _, moments, _, _ = to_record(verdict.crosscheck, verdict.report)
+    _, _, text, title, _, moments, *_ = to_record(verdict.crosscheck, verdict.report)
     assert title == "pendulum"
     assert text.startswith("# AGREE\n\n**newton_euler, pinocchio agree")
     assert "[dumbbell](recording://mechanism/newton_euler/dumbbell)" in text

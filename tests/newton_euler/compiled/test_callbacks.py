@@ -7,9 +7,10 @@ import pytest
 from overconstrained import linkage
 
 from newton_euler import simulate, simulate_batch
-from newton_euler.compiled import run
+from newton_euler.compiled import records
 from newton_euler.compiled.callbacks import Callbacks
 from newton_euler.compiled.equations import CompiledEquations
+from newton_euler.compiled.run import Integrator
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import COUNTS, STOP_ALL_RUNS, Count
@@ -26,7 +27,7 @@ def raising(error):
 
 @pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
 def test_an_exchange_of_rows_that_fails_ends_the_run(monkeypatch, capfd, integrator):
-    monkeypatch.setattr(run, "exchanged", raising(np.linalg.LinAlgError("SVD did not converge")))
+    monkeypatch.setattr(records, "exchanged", raising(np.linalg.LinAlgError("SVD did not converge")))
     scene = linkage("bennett")
     with pytest.raises(IntegrationError, match="SVD did not converge") as caught:
         simulate(scene, integrator=integrator, rtol=1e-6, atol=1e-8)
@@ -35,7 +36,7 @@ def test_an_exchange_of_rows_that_fails_ends_the_run(monkeypatch, capfd, integra
 
 
 def test_an_exchange_of_rows_that_fails_in_a_lane_ends_its_run(monkeypatch, capfd):
-    monkeypatch.setattr(run, "exchanged", raising(np.linalg.LinAlgError("SVD did not converge")))
+    monkeypatch.setattr(records, "exchanged", raising(np.linalg.LinAlgError("SVD did not converge")))
     scene = linkage("bennett")
     errors = simulate_batch(scene, [scene.initial_state] * 5).errors
     assert list(errors) == [0, 1, 2, 3, 4]
@@ -46,7 +47,7 @@ def test_an_exchange_of_rows_that_fails_in_a_lane_ends_its_run(monkeypatch, capf
 
 def test_a_mistake_of_the_program_is_raised_as_it_is(monkeypatch):
     mistake = ZeroDivisionError("division by zero")
-    monkeypatch.setattr(run, "exchanged", raising(mistake))
+    monkeypatch.setattr(records, "exchanged", raising(mistake))
     with pytest.raises(ZeroDivisionError) as caught:
         simulate(linkage("bennett"))
     assert caught.value is mistake
@@ -59,7 +60,7 @@ def test_an_error_that_a_run_recovered_from_is_not_its_reason(monkeypatch, statu
     """Projection that fails long after the dense form did has a reason of its own."""
     scene = linkage("bennett")
     code = CompiledEquations(scene, "relative")
-    integrator = run.Integrator(code, scene.times, Options())
+    integrator = Integrator(code, scene.times, Options())
 
     def ended():
         integrator.counts[Count.STATUS] = status
