@@ -181,7 +181,7 @@ def _paired_loop(
                 yield difference(name, "loop", Quantity.LOOP_AXIS, values, sizes)
     if loop.kind == LoopKind.ROD:
         lengths = [
-            np.array([robot.loops[number].length for robot in (file.robot, *file.variants)])
+            np.array([robot.loops[number].length for robot in file.robots])
             for file, number in ((first, index), (second, other_index))
         ]
         sizes = common.judge.compare(lengths[0], lengths[1], absolute)
@@ -230,11 +230,11 @@ def coupling_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[D
         free.remove(match[0])
         backwards = second.robot.couplings[match[0]].follower != ends[0]
         follower, leader = by_first.get(coupling.follower), by_first.get(coupling.leader)
-        own = np.array([_padded(robot.couplings[index].powers) for robot in (first.robot, *first.variants)])
+        own = np.array([_padded(robot.couplings[index].powers) for robot in first.robots])
         other = np.array(
             [
                 _padded(_in_first(robot.couplings[match[0]].powers, follower, leader, backwards))
-                for robot in (second.robot, *second.variants)
+                for robot in second.robots
             ]
         )
         # Zeros of both joints are part of the constant

@@ -98,7 +98,7 @@ def _drive_numbers(
 ) -> _DriveNumbers:
     """Return the numbers of a pair of drives, joints in the order of the second file."""
     first, second = common.first.file, common.second.file
-    robots = (first.robot, *first.variants), (second.robot, *second.variants)
+    robots = first.robots, second.robots
     names = list(second.robot.drives[other_index].gears)
     joints = [by_second[name] for name in names]
     gears = (

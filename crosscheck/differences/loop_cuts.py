@@ -263,14 +263,14 @@ def _recut(file: RobotFile, tree: set[Edge], as_points: Sequence[Edge]) -> Robot
     robot = file.robot
     if tree == {edge for edge in edges(robot) if edge.loop < 0}:
         return file
-    robots = Dynamics([robot, *file.variants], size_of(robot))
+    robots = Dynamics(file.robots, size_of(robot))
     if np.abs(robots.constraints_at(robots.zero).residual).max() > MAX_GAP:
         return None
     joined = [e.loop for e in tree if e.loop >= 0 and robot.loops[e.loop].kind is LoopKind.POINT]
     axes = _axes(robots, joined)
     named = [
         replace(each, loops=tuple(replace(loop, name=robot.loop_name(loop)) for loop in each.loops))
-        for each in (robot, *file.variants)
+        for each in file.robots
     ]
     for points in (as_points, ()):
         nominal, *variants = (

@@ -57,7 +57,7 @@ def _names_in_first(common: CommonFrames) -> dict[tuple[str, str], str]:
 
 def _numbers(file: RobotFile, key: Setting) -> Array:
     """Return the numbers (V, n) of a setting in a file and its variants."""
-    return np.array([robot.settings[key] for robot in (file.robot, *file.variants)], float)
+    return np.array([robot.settings[key] for robot in file.robots], float)
 
 
 def _relative_distance(reference: Array, values: Array) -> Array:

@@ -32,7 +32,7 @@ def spring_rows(common: CommonFrames) -> Iterator[Difference]:
         yield from point_rows(common, (name, "spring", Quantity.SPRING_POINT), ends, other_ends)
         for quantity, (field, metric) in SPRING_NUMBERS.items():
             values = [
-                np.array([getattr(robot.springs[number], field) for robot in (file.robot, *file.variants)])
+                np.array([getattr(robot.springs[number], field) for robot in file.robots])
                 for file, number in ((first, index), (second, other_index))
             ]
             sizes = common.judge.compare(values[0], values[1], metric)

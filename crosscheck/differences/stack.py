@@ -107,7 +107,7 @@ class Side:
             coordinates: coordinates of hinges and slides, rad or m; others stay as in the pose of the file.
         """
         self.file = file
-        self._robots = (file.robot, *file.variants)
+        self._robots = file.robots
         self.world: list[Poses] = []
         self.lines: dict[JointKey, Line] = {}
         for index, body in enumerate(file.robot.bodies):

@@ -9,16 +9,13 @@ import numpy as np
 from crosscheck.differences.connections import PairedJoint
 from crosscheck.differences.difference import Difference, Quantity, difference
 from crosscheck.differences.frames import CommonFrames
+from crosscheck.differences.joint_tree import SCALAR
 from crosscheck.differences.stack import absolute
 from newton_euler.reading.robot import JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
 
 CHANGES_RUN = "changes the run, not the robot"
 """Cause of rows about the runs that a file asks for."""
-
-
-SINGLE = (JointKind.HINGE, JointKind.SLIDE)
-"""Kinds of joints with one coordinate."""
 
 
 def start_rows(common: CommonFrames, joints: Sequence[PairedJoint]) -> Iterator[Difference]:
@@ -34,7 +31,7 @@ def start_rows(common: CommonFrames, joints: Sequence[PairedJoint]) -> Iterator[
     single = [
         joint
         for joint in joints
-        if joint.first.kind == joint.second.kind and joint.first.kind in SINGLE
+        if joint.first.kind == joint.second.kind and joint.first.kind in SCALAR
         if joint.first.name and joint.second.name
     ]
     for first, second in _namesakes(one.robot, two.robot):
@@ -63,4 +60,4 @@ def _namesakes(first: Robot, second: Robot) -> list[tuple[int, int]]:
 
 def _numbers(file: RobotFile, start: int, field: str, joint: str) -> Array:
     """Return the coordinate or velocity (V,) of a joint at a start of a robot and its variants."""
-    return np.array([getattr(robot.starts[start], field)[joint] for robot in (file.robot, *file.variants)])
+    return np.array([getattr(robot.starts[start], field)[joint] for robot in file.robots])

@@ -352,3 +352,8 @@ class RobotFile:
     format: str = ""
     lines: Mapping[tuple[str, str], SourceLine] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @property
+    def robots(self) -> tuple[Robot, ...]:
+        """The robot as it is written, then its variants."""
+        return (self.robot, *self.variants)
