@@ -39,10 +39,11 @@ def settings(
     for count, name in ((model.nflex, "number of flexible bodies"), (model.nplugin, "number of plugins")):
         found |= _numbers("model", "", name, np.array([count]), exerts=True)
     for number in np.flatnonzero(model.body_gravcomp).tolist():
-        name, factor = model.body(number).name, model.body_gravcomp[[number]]
+        name, factor = _body_name(model, number), model.body_gravcomp[[number]]
         found |= _numbers("body", name, "gravcomp", factor, exerts=True)
     for number in range(model.njnt):
-        name, dof = model.joint(number).name, model.jnt_dofadr[number]
+        name = model.joint(number).name or _body_name(model, model.jnt_bodyid[number])
+        dof = model.jnt_dofadr[number]
         for what, factors in (
             ("stiffness", model.jnt_stiffnesspoly[number]),
             ("damping", model.dof_dampingpoly[dof]),
@@ -55,6 +56,11 @@ def settings(
     for number in sorted(_tendons(model, equalities, springs, drives)):
         found |= _tendon(model, number, is_spring=number in springs)
     return found
+
+
+def _body_name(model: mujoco.MjModel, number: int) -> str:
+    """Return the name of a body, or its number as `crosscheck diff` shows it, if it has no name."""
+    return model.body(number).name or f"body {number}"
 
 
 def _tendons(

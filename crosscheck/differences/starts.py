@@ -29,14 +29,13 @@ def start_rows(common: CommonFrames, joints: Sequence[PairedJoint]) -> Iterator[
     """
     one, two = common.first.file, common.second.file
     single = [
-        joint
-        for joint in joints
-        if joint.first.kind == joint.second.kind and joint.first.kind in SCALAR
-        if joint.first.name and joint.second.name
+        joint for joint in joints if joint.first.kind == joint.second.kind and joint.first.kind in SCALAR
     ]
     for first, second in _namesakes(one.robot, two.robot):
         words = f"keyframe {one.robot.starts[first].name!r} {CHANGES_RUN}"
-        for joint in single:
+        # joints that have no name in a file are in none of its starts
+        known, others = one.robot.starts[first].coordinates, two.robot.starts[second].coordinates
+        for joint in (each for each in single if each.first.name in known and each.second.name in others):
             name, slide = joint.first.name, joint.first.kind == JointKind.SLIDE
             for quantity, field, offset in (
                 (Quantity.START, "coordinates", joint.offset),

@@ -74,3 +74,9 @@ def test_a_keyframe_in_the_other_sense_is_the_same_pose(tmp_path):
 
 def test_digits_of_keyframes_are_rounding(tmp_path):
     assert not starts(tmp_path, ARM.replace("0.02", "0.0212345"), ARM.replace("0.02", "0.02123451"))
+
+
+def test_a_joint_without_a_name_is_in_no_keyframe(tmp_path):
+    text = ARM.replace('name="shoulder" ', "")
+    (row,) = starts(tmp_path, text, text.replace('qpos="0.5 0.02"', 'qpos="0.7 0.03"'))
+    assert (row.element, row.quantity, row.first, row.second) == ("rail", Quantity.START, 0.02, 0.03)

@@ -93,3 +93,15 @@ def test_a_gear_of_zero_changes_the_motion(diff, gears):
 def test_exchanged_moments_of_inertia_are_no_lost_rotation(diff):
     [row] = diff(arm(), arm(inertia="0.012 0.011 0.003")).differences
     assert "ixx and iyy are exchanged" in row.cause
+
+
+def test_compensation_of_gravity_of_bodies_without_names(diff):
+    def compensated(upper):
+        inner = '<body pos="0.01 0.02 -0.4" gravcomp="1">'
+        text = arm().replace('<body pos="0.1 0.2 0.3">', f'<body pos="0.1 0.2 0.3" gravcomp="{upper}">')
+        return text.replace('<body pos="0.01 0.02 -0.4">', inner)
+
+    one, other = compensated(1), compensated(0.2)
+    assert np.abs(accelerations(one) - accelerations(other)).max() > 0.1  # rad/s^2
+    [row] = diff(one, other).differences
+    assert (row.element, row.cause, row.first, row.second) == ("body 2", "gravcomp", 1.0, 0.2)
