@@ -38,6 +38,7 @@ from urdf.errors import LoopFileError
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, loop_files_beside
 from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, finite_or_infinite, parsed, read_loops
+from urdf.reading.transmissions import REDUCTION_TAGS, read_transmissions
 from urdf.reading.vocabulary import BASES, BaseName, unknown
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ NUMBERS = frozenset(name for names in NUMBER_ATTRIBUTES.values() for name in nam
     "armature",
     "spring_reference",
     "spring_stiffness",
+    *REDUCTION_TAGS,
 }
 """Names of attributes with numbers."""
 
@@ -75,6 +77,8 @@ NUMBER_TAGS = (
     "spring_stiffness",
     "springReference",
     "springStiffness",
+    "offset",
+    *REDUCTION_TAGS,
 )
 """Tags of elements that tools add and whose texts are numbers."""
 
@@ -188,6 +192,7 @@ def _robot(
         robot,
         loops=tuple(_loops(robot, root, extensions, loops)),
         couplings=(*_mimics(joints), *_coupled(loops, notes)),
+        transmissions=read_transmissions(root, notes),
     )
 
 

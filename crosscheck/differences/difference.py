@@ -48,6 +48,11 @@ class Quantity(StrEnum):
     FORCE_LIMITS = "force limits"
     SETTING = "setting"
     TRANSMISSION = "joint of the drive"
+    TRANSMISSION_JOINTS = "joints"
+    TRANSMISSION_OFFSET = "offset of the transmission"
+    REDUCTION = "mechanical reduction"
+    HARDWARE_INTERFACE = "hardware interface"
+    ACTUATOR = "actuator"
     TIME_STEP = "time step"
     INTEGRATOR = "integrator"
     COUPLING = "coupling"
@@ -100,7 +105,8 @@ class Difference:
 
     Attributes:
         element: name in the first file, or in the second if only the second has the element.
-        element_kind: "body", "joint", "drive", "loop", "coupling", "spring", "keyframe" or "model".
+        element_kind: "body", "joint", "drive", "loop", "coupling", "spring", "transmission", "keyframe" or
+            "model".
         quantity: what differs.
         first, second: value in each file, in the frame, zero and sign of the first file; None if the
             element or the number is missing there.
@@ -155,7 +161,7 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             return "m/s^2"
         case Quantity.INERTIA_AXES | Quantity.JOINT_ORIENTATION | Quantity.FRAME | Quantity.LOOP_AXIS:
             return "rad"
-        case Quantity.ZERO | Quantity.REST | Quantity.LIMITS | Quantity.START:
+        case Quantity.ZERO | Quantity.REST | Quantity.LIMITS | Quantity.START | Quantity.TRANSMISSION_OFFSET:
             return length
         case Quantity.FRICTION | Quantity.EFFORT | Quantity.CONSTANT | Quantity.GAIN | Quantity.FORCE_LIMITS:
             return force
@@ -181,6 +187,10 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             | Quantity.COUPLING
             | Quantity.LOOP_CUT
             | Quantity.TRANSMISSION
+            | Quantity.TRANSMISSION_JOINTS
+            | Quantity.REDUCTION
+            | Quantity.HARDWARE_INTERFACE
+            | Quantity.ACTUATOR
             | Quantity.INTEGRATOR
         ):
             return ""

@@ -23,6 +23,7 @@ from crosscheck.differences.settings import setting_rows
 from crosscheck.differences.springs import spring_rows
 from crosscheck.differences.stack import angle, distance
 from crosscheck.differences.starts import CHANGES_RUN, start_rows
+from crosscheck.differences.transmissions import transmission_rows
 from crosscheck.differences.vectors import rotation_vector
 from newton_euler.reading.robot import JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
@@ -70,6 +71,7 @@ def differences(
         *coupling_rows(common, joints),
         *drive_rows(common, joints),
         *spring_rows(common),
+        *transmission_rows(common, joints),
         *start_rows(common, joints),
         *setting_rows(common),
     ]

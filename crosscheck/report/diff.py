@@ -60,6 +60,7 @@ ABSOLUTE = {
     Quantity.SPRING_POINT,
     Quantity.START,
     Quantity.START_SPEED,
+    Quantity.TRANSMISSION_OFFSET,
 }
 """Quantities whose difference is a length or an angle; that of others is relative."""
 

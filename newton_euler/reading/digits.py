@@ -48,8 +48,8 @@ FRACTIONS_OF_PI = math.pi / 12 * np.union1d(np.arange(2, 49, 2), np.arange(3, 49
 def half_unit(number: str, is_angle: bool = False) -> float:
     """Return half a unit of the last digit of a number, at most of its sixth significant digit.
 
-    Zeros and whole numbers are exact, and have 0. A fraction or multiple of pi that is written with few
-    decimals, such as 1.57, has its distance from the exact one.
+    Zeros, whole numbers and numbers beyond the largest double are exact, and have 0. A fraction or multiple
+    of pi that is written with few decimals, such as 1.57, has its distance from the exact one.
 
     Args:
         number: text of the number.
@@ -62,7 +62,7 @@ def half_unit(number: str, is_angle: bool = False) -> float:
         (5e-06, 0.0007963)
     """
     value = float(number)
-    if value.is_integer():
+    if value.is_integer() or math.isinf(value):
         return 0.0
     mantissa, _, exponent = number.lower().partition("e")
     decimals = mantissa.partition(".")[2]

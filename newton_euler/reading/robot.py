@@ -237,6 +237,41 @@ class FileDrive:
         return bool(self.gears) and not self.other.keys() & {"gain type", "bias type"}
 
 
+class TransmissionEnd(NamedTuple):
+    """Joint or actuator of a transmission.
+
+    Attributes:
+        name: name in the file.
+        reduction: mechanical reduction at this end; the text of the file if it is no number.
+        offset: of the coordinate, rad or m; the text of the file if it is no number.
+        interfaces: hardware interfaces of a joint and of its actuators.
+    """
+
+    name: str
+    reduction: float | str = 1.0
+    offset: float | str = 0.0
+    interfaces: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FileTransmission:
+    """Transmission of a URDF, from actuators to joints, which controllers read and engines ignore.
+
+    Attributes:
+        name: name in the file; "" for a transmission without name.
+        kind: its type in the file; "" without one.
+        joints: its joints.
+        actuators: its actuators, in the order of the joints.
+        reduction: mechanical reduction of the whole; the text of the file if it is no number.
+    """
+
+    name: str
+    kind: str
+    joints: tuple[TransmissionEnd, ...]
+    actuators: tuple[TransmissionEnd, ...]
+    reduction: float | str = 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class FileStart:
     """Named start of runs in a model file, such as a keyframe.
@@ -288,6 +323,7 @@ class Robot:
         springs: springs and dampers between points.
         starts: named starts of runs.
         settings: numbers of the file that are in none of the above, such as the range of a tendon.
+        transmissions: transmissions for controllers, which do not change the robot's motion.
     """
 
     name: str
@@ -301,6 +337,7 @@ class Robot:
     springs: tuple[FileSpring, ...] = ()
     starts: tuple[FileStart, ...] = ()
     settings: Mapping[Setting, SettingValue] = field(default_factory=dict)
+    transmissions: tuple[FileTransmission, ...] = ()
 
     def joint(self, key: tuple[int, int]) -> FileJoint:
         """Return a joint by the index of its body and its own index in `FileBody.joints`."""

@@ -33,6 +33,7 @@ TEXT = """<?xml version="1.0"?>
         ("50", 0.0),
         ("2.00", 0.0),
         ("1e3", 0.0),
+        ("1e999", 0.0),
     ],
 )
 def test_half_units_by_hand(number: str, expected: float) -> None:
