@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from newton_euler.reading.robot import FileSpring, Placement
+from newton_euler.reading.robot import FilePlace, FileSpring, PlaceKind, Placement
 
 
 def point_springs(model: mujoco.MjModel, *, has_springs: bool, has_dampers: bool) -> dict[int, FileSpring]:
@@ -47,3 +47,8 @@ def site_placement(model: mujoco.MjModel, number: int) -> Placement:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.site_quat[number])
     return Placement(model.site_pos[number].copy(), rotation.reshape(3, 3))
+
+
+def site_place(model: mujoco.MjModel, number: int, kind: PlaceKind) -> FilePlace:
+    """Return a site as a place; `kind` is what counts of its frame."""
+    return FilePlace(kind, int(model.site_bodyid[number]) - 1, site_placement(model, number))

@@ -26,6 +26,7 @@ from mjcf.reading.essentials import Essentials, essential_texts
 from mjcf.reading.source import UNNAMED, copy_model, model_name
 from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
 from mjcf.settings import settings
+from mjcf.transmission_places import Numbers, numbered, transmission_numbers
 from newton_euler.model.source_file import element_lines, path_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.robot import (
@@ -381,22 +382,22 @@ class _Description:
     def _drive(self, number: int) -> FileDrive:
         """Describe actuator `number`."""
         model = self._model
-        other: dict[str, float | str] = {}
-        gain = model.actuator_gainprm[number].tolist()
+        other: Numbers = {}
+        gain = model.actuator_gainprm[number]
         gain_type = GAIN(model.actuator_gaintype[number])
         if gain_type == GAIN.mjGAIN_AFFINE:
-            other |= {"gain per length": gain[1], "gain per velocity": gain[2]}
+            other |= {"gain per length": float(gain[1]), "gain per velocity": float(gain[2])}
         elif gain_type != GAIN.mjGAIN_FIXED:
-            other |= {"gain type": _word(gain_type), **_numbered("gain", gain)}
-        bias = model.actuator_biasprm[number].tolist()
+            other |= {"gain type": _word(gain_type), **numbered("gain", gain)}
+        bias = model.actuator_biasprm[number]
         bias_type = BIAS(model.actuator_biastype[number])
         if bias_type not in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE):
-            other |= {"bias type": _word(bias_type), **_numbered("bias", bias)}
+            other |= {"bias type": _word(bias_type), **numbered("bias", bias)}
         dynamics = DYNAMICS(model.actuator_dyntype[number])
         if dynamics != DYNAMICS.mjDYN_NONE:
             other |= {
                 "dynamics": _word(dynamics),
-                **_numbered("dynamics", model.actuator_dynprm[number].tolist()),
+                **numbered("dynamics", model.actuator_dynprm[number]),
             }
         for quantity, value in (
             ("damping of the actuator", model.actuator_damping[number]),
@@ -405,7 +406,7 @@ class _Description:
             if value:
                 other[quantity] = float(value)
         if GAIN.mjGAIN_MUSCLE == gain_type or BIAS.mjBIAS_MUSCLE == bias_type:
-            other |= _numbered("length range", model.actuator_lengthrange[number].tolist())
+            other |= numbered("length range", model.actuator_lengthrange[number])
         group = int(model.actuator_group[number])
         if 0 <= group < 31 and model.opt.disableactuator >> group & 1:
             other["switched off"] = "by its group"
@@ -418,10 +419,10 @@ class _Description:
         return FileDrive(
             model.actuator(number).name,
             gears,
-            gain=gain[0] if gain_type in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE) else 0.0,
-            stiffness=bias[1] if is_affine else 0.0,
-            damping=bias[2] if is_affine else 0.0,
-            constant=bias[0] if is_affine else 0.0,
+            gain=float(gain[0]) if gain_type in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE) else 0.0,
+            stiffness=float(bias[1]) if is_affine else 0.0,
+            damping=float(bias[2]) if is_affine else 0.0,
+            constant=float(bias[0]) if is_affine else 0.0,
             control_limits=_pair(model.actuator_ctrlrange[number]) if has_control_limits else NO_LIMITS,
             force_limits=_pair(model.actuator_forcerange[number])
             if model.actuator_forcelimited[number]
@@ -429,36 +430,20 @@ class _Description:
             other=transmission | other,
         )
 
-    def _transmission(self, number: int) -> tuple[dict[str, float], dict[str, float | str]]:
+    def _transmission(self, number: int) -> tuple[dict[str, float], Numbers]:
         """Return the gears of an actuator by joint, and other numbers of its transmission by name."""
         model = self._model
         kind = TRANSMISSION(model.actuator_trntype[number])
-        targets, gear = model.actuator_trnid[number].tolist(), model.actuator_gear[number].tolist()
+        target, gear = int(model.actuator_trnid[number, 0]), float(model.actuator_gear[number, 0])
         weights: dict[int, float] | None = None
         if kind in JOINT_TRANSMISSIONS:
-            weights = {targets[0]: 1.0}
+            weights = {target: 1.0}
         elif kind == TRANSMISSION.mjTRN_TENDON:
-            weights = fixed_tendon_weights(model, targets[0])
+            weights = fixed_tendon_weights(model, target)
         single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         if weights is not None and all(mujoco.mjtJoint(model.jnt_type[joint]) in single for joint in weights):
-            return {self._joint_names[joint]: weight * gear[0] for joint, weight in weights.items()}, {}
-        name_of = {
-            TRANSMISSION.mjTRN_TENDON: model.tendon,
-            TRANSMISSION.mjTRN_BODY: model.body,
-            **dict.fromkeys(JOINT_TRANSMISSIONS, model.joint),
-        }.get(kind, model.site)
-        names = " and ".join(name_of(target).name for target in targets if target >= 0)
-        other: dict[str, float | str] = {"transmission": f"{_word(kind)} {names}".strip()}
-        other |= _numbered("gear", gear)
-        if name_of == model.site:
-            for site in targets:
-                if site >= 0:
-                    name = model.site(site).name
-                    other |= _numbered(f"position of {name}", model.site_pos[site].tolist())
-                    other |= _numbered(f"quaternion of {name}", model.site_quat[site].tolist())
-        if kind == TRANSMISSION.mjTRN_SLIDERCRANK:
-            other["crank length"] = float(model.actuator_cranklength[number])
-        return {}, other
+            return {self._joint_names[joint]: weight * gear for joint, weight in weights.items()}, {}
+        return {}, transmission_numbers(model, number)
 
     def _note_rest(self, switched_off: set[str], active_equalities: int) -> None:
         """Add notes of what the model has and the robot has not."""
@@ -474,11 +459,6 @@ class _Description:
 def _word(member: mujoco.mjtGain | mujoco.mjtBias | mujoco.mjtDyn | mujoco.mjtTrn) -> str:
     """Return the word of a member of MuJoCo's enumerations, such as "muscle" of mjGAIN_MUSCLE."""
     return str(member.name).partition("_")[2].lower()
-
-
-def _numbered(name: str, values: list[float]) -> dict[str, float]:
-    """Return the values but zeros by name and number, such as "gain 1"."""
-    return {f"{name} {number}": value for number, value in enumerate(values, start=1) if value}
 
 
 def _pair(limits: Array) -> tuple[float, float]:

@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from mjcf.loops import fixed_tendon_weights
-from newton_euler.reading.robot import FileDrive, Setting, SettingValue
+from mjcf.point_springs import site_place
+from newton_euler.reading.robot import FileDrive, FilePlace, PlaceKind, Placement, Setting, SettingValue
 from newton_euler.scalars import Array
 
 
@@ -111,17 +112,29 @@ def _tendon(model: mujoco.MjModel, number: int, is_spring: bool) -> dict[Setting
         return found
     first, count = int(model.tendon_adr[number]), int(model.tendon_num[number])
     for place, wrap in enumerate(range(first, first + count), start=1):
-        if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
-            site = int(model.wrap_objid[wrap])
-            found[Setting("tendon", name, f"body of point {place}")] = model.body(
-                model.site_bodyid[site]
-            ).name
-            found |= _numbers("tendon", name, f"point {place}", model.site_pos[site])
-        elif model.wrap_objid[wrap] >= 0:
-            geom = int(model.wrap_objid[wrap])
-            found |= _numbers("tendon", name, f"shape {place}", model.geom_pos[geom])
-            found |= _numbers("tendon", name, f"radius of shape {place}", model.geom_size[geom, :1])
+        kind, index = mujoco.mjtWrap(model.wrap_type[wrap]), int(model.wrap_objid[wrap])
+        if kind == mujoco.mjtWrap.mjWRAP_SITE:
+            found[Setting("tendon", name, f"point {place}")] = site_place(model, index, PlaceKind.POINT)
+        elif kind == mujoco.mjtWrap.mjWRAP_PULLEY:
+            divisor = np.array([model.wrap_prm[wrap]])
+            found |= _numbers("tendon", name, f"divisor of pulley {place}", divisor)
+        else:
+            found[Setting("tendon", name, f"shape {place}")] = _shape_place(model, index, kind)
+            found |= _numbers("tendon", name, f"radius of shape {place}", model.geom_size[index, :1])
+            side = round(model.wrap_prm[wrap])
+            if side >= 0:
+                key = Setting("tendon", name, f"side site of shape {place}")
+                found[key] = site_place(model, side, PlaceKind.POINT)
     return found
+
+
+def _shape_place(model: mujoco.MjModel, number: int, wrap: mujoco.mjtWrap) -> FilePlace:
+    """Return the center of a sphere, or the axis of a cylinder, around which a tendon wraps."""
+    kind = PlaceKind.POINT if wrap == mujoco.mjtWrap.mjWRAP_SPHERE else PlaceKind.LINE
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[number])
+    frame = Placement(model.geom_pos[number].copy(), rotation.reshape(3, 3))
+    return FilePlace(kind, int(model.geom_bodyid[number]) - 1, frame)
 
 
 def _numbers(

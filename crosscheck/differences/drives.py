@@ -11,8 +11,9 @@ from crosscheck.differences.connections import PairedJoint, only_in_one
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.drive_pairs import drive_pairs
 from crosscheck.differences.frames import CommonFrames
+from crosscheck.differences.places import place_rows
 from crosscheck.differences.stack import relative
-from newton_euler.reading.robot import JointKind, Robot
+from newton_euler.reading.robot import FilePlace, JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
 
 DRIVE_LIMITS = {Quantity.CONTROL_LIMITS: "control_limits", Quantity.FORCE_LIMITS: "force_limits"}
@@ -66,12 +67,22 @@ def _paired_drive(
     other = common.second.file.robot.drives[other_index]
     for name in sorted({*drive.other, *other.other}):
         values = drive.other.get(name), other.other.get(name)
-        if values[0] != values[1]:
+        if isinstance(values[0], FilePlace) and isinstance(values[1], FilePlace):
+            places = _places(common.first.file, index, name), _places(common.second.file, other_index, name)
+            yield from place_rows(common, (drive.name, "drive", name), places)
+        elif values[0] != values[1]:
             sizes = 1.0, 0.0
             if isinstance(values[0], float) and isinstance(values[1], float):
                 sizes = common.judge.compare(np.array([values[0]]), np.array([values[1]]), relative)
             if sizes[0]:
-                yield difference(drive.name, "drive", Quantity.SETTING, values, sizes, name)
+                shown = [str(v.kind) if isinstance(v, FilePlace) else v for v in values]
+                yield difference(drive.name, "drive", Quantity.SETTING, (shown[0], shown[1]), sizes, name)
+
+
+def _places(file: RobotFile, index: int, name: str) -> list[FilePlace]:
+    """Return a place of a drive in a file and its variants."""
+    values = (robot.drives[index].other[name] for robot in file.robots)
+    return [value for value in values if isinstance(value, FilePlace)]
 
 
 def _numbers(robots: tuple[Robot, ...], index: int, field: str) -> Array:

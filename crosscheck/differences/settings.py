@@ -9,10 +9,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from crosscheck.differences.difference import Difference, Quantity, Value, difference
+from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.frames import CommonFrames, joint_name
+from crosscheck.differences.places import place_rows
 from crosscheck.differences.stack import distance
-from newton_euler.reading.robot import RobotFile, Setting, SettingValue
+from newton_euler.reading.robot import FilePlace, RobotFile, Setting, SettingValue
 from newton_euler.scalars import Array
 
 
@@ -26,6 +27,11 @@ def setting_rows(common: CommonFrames) -> Iterator[Difference]:
     }
     for key in dict.fromkeys((*first.robot.settings, *by_first)):
         values = first.robot.settings.get(key), second.robot.settings.get(by_first.get(key, key))
+        name = key.element or first.robot.name or "model"
+        if isinstance(values[0], FilePlace) and isinstance(values[1], FilePlace):
+            places = _places(first, key), _places(second, by_first[key])
+            yield from place_rows(common, (name, key.element_kind, key.name), places)
+            continue
         sizes = 1.0, 0.0
         if isinstance(values[0], tuple) and isinstance(values[1], tuple):
             stacks = _numbers(first, key), _numbers(second, by_first[key])
@@ -33,7 +39,6 @@ def setting_rows(common: CommonFrames) -> Iterator[Difference]:
         if sizes[0] and values[0] != values[1]:
             # What exerts no force may be beyond the format of the other file
             is_beyond = None in values and first.format != second.format and not key.exerts
-            name = key.element or first.robot.name or "model"
             shown = _shown(values[0]), _shown(values[1])
             yield difference(
                 name, key.element_kind, Quantity.SETTING, shown, sizes, key.name, convention=is_beyond
@@ -60,11 +65,19 @@ def _numbers(file: RobotFile, key: Setting) -> Array:
     return np.array([robot.settings[key] for robot in file.robots], float)
 
 
+def _places(file: RobotFile, key: Setting) -> list[FilePlace]:
+    """Return the place of a setting in a file and its variants."""
+    values = (robot.settings[key] for robot in file.robots)
+    return [value for value in values if isinstance(value, FilePlace)]
+
+
 def _relative_distance(reference: Array, values: Array) -> Array:
     """Return the distances (V,) of numbers (V, n) from numbers (1, n), relative to their size."""
     return distance(reference, values) / (float(np.linalg.norm(reference)) or 1.0)
 
 
 def _shown(value: SettingValue | None) -> Value:
-    """Return a single number as a number."""
+    """Return a value of a row: a single number as a number, and a place as its position, m."""
+    if isinstance(value, FilePlace):
+        return numbers(value.frame.position)
     return value[0] if isinstance(value, tuple) and len(value) == 1 else value

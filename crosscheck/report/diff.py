@@ -342,7 +342,8 @@ def size_text(row: Difference) -> str:
     has_numbers = not any(value is None or isinstance(value, str) for value in (row.first, row.second))
     if row.quantity is Quantity.PRESENCE or not has_numbers:
         return ""
-    if row.quantity not in ABSOLUTE:
+    is_place = row.quantity is Quantity.SETTING and row.unit
+    if row.quantity not in ABSOLUTE and not is_place:
         return percent(row.size)
     return length(row.size) if row.unit == "m" else angle(row.size)
 

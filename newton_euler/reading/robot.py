@@ -204,6 +204,34 @@ class FileCoupling:
     powers: tuple[float, ...]
 
 
+class PlaceKind(StrEnum):
+    """Part of a frame that counts."""
+
+    POINT = "point"
+    """The origin."""
+    LINE = "line"
+    """The line of the z axis; neither its direction nor the place of the origin on it."""
+    DIRECTION = "direction"
+    """The direction of the z axis."""
+    FRAME = "frame"
+    """The origin and all axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilePlace:
+    """Frame of a model file that is fixed to a body, such as a site.
+
+    Attributes:
+        kind: what counts of the frame.
+        body: index of the body in `Robot.bodies`; -1 for the ground.
+        frame: the frame in the frame of the body.
+    """
+
+    kind: PlaceKind
+    body: int
+    frame: Placement
+
+
 @dataclass(frozen=True, eq=False)
 class FileDrive:
     """Actuator of a model file.
@@ -229,7 +257,7 @@ class FileDrive:
     constant: float = 0.0
     control_limits: tuple[float, float] = (-math.inf, math.inf)
     force_limits: tuple[float, float] = (-math.inf, math.inf)
-    other: Mapping[str, float | str] = field(default_factory=dict)
+    other: Mapping[str, float | str | FilePlace] = field(default_factory=dict)
 
     @property
     def is_modeled(self) -> bool:
@@ -303,8 +331,8 @@ class Setting(NamedTuple):
     exerts: bool = False
 
 
-SettingValue = tuple[float, ...] | str
-"""Numbers or a word of a model file."""
+SettingValue = tuple[float, ...] | str | FilePlace
+"""Numbers, a word or a place of a model file."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from robot_dynamics import Pose, mass_matrix, pose
 from mjcf.reading.xml_scan import SourceError
 from mjcf.robot import describe
 from newton_euler.model.source_file import SourceLine
-from newton_euler.reading.robot import JointKind, LoopKind, Robot, RobotFile
+from newton_euler.reading.robot import FilePlace, JointKind, LoopKind, PlaceKind, Robot, RobotFile
 
 ROOT = Path(__file__).parents[2]
 TEXTS = ELEMENTS | {
@@ -179,9 +179,14 @@ def test_drives_have_the_numbers_of_the_file(arm: RobotFile) -> None:
     assert (slow.gain, slow.constant, slow.stiffness, slow.damping) == (7.0, 1.0, -2.0, -3.0)
     assert (slow.other["dynamics"], slow.other["dynamics 1"]) == ("filter", 0.25)
     assert dict(thruster.gears) == {}
+    other = dict(thruster.other)
+    site = other.pop("site")
+    assert other == {"transmission": "site", "gear 3": 1.0, "gear 6": 0.5}
+    assert isinstance(site, FilePlace)
+    assert (site.kind, arm.robot.bodies[site.body].name) == (PlaceKind.FRAME, "lower")
     # the site has the axes of its body
-    place = {"position of tip 1": 0.5, "quaternion of tip 1": 1.0}
-    assert dict(thruster.other) == {"transmission": "site tip", "gear 3": 1.0, "gear 6": 0.5} | place
+    np.testing.assert_array_equal(site.frame.position, (0.5, 0.0, 0.0))
+    np.testing.assert_array_equal(site.frame.rotation, np.eye(3))
 
 
 def test_lines_are_those_of_the_file(arm: RobotFile) -> None:
