@@ -26,8 +26,8 @@ from crosscheck.compare.check import (
     chain_despite_errors,
     reach,
 )
-from crosscheck.compare.energy import energy_balance
 from crosscheck.compare.samples import States
+from crosscheck.engines.energy import energy_balance
 from crosscheck.engines.engine import MAX_RELATIVE_ERROR, Engine
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.redundancy import mobility

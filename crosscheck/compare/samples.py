@@ -22,7 +22,7 @@ import numpy as np
 
 from crosscheck.compare.allowed_motions import admissible_basis, body_units, free_motion
 from crosscheck.compare.check import MACHINE_EPSILON
-from crosscheck.compare.energy import RANDOM_RATE, min_energy_scale
+from crosscheck.engines.energy import RANDOM_RATE, min_energy_scale
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.dense import rank
 from newton_euler.equations.redundancy import constraint_rank, mobility

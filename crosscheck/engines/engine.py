@@ -20,6 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from crosscheck.engines.energy import energy_balance, min_energy_scale
 from crosscheck.library import REFERENCE_QUANTITIES
 from crosscheck.support.errors import CrosscheckError
 from newton_euler.equations.system import Evaluation, System
@@ -230,8 +231,9 @@ def _mujoco_run(scene: Scene) -> Trajectory:
     """Simulate a scene in MuJoCo, at the default step divided by a whole number.
 
     The step is short enough for at least `MIN_MUJOCO_STEPS` steps, for a stable RK4, and for a run that does
-    not diverge. If the run is still far from newton_euler's, the step is halved further: RK4 is inaccurate
-    for fast machines, and the soft constraints of loops with very different masses yield too much.
+    not diverge. If the run is still far from newton_euler's in its poses or energies, the step is halved
+    further: RK4 is inaccurate for fast machines and after steps of a control, and the soft constraints of
+    loops with very different masses yield too much.
 
     Raises:
         DivergenceError: if the runs with all steps diverge; the message names the step that RK4 would need.
@@ -283,8 +285,7 @@ def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | 
 
     if expected is None or len(expected.time) != len(run.time):
         return run
-    size = scene.mechanism.size
-    while distance(run, expected, length=size) > MAX_RELATIVE_ERROR:
+    while _relative_deviation(scene, run, expected) > MAX_RELATIVE_ERROR:
         half = 0.5 * run.settings["timestep"]
         if scene.duration > half * MAX_RK4_STEPS:
             break
@@ -292,10 +293,27 @@ def _halve_until_accurate(scene: Scene, run: Trajectory, expected: Trajectory | 
             finer = mjcf.simulate(scene, timestep=half)
         except DivergenceError:
             break
-        change, run = distance(run, finer, length=size), finer
+        change, run = _relative_deviation(scene, run, finer), finer
         if change < MAX_RELATIVE_ERROR:
             break
     return run
+
+
+def _relative_deviation(scene: Scene, run: Trajectory, other: Trajectory) -> float:
+    """Return the largest difference of two runs in poses, kinetic energy and energy balance.
+
+    Distances are relative to the mechanism's size, angles to 1 rad, and energies to the energy of the run
+    `other` or of the mechanism, whichever is larger. Energies count only if both runs have them.
+    """
+    deviations = [distance(run, other, length=scene.mechanism.size)]
+    balance, other_balance = energy_balance(scene, run), energy_balance(scene, other)
+    if balance is not None and other_balance is not None:
+        assert run.kinetic_energy is not None
+        assert other.kinetic_energy is not None
+        unit = max(min_energy_scale(scene, [initial_state(scene)]), other_balance.scale)
+        deviations.append(float(np.max(np.abs(balance.residual - other_balance.residual))) / unit)
+        deviations.append(float(np.max(np.abs(run.kinetic_energy - other.kinetic_energy))) / unit)
+    return max(deviations)
 
 
 def _mujoco_refined(scene: Scene, in_full: bool = False) -> Trajectory:

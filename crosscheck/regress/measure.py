@@ -26,7 +26,7 @@ from typing import Any, cast
 import numpy as np
 
 from crosscheck.compare.check import ERROR_PER_CHANGE, round_off
-from crosscheck.compare.energy import energy_balance
+from crosscheck.engines.energy import energy_balance
 from crosscheck.engines.engine import ENGINES
 from crosscheck.own_run.judge import measure_error
 from crosscheck.regress.baseline import OPERATIONS_PREFIX, GroupName, MeasurementPlan, StoredQuantity

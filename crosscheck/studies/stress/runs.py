@@ -17,8 +17,8 @@ import numpy as np
 
 import mjcf
 import urdf
-from crosscheck.compare.energy import Balance, energy_balance
 from crosscheck.compare.runs import positions_apart
+from crosscheck.engines.energy import Balance, energy_balance
 from newton_euler.compiled.formulations import FORMULATIONS
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product

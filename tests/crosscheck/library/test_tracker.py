@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import root
 
 import newton_euler
-from crosscheck.compare.energy import energy_balance
+from crosscheck.engines.energy import energy_balance
 from crosscheck.library import load, tracker_geometry
 from crosscheck.library.tracker import TARGET_HEIGHT, Tables, corrected_tables, joint_data
 from crosscheck.support.errors import CrosscheckError

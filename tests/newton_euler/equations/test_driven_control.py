@@ -13,7 +13,7 @@ import mjcf
 import newton_euler
 import urdf
 from crosscheck.compare.coverage import covered_by
-from crosscheck.compare.energy import energy_balance
+from crosscheck.engines.energy import energy_balance
 from crosscheck.library import load
 from crosscheck.library.scene_file import write_scene
 from crosscheck.loading.convert import scene_report, write_as

@@ -12,7 +12,7 @@ from mechanisms import mass_on_rail
 import mjcf
 import newton_euler
 import urdf
-from crosscheck.compare.energy import energy_balance
+from crosscheck.engines.energy import energy_balance
 from crosscheck.library import load
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo

@@ -12,7 +12,7 @@ import mjcf
 import newton_euler
 import urdf
 from crosscheck.compare.coverage import covered_by
-from crosscheck.compare.energy import energy_balance
+from crosscheck.engines.energy import energy_balance
 from mjcf.benchmark_kernels import compiled
 from mjcf.errors import MjcfError
 from mjcf.rigid import RigidMuJoCo

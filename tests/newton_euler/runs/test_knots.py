@@ -16,7 +16,7 @@ import mjcf
 import newton_euler
 import urdf
 from crosscheck.compare.coverage import covered_by
-from crosscheck.compare.energy import energy_balance
+from crosscheck.engines.energy import energy_balance
 from crosscheck.library import load
 from crosscheck.library.scene_file import content, write_scene
 from newton_euler.compiled.equations import CompiledEquations
