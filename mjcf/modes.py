@@ -12,6 +12,7 @@ friction are switched off, as in the scene that is imported from the file. Field
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -59,11 +60,21 @@ class _RemovableElement:
 
 
 def _actuator_elements(model: Any, k: int) -> Iterator[_RemovableElement]:
-    """Yield the gains by position and by velocity, and the damping, of actuator number `k`.
+    """Yield the dynamics of the activation, the gains by position and by velocity, and the damping, of actuator
+    number `k`.
 
     An actuator whose force is not affine in length and velocity is one element.
     """
     name = element_name(model, "actuator", k)
+    dynamics = mujoco.mjtDyn(model.actuator_dyntype[k])
+    if dynamics != mujoco.mjtDyn.mjDYN_NONE:
+        # without dynamics, an activation is constant
+        fixed: _Entries = (("actuator_dyntype", k),)
+        if dynamics in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
+            what, value = "time constant", float(model.actuator_dynprm[k, 0])
+        else:
+            what, value = "dynamics", math.nan
+        yield _RemovableElement(ForceElement(f"{what} of {name}", value, can_be_scaled=False), fixed)
     gain, bias = model.actuator_gainprm[k], model.actuator_biasprm[k]
     affine_gains = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE
     affine_biases = mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE

@@ -89,6 +89,7 @@ def switch_off(model: Any, kind: str, k: int, topic: str) -> None:
             model.actuator_gainprm[k] = model.actuator_biasprm[k] = model.actuator_gear[k] = 0.0
             model.actuator_armature[k] = 0.0
             model.actuator_damping[k] = model.actuator_dampingpoly[k] = 0.0
+            model.actuator_dyntype[k] = mujoco.mjtDyn.mjDYN_NONE  # the activation stays constant
         case "actuator", "armature":
             model.actuator_armature[k] = 0.0
         case "actuator", "damping":

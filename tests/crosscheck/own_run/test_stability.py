@@ -25,6 +25,9 @@ SERVO = '<actuator><position joint="slide" kp="{kp}" kv="{kv}"/></actuator>'
 HOLD = """<default><equality solimp="0.9 0.9 0.001" solref="{solref}"/></default>
   <equality><joint joint1="slide"/></equality>"""
 
+FILTER = """<actuator><general name="valve" joint="slide" dyntype="{dynamics}" dynprm="{tau}"
+  gainprm="1"/></actuator><keyframe><key name="go" ctrl="1" act="{act}"/></keyframe>"""
+
 TOP = """<mujoco><option timestep="0.0005" integrator="{integrator}" gravity="0 0 0"/><worldbody>
   <body name="top"><joint name="ball" type="ball"/>
     <inertial pos="0 0 0" mass="1" diaginertia="0.03 0.03 0.05"/></body></worldbody>
@@ -89,6 +92,28 @@ def test_limit_of_an_oscillator_with_an_explicit_damper(tmp_path):
     more = SERVO.format(kp=MASS * stiffness, kv=MASS * damping)
     limit = (-damping + math.sqrt(damping**2 + 4.0 * stiffness)) / stiffness
     assert slide(tmp_path, more=more).found.limit == pytest.approx(limit, rel=PERCENT)
+
+
+@pytest.mark.parametrize(("dynamics", "limit"), [("filter", 2.0), ("filterexact", math.inf)])
+def test_limit_of_a_filter(tmp_path, dynamics, limit):
+    time_constant = 0.0004  # s
+    found = slide(
+        tmp_path, damping=1.0, more=FILTER.format(dynamics=dynamics, tau=time_constant, act=1.0)
+    ).found
+    assert found.rate == pytest.approx(1.0 / time_constant, rel=1e-6)
+    assert found.limit == pytest.approx(limit * time_constant, rel=PERCENT)
+    assert [(each.name, each.value) for each in found.elements] == [
+        ("time constant of actuator 'valve'", time_constant)
+    ]
+    assert found.body.name == "mass"
+
+
+def test_a_filter_that_is_not_simulated_has_no_mode(tmp_path):
+    # the control differs from the activation, so that the scene does not have the actuator
+    found = slide(tmp_path, damping=1.0, more=FILTER.format(dynamics="filter", tau=0.0004, act=0.5)).found
+    assert found.rate == pytest.approx(1.0 / MASS, rel=1e-6)
+    assert found.limit == math.inf
+    assert found.body.name == "mass"
 
 
 def test_limit_of_a_constraint_in_direct_format(tmp_path):
