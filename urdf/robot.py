@@ -86,7 +86,7 @@ NUMBER_TAGS = (
 def describe(
     source: str | os.PathLike[str] | PinocchioModel,
     loops: str | os.PathLike[str] | None = None,
-    base: BaseName = "fixed",
+    base: BaseName | None = None,
 ) -> RobotFile:
     """Describe the robot of a model.
 
@@ -94,7 +94,8 @@ def describe(
         source: path of a URDF; or a `pinocchio.Model`, alone or in a pair with its constraints, which has no
             text and so no uncertainty.
         loops: path of the loop file of a URDF; None for no loop file.
-        base: "fixed" if the root link of a URDF is the ground, "free" if it floats.
+        base: "fixed" if the root link of a URDF is the ground, "free" if it floats; None for a root that
+            is described as the ground, but may float.
 
     Raises:
         UnknownNameError: for an unknown base.
@@ -110,7 +111,8 @@ def describe(
         from urdf.model_robot import describe_model
 
         return describe_model(source)
-    check_choice("base", base, BASES)
+    if base is not None:
+        check_choice("base", base, BASES)
     path = path_text(source, SourceError)
     text = read_xml(path, SourceError)
     root = parsed(path, text)
@@ -140,6 +142,7 @@ def describe(
         format="URDF",
         lines=element_lines({path: text}, SourceError),
         notes=tuple(notes),
+        has_ground=base is not None or robot.bodies[0].name == "world",
     )
 
 
@@ -148,7 +151,7 @@ def _robot(
     text: str,
     root: ET.Element,
     loops: Loops,
-    base: BaseName,
+    base: BaseName | None,
     has_additions: bool,
     notes: list[str],
 ) -> Robot:

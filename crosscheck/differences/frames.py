@@ -185,19 +185,10 @@ class CommonFrames:
         )
 
     def stands_still(self, number: int) -> bool:
-        """Return whether both robots stand on a pair of bodies that is fixed to the ground."""
+        """Return whether no joint lets a pair of bodies move, in both robots."""
         pair = self.alignment.bodies[number]
         ends = (self.first.file.robot, pair.first[0]), (self.second.file.robot, pair.second[0])
-        return all(self.is_on_ground(robot, body) for robot, body in ends)
-
-    def is_on_ground(self, robot: Robot, body: int) -> bool:
-        """Return whether a body of one of the robots is fixed to the ground.
-
-        A URDF does not tell a robot whose base floats from one that is fixed, unless its root is "world".
-        """
-        files = self.first.file, self.second.file
-        has_ground = any(file.format != "URDF" or file.robot.bodies[0].name == "world" for file in files)
-        return has_ground and not _has_joint_above(robot, body)
+        return not any(has_joint_above(robot, body) for robot, body in ends)
 
     def lines(self, pair: JointPair, number: int) -> tuple[Line, Line]:
         """Return the axis of a joint in both robots, in the common frame of a pair of bodies."""
@@ -379,7 +370,7 @@ def _children(robot: Robot) -> list[list[int]]:
     return children
 
 
-def _has_joint_above(robot: Robot, body: int) -> bool:
+def has_joint_above(robot: Robot, body: int) -> bool:
     """Return whether a joint is between a body and the ground."""
     while body >= 0:
         if robot.bodies[body].joints:

@@ -17,7 +17,7 @@ from crosscheck.differences.causes import with_causes
 from crosscheck.differences.connections import coupling_rows, joint_partners, loop_rows
 from crosscheck.differences.difference import Difference, Quantity, Standing, Value, difference, numbers
 from crosscheck.differences.drives import drive_rows
-from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, joint_name
+from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, has_joint_above, joint_name
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
 from crosscheck.differences.settings import setting_rows
 from crosscheck.differences.springs import spring_rows
@@ -35,6 +35,9 @@ EARTH = (0.0, 0.0, -9.81)
 
 MASS_QUANTITIES = (Quantity.MASS, Quantity.CENTER, Quantity.INERTIA, Quantity.INERTIA_AXES)
 """Quantities of a body that have no effect if the body stands still."""
+
+IF_FLOATING = "matters only if the base floats"
+"""Cause of rows about masses that have no effect while the base is held."""
 
 MIN_TURN = 1e-6
 """rad, and fraction of the robot's length: smallest motion of a frame that is reported."""
@@ -85,26 +88,37 @@ def differences(
         file.robot.bodies[body].name
         for file, bodies in ((first, alignment.first_bodies), (second, alignment.second_bodies))
         for body in bodies
-        if common.is_on_ground(file.robot, body)
+        if not has_joint_above(file.robot, body)
     }
-    return [_without_effect(row, at_rest, fixed_alone) for row in with_causes(rows, first, second, tolerance)]
+    has_ground = first.has_ground or second.has_ground
+    return [
+        _without_effect(row, at_rest, fixed_alone, has_ground)
+        for row in with_causes(rows, first, second, tolerance)
+    ]
 
 
-def _without_effect(row: Difference, at_rest: set[str], fixed_alone: set[str]) -> Difference:
-    """Return a row that is no true difference if it is about masses that stand still.
+def _without_effect(
+    row: Difference, at_rest: set[str], fixed_alone: set[str], has_ground: bool
+) -> Difference:
+    """Return a row about masses that stand still with words for why it has no effect on the motion.
+
+    It is no true difference if the files tell that the base is fixed. Otherwise the base may float.
 
     Args:
         row: the row.
         at_rest: names of bodies that stand still in both files.
-        fixed_alone: names of bodies that only one file has, fixed to the ground.
+        fixed_alone: names of bodies that only one file has, fixed to the base.
+        has_ground: whether one of the files tells that the base is fixed.
     """
     is_mass = row.quantity in MASS_QUANTITIES and {*row.elements} <= at_rest
     is_fixed = row.quantity is Quantity.PRESENCE and {*row.elements} <= fixed_alone
     if row.standing is not Standing.DIFFERENT or row.element_kind != "body" or not (is_mass or is_fixed):
         return row
     words = "the base is fixed" if is_mass else "fixed to the ground"
+    if not has_ground:
+        words = IF_FLOATING
     cause = f"{row.cause}; {words}" if row.cause else words
-    return replace(row, cause=cause, effect=0.0, convention=True)
+    return replace(row, cause=cause, effect=0.0, convention=has_ground)
 
 
 def _presence_rows(common: CommonFrames) -> Iterator[Difference]:

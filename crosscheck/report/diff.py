@@ -10,6 +10,7 @@ from crosscheck.compare.outcome import Outcome, Verdict
 from crosscheck.differences.difference import Difference, Quantity, Side, Standing, Value
 from crosscheck.differences.motion import Likeness, Motion
 from crosscheck.differences.result import FileComparison
+from crosscheck.differences.rows import IF_FLOATING
 from crosscheck.differences.run import Run
 from crosscheck.own_run.allowed import length
 from crosscheck.report.own_run import angle, percent
@@ -360,6 +361,11 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
         more = f" and {len(alignment.renamed) - 3} more" if alignment.renamed[3:] else ""
         yield f"paired by structure, as names differ: {', '.join(pairs)}{more}"
     yield from comparison.motion.notes
+    if any(row.cause.endswith(IF_FLOATING) for row in comparison.differences):
+        yield (
+            "Neither URDF tells whether its base is fixed. If it is, --set-first base=fixed makes its mass a "
+            "convention; base=free for both files lets it float."
+        )
     if comparison.unmodeled:
         yield f"no compared motion has the forces of: {', '.join(comparison.unmodeled)}"
     if comparison.run:

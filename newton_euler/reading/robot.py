@@ -409,6 +409,8 @@ class RobotFile:
         lines: line of an element in the file, or in a file that it includes, by the tag and the name of the
             element, such as ("joint", "knee").
         notes: what the file has and the description has not, one sentence each.
+        has_ground: whether a root without joints is known to be fixed. A URDF does not tell it from one that
+            floats, unless its name is "world" or an option tells.
     """
 
     robot: Robot
@@ -417,6 +419,7 @@ class RobotFile:
     format: str = ""
     lines: Mapping[tuple[str, str], SourceLine] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    has_ground: bool = True
 
     @property
     def robots(self) -> tuple[Robot, ...]:
