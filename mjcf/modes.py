@@ -60,7 +60,7 @@ class _RemovableElement:
 
 
 def _actuator_elements(model: Any, k: int) -> Iterator[_RemovableElement]:
-    """Yield the dynamics of the activation, the gains by position and by velocity, and the damping, of actuator
+    """Yield the dynamics of the activation, the gains by position and velocity, and the damping, of actuator
     number `k`.
 
     An actuator whose force is not affine in length and velocity is one element.

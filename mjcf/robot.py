@@ -25,7 +25,7 @@ from mjcf.reading.compile import compile_spec
 from mjcf.reading.essentials import Essentials, essential_texts
 from mjcf.reading.source import UNNAMED, copy_model, model_name
 from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
-from mjcf.settings import settings
+from mjcf.settings import Names, settings
 from mjcf.transmission_places import Numbers, numbered, transmission_numbers
 from newton_euler.model.source_file import element_lines, path_text
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
@@ -212,6 +212,8 @@ class _Description:
             for name, flag in mujoco.mjtDisableBit.__members__.items()
             if flags & int(flag)
         }
+        if "constraint" in switched_off:
+            switched_off |= {"equality", "frictionloss", "limit"}
         is_off = switched_off.__contains__
         # MuJoCo's arrays with one row for each body or joint; lists are faster to read than arrays
         self._limits = self._ranges(model.jnt_range, model.jnt_limited, is_off("limit"))
@@ -222,12 +224,12 @@ class _Description:
         self._stiffness = (model.jnt_stiffness * (not is_off("spring"))).tolist()
         self._armature = self._armatures()
         self._clamps_controls = not is_off("clampctrl")
-        no_loops = is_off("equality") or is_off("constraint")
-        equalities = [] if no_loops else [k for k in range(model.neq) if model.eq_active0[k]]
+        equalities = [] if is_off("equality") else [k for k in range(model.neq) if model.eq_active0[k]]
         self._loops: list[FileLoop] = []
         self._couplings: list[FileCoupling] = []
         others = [number for number in equalities if not self._add_equality(number)]
         springs = point_springs(model, has_springs=not is_off("spring"), has_dampers=not is_off("damper"))
+        self._names = Names.of(model)
         drives = tuple(self._drive(k) for k in range(model.nactuator))
         self.robot = Robot(
             name="" if model_name(model) == UNNAMED else model_name(model),
@@ -236,7 +238,7 @@ class _Description:
             couplings=tuple(self._couplings),
             drives=drives,
             springs=tuple(springs.values()),
-            settings=settings(model, others, springs, drives),
+            settings=settings(model, self._names, others, springs, drives, switched_off),
             starts=tuple(starts(model)),
             gravity=np.zeros(3) if is_off("gravity") else model.opt.gravity.copy(),
             time_step=float(model.opt.timestep),
@@ -402,9 +404,16 @@ class _Description:
         for quantity, value in (
             ("damping of the actuator", model.actuator_damping[number]),
             ("delay", model.actuator_delay[number]),
+            ("actearly", model.actuator_actearly[number]),
         ):
             if value:
                 other[quantity] = float(value)
+        other |= numbered("polynomial of the damping", model.actuator_dampingpoly[number])
+        if gain_type != GAIN.mjGAIN_FIXED:
+            other["inputs"] = float(model.actuator_ctrlspec[number])
+        is_at_joint = TRANSMISSION(model.actuator_trntype[number]) in JOINT_TRANSMISSIONS
+        if model.actuator_armature[number] and not is_at_joint:  # others are part of the joint's
+            other["armature of the actuator"] = float(model.actuator_armature[number])
         if GAIN.mjGAIN_MUSCLE == gain_type or BIAS.mjBIAS_MUSCLE == bias_type:
             other |= numbered("length range", model.actuator_lengthrange[number])
         group = int(model.actuator_group[number])
@@ -443,7 +452,7 @@ class _Description:
         single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         if weights is not None and all(mujoco.mjtJoint(model.jnt_type[joint]) in single for joint in weights):
             return {self._joint_names[joint]: weight * gear for joint, weight in weights.items()}, {}
-        return {}, transmission_numbers(model, number)
+        return {}, transmission_numbers(model, self._names, number)
 
     def _note_rest(self, switched_off: set[str], active_equalities: int) -> None:
         """Add notes of what the model has and the robot has not."""

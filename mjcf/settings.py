@@ -7,61 +7,92 @@ file, for `Robot.settings`.
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from mjcf.loops import fixed_tendon_weights
 from mjcf.point_springs import site_place
+from newton_euler.reading.names import body_names, joint_names, unique_names
 from newton_euler.reading.robot import FileDrive, FilePlace, PlaceKind, Placement, Setting, SettingValue
 from newton_euler.scalars import Array
 
 
+class Names(NamedTuple):
+    """Names of the elements of a model by number, also of those without name; body 0 is the ground."""
+
+    bodies: tuple[str, ...]
+    joints: tuple[str, ...]
+    tendons: tuple[str, ...]
+    equalities: tuple[str, ...]
+
+    @staticmethod
+    def of(model: mujoco.MjModel) -> Names:
+        """Collect the names of a model."""
+        bodies = body_names([model.body(number).name for number in range(1, model.nbody)])
+        joints = [model.joint(number).name for number in range(model.njnt)]
+        tendons = [model.tendon(number).name for number in range(model.ntendon)]
+        equalities = [model.equality(number).name for number in range(model.neq)]
+        return Names(
+            ("world", *bodies),
+            tuple(joint_names(joints, [bodies[body - 1] for body in model.jnt_bodyid])),
+            tuple(unique_names(tendons, (f"tendon {k}" for k in range(1, model.ntendon + 1)))),
+            tuple(unique_names(equalities, (f"equality {k}" for k in range(1, model.neq + 1)))),
+        )
+
+
 def settings(
     model: mujoco.MjModel,
+    names: Names,
     equalities: Collection[int],
     springs: Collection[int],
     drives: Collection[FileDrive],
+    switched_off: Collection[str],
 ) -> dict[Setting, SettingValue]:
     """Return the numbers that the description of a robot has no model for.
 
     Args:
         model: the compiled model.
+        names: names of its elements.
         equalities: numbers of the active equalities that are not described.
         springs: numbers of the tendons that are described as springs.
         drives: the described actuators, in the order of the model.
+        switched_off: what the option flags of the model switch off, such as "limit".
     """
     found: dict[Setting, SettingValue] = {}
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
+    names = Names.of(model)
+    if "actuation" in switched_off:
         found[Setting("model", "", "flag actuation")] = "disable"
     if model.opt.density or model.opt.viscosity:
         for name in ("density", "viscosity", "wind"):
             found |= _numbers("model", "", name, np.atleast_1d(getattr(model.opt, name)), exerts=True)
     for count, name in ((model.nflex, "number of flexible bodies"), (model.nplugin, "number of plugins")):
         found |= _numbers("model", "", name, np.array([count]), exerts=True)
-    for number in np.flatnonzero(model.body_gravcomp).tolist():
-        name, factor = _body_name(model, number), model.body_gravcomp[[number]]
-        found |= _numbers("body", name, "gravcomp", factor, exerts=True)
-    for number in range(model.njnt):
-        name = model.joint(number).name or _body_name(model, model.jnt_bodyid[number])
+    compensated = np.flatnonzero(model.body_gravcomp).tolist()
+    for number in compensated:
+        factor = model.body_gravcomp[[number]]
+        found |= _numbers("body", names.bodies[number], "gravcomp", factor, exerts=True)
+    for number, name in enumerate(names.joints):
         dof = model.jnt_dofadr[number]
         for what, factors in (
-            ("stiffness", model.jnt_stiffnesspoly[number]),
-            ("damping", model.dof_dampingpoly[dof]),
+            ("polynomial of the stiffness", model.jnt_stiffnesspoly[number]),
+            ("polynomial of the damping", model.dof_dampingpoly[dof]),
+            ("springyield", model.jnt_springyield[[number]]),
         ):
-            found |= _numbers("joint", name, f"polynomial of the {what}", factors, exerts=True)
+            found |= _numbers("joint", name, what, factors, exerts=True)
+        if compensated:
+            found |= _numbers("joint", name, "actuatorgravcomp", model.jnt_actgravcomp[[number]])
     for number in equalities:
-        name = model.equality(number).name or str(number)
-        key = Setting("equality", name, "coefficients", exerts=True)
+        key = Setting("equality", names.equalities[number], "coefficients", exerts=True)
         found[key] = tuple(model.eq_data[number, :5].tolist())
+        if model.eq_type[number] == mujoco.mjtEq.mjEQ_TENDON:
+            for which, end in (("first", model.eq_obj1id[number]), ("second", model.eq_obj2id[number])):
+                if end >= 0:
+                    found[key._replace(name=f"{which} tendon", exerts=False)] = names.tendons[end]
     for number in sorted(_tendons(model, equalities, springs, drives)):
-        found |= _tendon(model, number, is_spring=number in springs)
+        found |= _tendon(model, names, number, number in springs, switched_off)
     return found
-
-
-def _body_name(model: mujoco.MjModel, number: int) -> str:
-    """Return the name of a body, or its number as `crosscheck diff` shows it, if it has no name."""
-    return model.body(number).name or f"body {number}"
 
 
 def _tendons(
@@ -71,8 +102,25 @@ def _tendons(
     drives: Collection[FileDrive],
 ) -> set[int]:
     """Return the numbers of the tendons with numbers that are not described; arguments as in `settings`."""
-    acts = np.any([model.tendon_frictionloss, model.tendon_armature, model.tendon_limited], axis=0)
-    has_spring = (model.tendon_stiffness != 0.0) | (model.tendon_damping != 0.0)
+    acts = np.any(
+        [
+            model.tendon_frictionloss,
+            model.tendon_armature,
+            model.tendon_limited,
+            model.tendon_actfrclimited,
+            model.tendon_springyield,
+        ],
+        axis=0,
+    )
+    has_spring = np.any(
+        [
+            model.tendon_stiffness,
+            model.tendon_damping,
+            *model.tendon_stiffnesspoly.T,
+            *model.tendon_dampingpoly.T,
+        ],
+        axis=0,
+    )
     has_spring[list(springs)] = False
     found = {*np.flatnonzero(acts | has_spring).tolist()}
     for number in equalities:
@@ -84,32 +132,46 @@ def _tendons(
     return found
 
 
-def _tendon(model: mujoco.MjModel, number: int, is_spring: bool) -> dict[Setting, SettingValue]:
+def _tendon(
+    model: mujoco.MjModel, names: Names, number: int, is_spring: bool, switched_off: Collection[str]
+) -> dict[Setting, SettingValue]:
     """Return the numbers of a tendon.
 
     Args:
         model: the compiled model.
+        names: names of its elements.
         number: number of the tendon.
         is_spring: whether its spring, its damper and its points are described.
+        switched_off: as in `settings`.
     """
-    name = model.tendon(number).name or str(number)
-    found = _numbers("tendon", name, "frictionloss", model.tendon_frictionloss[[number]], exerts=True)
-    found |= _numbers("tendon", name, "armature", model.tendon_armature[[number]], exerts=True)
-    if model.tendon_limited[number]:
+    name = names.tendons[number]
+    found = _numbers("tendon", name, "armature", model.tendon_armature[[number]], exerts=True)
+    if "frictionloss" not in switched_off:
+        found |= _numbers("tendon", name, "frictionloss", model.tendon_frictionloss[[number]], exerts=True)
+    if model.tendon_limited[number] and "limit" not in switched_off:
         found |= _numbers("tendon", name, "range", model.tendon_range[number])
+    if model.tendon_actfrclimited[number]:
+        found |= _numbers("tendon", name, "actuatorfrcrange", model.tendon_actfrcrange[number])
+    found |= _numbers("tendon", name, "springyield", model.tendon_springyield[[number]], exerts=True)
     if is_spring:
         return found
-    for quantity in ("stiffness", "damping"):
+    for quantity, flag in (("stiffness", "spring"), ("damping", "damper")):
         linear, others = (getattr(model, f"tendon_{quantity}{end}")[number] for end in ("", "poly"))
-        found |= _numbers("tendon", name, quantity, np.append(linear, others), exerts=True)
+        if flag not in switched_off:
+            found |= _numbers("tendon", name, quantity, np.append(linear, others), exerts=True)
     if model.tendon_stiffness[number]:
         found |= _numbers("tendon", name, "springlength", model.tendon_lengthspring[number])
     weights = fixed_tendon_weights(model, number)
     if weights is not None:
         for joint, weight in weights.items():
-            what = f"coefficient of {model.joint(joint).name!r}"
-            found |= _numbers("tendon", name, what, np.array([weight]))
+            found[Setting("tendon", name, "coefficient", joint=names.joints[joint])] = (weight,)
         return found
+    return found | _path(model, name, number)
+
+
+def _path(model: mujoco.MjModel, name: str, number: int) -> dict[Setting, SettingValue]:
+    """Return the points, shapes and pulleys of a spatial tendon, by its name and number."""
+    found: dict[Setting, SettingValue] = {}
     first, count = int(model.tendon_adr[number]), int(model.tendon_num[number])
     for place, wrap in enumerate(range(first, first + count), start=1):
         kind, index = mujoco.mjtWrap(model.wrap_type[wrap]), int(model.wrap_objid[wrap])

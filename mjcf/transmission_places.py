@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from mjcf.point_springs import site_place
+from mjcf.settings import Names
 from newton_euler.reading.robot import FilePlace, PlaceKind, Placement
 from newton_euler.scalars import Array
 
@@ -22,23 +23,24 @@ ROLES_OF_SITES = {
 """What the two sites of a transmission are; the second one may be missing."""
 
 
-def transmission_numbers(model: mujoco.MjModel, number: int) -> Numbers:
+def transmission_numbers(model: mujoco.MjModel, names: Names, number: int) -> Numbers:
     """Return what a file says of the transmission of an actuator that has no gears at single coordinates.
 
     Args:
         model: the compiled model.
+        names: names of its elements.
         number: number of the actuator.
     """
     kind = TRANSMISSION(model.actuator_trntype[number])
     target, gear = int(model.actuator_trnid[number, 0]), model.actuator_gear[number]
     word = kind.name.partition("_")[2].lower()
     if kind in (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT):
-        named = {"transmission": f"{word} {model.joint(target).name}".strip()}
+        named: Numbers = {"transmission": word, "joint": names.joints[target]}
         return named | _gear_of_joint(model, target, gear, kind == TRANSMISSION.mjTRN_JOINTINPARENT)
     if kind == TRANSMISSION.mjTRN_TENDON:
-        return {"transmission": f"{word} {model.tendon(target).name}".strip()} | numbered("gear", gear)
+        return {"transmission": word, "tendon": names.tendons[target]} | numbered("gear", gear)
     if kind == TRANSMISSION.mjTRN_BODY:
-        return {"transmission": f"{word} {model.body(target).name}".strip()} | numbered("gear", gear)
+        return {"transmission": word, "body": names.bodies[target]} | numbered("gear", gear)
     found: Numbers = {"transmission": word} | numbered("gear", gear)
     for role, site in zip(ROLES_OF_SITES[kind], model.actuator_trnid[number].tolist(), strict=True):
         if site >= 0:

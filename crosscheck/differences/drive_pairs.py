@@ -12,8 +12,8 @@ from newton_euler.reading.robot import FileDrive, Robot
 def drive_pairs(first: Robot, second: Robot, joints: Iterable[JointPair]) -> list[tuple[int, int]]:
     """Return pairs of drives that act on the same joints.
 
-    Of several drives, those of the same name are a pair, then those of the same kind of law, then those with
-    the most equal gears.
+    Drives of no joint are pairs if their transmissions are of the same kind. Of several drives, those of the
+    same name are a pair, then those of the same kind of law, then those with the most equal gears.
     """
     partners = {second.joint(pair.second).name: first.joint(pair.first).name for pair in joints}
     free = list(range(len(second.drives)))
@@ -23,7 +23,7 @@ def drive_pairs(first: Robot, second: Robot, joints: Iterable[JointPair]) -> lis
             other
             for other in free
             if {partners.get(name) for name in second.drives[other].gears} == {*drive.gears}
-            and (drive.gears or second.drives[other].name == drive.name)
+            and drive.other.get("transmission") == second.drives[other].other.get("transmission")
         ]
         if same:
             partner = min(same, key=lambda other: _unlikeness(drive, second.drives[other]))
@@ -32,11 +32,12 @@ def drive_pairs(first: Robot, second: Robot, joints: Iterable[JointPair]) -> lis
     return pairs
 
 
-def _unlikeness(drive: FileDrive, other: FileDrive) -> tuple[bool, bool, bool, float]:
+def _unlikeness(drive: FileDrive, other: FileDrive) -> tuple[bool, int, bool, bool, float]:
     """Return a key that sorts drives of the same joints by their likeness to a drive."""
     gears = zip(sorted(drive.gears.values()), sorted(other.gears.values()), strict=False)
     return (
         drive.name != other.name,
+        len({*drive.other.items()} ^ {*other.other.items()}) if not drive.gears else 0,
         bool(drive.stiffness) != bool(other.stiffness),
         bool(drive.damping) != bool(other.damping),
         sum(abs(one * drive.gain - two * other.gain) for one, two in gears),

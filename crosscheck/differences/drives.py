@@ -12,6 +12,7 @@ from crosscheck.differences.difference import Difference, Quantity, Value, diffe
 from crosscheck.differences.drive_pairs import drive_pairs
 from crosscheck.differences.frames import CommonFrames
 from crosscheck.differences.places import place_rows
+from crosscheck.differences.settings import Names, names_in_first
 from crosscheck.differences.stack import relative
 from newton_euler.reading.robot import FilePlace, JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
@@ -34,8 +35,10 @@ def drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Diff
     by_second = {joint.second.name: joint for joint in joints}
     first_name = {joint.second.name: joint.first.name for joint in joints}
     paired = drive_pairs(first, second, [joint.pair for joint in joints])
+    names = names_in_first(common, joints)
     for index, other_index in paired:
         yield from _paired_drive(common, index, other_index, by_second)
+        yield from _rows_of_others(common, index, other_index, names)
     known, known_others = {one for one, _ in paired}, {two for _, two in paired}
     alone = [drive for k, drive in enumerate(first.drives) if k not in known]
     others = [drive for k, drive in enumerate(second.drives) if k not in known_others]
@@ -63,20 +66,26 @@ def _paired_drive(
     at_joints = [*_rows_at_joints(common, index, other_index, by_second)]
     counts = [sum(row.size > row.uncertainty for row in rows) for rows in (as_written, at_joints)]
     yield from at_joints if counts[1] < counts[0] else as_written
+
+
+def _rows_of_others(common: CommonFrames, index: int, other_index: int, names: Names) -> Iterator[Difference]:
+    """Yield the rows of what else the files say of two drives; `names` are those in the first file."""
     drive = common.first.file.robot.drives[index]
     other = common.second.file.robot.drives[other_index]
-    for name in sorted({*drive.other, *other.other}):
-        values = drive.other.get(name), other.other.get(name)
+    for what in sorted({*drive.other, *other.other}):
+        values = drive.other.get(what), other.other.get(what)
+        if isinstance(values[1], str):
+            values = values[0], names.get((what, values[1]), values[1])
         if isinstance(values[0], FilePlace) and isinstance(values[1], FilePlace):
-            places = _places(common.first.file, index, name), _places(common.second.file, other_index, name)
-            yield from place_rows(common, (drive.name, "drive", name), places)
+            places = _places(common.first.file, index, what), _places(common.second.file, other_index, what)
+            yield from place_rows(common, (drive.name, "drive", what), places)
         elif values[0] != values[1]:
             sizes = 1.0, 0.0
             if isinstance(values[0], float) and isinstance(values[1], float):
                 sizes = common.judge.compare(np.array([values[0]]), np.array([values[1]]), relative)
             if sizes[0]:
                 shown = [str(v.kind) if isinstance(v, FilePlace) else v for v in values]
-                yield difference(drive.name, "drive", Quantity.SETTING, (shown[0], shown[1]), sizes, name)
+                yield difference(drive.name, "drive", Quantity.SETTING, (shown[0], shown[1]), sizes, what)
 
 
 def _places(file: RobotFile, index: int, name: str) -> list[FilePlace]:

@@ -76,7 +76,7 @@ def differences(
         *spring_rows(common),
         *transmission_rows(common, joints),
         *start_rows(common, joints),
-        *setting_rows(common),
+        *setting_rows(common, joints),
     ]
     at_rest = {
         first.robot.bodies[body].name

@@ -6,10 +6,11 @@ Elements are paired before they get these names, since equal numbers in two file
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from newton_euler.reading.robot import FileBody, FileDrive, Robot, RobotFile
+from newton_euler.reading.names import body_names, joint_names, unique_names
+from newton_euler.reading.robot import FileDrive, FilePlace, Robot, RobotFile
 
 
 def with_names(file: RobotFile) -> RobotFile:
@@ -20,39 +21,49 @@ def with_names(file: RobotFile) -> RobotFile:
 def _named(robot: Robot) -> Robot:
     """Return a robot whose bodies, joints and drives have names.
 
-    A body gets its number, where the first body is 1 as in MuJoCo. A joint gets the name of its body, and a
-    drive those of its joints.
+    A body gets its number, a joint the name of its body, and a drive the names of its joints.
     """
-    names = _unique(body.name or f"body {number}" for number, body in enumerate(robot.bodies, start=1))
-    bodies = (_with_joint_names(replace(b, name=n)) for b, n in zip(robot.bodies, names, strict=True))
-    drives = _unique(drive.name or _name_of_drive(drive, robot.drives) for drive in robot.drives)
+    names = body_names([body.name for body in robot.bodies])
+    of_joints = iter(
+        joint_names(
+            [joint.name for body in robot.bodies for joint in body.joints],
+            [name for body, name in zip(robot.bodies, names, strict=True) for _ in body.joints],
+        )
+    )
+    bodies = tuple(
+        replace(body, name=name, joints=tuple(replace(joint, name=next(of_joints)) for joint in body.joints))
+        for body, name in zip(robot.bodies, names, strict=True)
+    )
+    drives = unique_names(
+        [drive.name for drive in robot.drives],
+        _names_of_drives(robot.drives, names),
+    )
     return replace(
         robot,
-        bodies=tuple(bodies),
+        bodies=bodies,
         drives=tuple(replace(drive, name=name) for drive, name in zip(robot.drives, drives, strict=True)),
     )
 
 
-def _with_joint_names(body: FileBody) -> FileBody:
-    """Return a body whose joints have names."""
-    names = _unique(joint.name or body.name for joint in body.joints)
-    return replace(body, joints=tuple(replace(j, name=n) for j, n in zip(body.joints, names, strict=True)))
+def _names_of_drives(drives: Sequence[FileDrive], bodies: Sequence[str]) -> Iterator[str]:
+    """Yield what each drive acts on, and its law if that has several drives without name.
+
+    Args:
+        drives: the drives of a robot.
+        bodies: names of its bodies.
+    """
+    targets = [_target(drive, bodies) for drive in drives]
+    counts = Counter(target for drive, target in zip(drives, targets, strict=True) if not drive.name)
+    for drive, target in zip(drives, targets, strict=True):
+        law = "position" if drive.stiffness else "velocity" if drive.damping else "force"
+        yield target if counts[target] == 1 else f"{law} drive of {target}"
 
 
-def _name_of_drive(drive: FileDrive, drives: Iterable[FileDrive]) -> str:
-    """Return the names of a drive's joints, and its law if the joints have several drives without name."""
-    joints = ", ".join(drive.gears) or "a body"
-    if sum(not other.name and other.gears.keys() == drive.gears.keys() for other in drives) == 1:
-        return joints
-    law = "position" if drive.stiffness else "velocity" if drive.damping else "force"
-    return f"{law} drive of {joints}"
-
-
-def _unique(names: Iterable[str]) -> list[str]:
-    """Return names of which each repeated one has a number."""
-    counts: Counter[str] = Counter()
-    unique = []
-    for name in names:
-        counts[name] += 1
-        unique.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
-    return unique
+def _target(drive: FileDrive, bodies: Sequence[str]) -> str:
+    """Return the names of a drive's joints, or of what else it acts on; "a body" without a name."""
+    for value in (drive.other.get(what) for what in ("joint", "tendon", "body", "site")):
+        if isinstance(value, FilePlace) and value.body >= 0:
+            return bodies[value.body]
+        if isinstance(value, str):
+            return value
+    return ", ".join(drive.gears) or "a body"

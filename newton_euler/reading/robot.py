@@ -323,12 +323,20 @@ class Setting(NamedTuple):
         element: name of the element; "" for the whole model.
         name: what the number is, such as "range".
         exerts: whether it makes forces that are in no other part of the description.
+        joint: name of the joint that the number is about, such as that of a coefficient of a tendon; ""
+            without one.
     """
 
     element_kind: str
     element: str
     name: str
     exerts: bool = False
+    joint: str = ""
+
+    @property
+    def words(self) -> str:
+        """Name of the number with that of the joint, such as "coefficient of 'elbow'"."""
+        return f"{self.name} of {self.joint!r}" if self.joint else self.name
 
 
 SettingValue = tuple[float, ...] | str | FilePlace

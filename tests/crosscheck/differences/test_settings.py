@@ -28,6 +28,12 @@ ARM = """
   <joint joint="wrist" coef="{coef}"/></fixed></tendon>{end}</mujoco>"""
 PLAIN = {"option": "", "shoulder": "", "fore": "", "tip": "0.1", "cord": "", "coef": "1", "end": ""}
 THRUSTER = '<actuator><motor name="push" site="tip" gear="0 0 1 0 0 0"/></actuator>'
+PULL = '<actuator><motor name="pull" tendon="cord" gear="9"{}/></actuator>'
+PUSH = '<actuator><general name="push" joint="elbow"{}/></actuator>'
+EARLY = ' dyntype="integrator" gainprm="300"{}'
+LINES = """<tendon><fixed name="one" range="-9 9"><joint joint="elbow" coef="1"/></fixed>
+  <fixed name="two" range="-9 9"><joint joint="wrist" coef="1"/></fixed></tendon>
+  <equality><tendon name="tie" tendon1="cord" tendon2="{}"/></equality>"""
 MOTOR = '<actuator><motor name="push" joint="elbow" group="1"/></actuator>'
 HOLD = '<equality><tendon name="hold" tendon1="cord"/></equality>'
 
@@ -102,6 +108,46 @@ CASES = {
         "flag actuation",
         (None, "disable"),
         "",
+    ),
+    "gravity compensation by limited actuators": Case(
+        {"fore": ' gravcomp="0.75"', "shoulder": ' actuatorfrcrange="-1 1"'},
+        {"fore": ' gravcomp="0.75"', "shoulder": ' actuatorfrcrange="-1 1" actuatorgravcomp="true"'},
+        "shoulder",
+        "actuatorgravcomp",
+        (None, 1.0),
+        "gravcomp of body 'fore'",
+    ),
+    "polynomial of an actuator's damper": Case(
+        {"end": PUSH.format(' damping="0.5"')},
+        {"end": PUSH.format(' damping="0.5 2"')},
+        "push",
+        "polynomial of the damping 1",
+        (None, 2.0),
+        "",
+    ),
+    "rotor of an actuator that pulls a tendon": Case(
+        {"end": PULL.format("")},
+        {"end": PULL.format(' armature="0.5"')},
+        "pull",
+        "armature of the actuator",
+        (None, 0.5),
+        "",
+    ),
+    "activation of the next step": Case(
+        {"end": PUSH.format(EARLY.format(""))},
+        {"end": PUSH.format(EARLY.format(' actearly="true"'))},
+        "push",
+        "actearly",
+        (None, 1.0),
+        "",
+    ),
+    "tendons of an equality": Case(
+        {"end": LINES.format("one")},
+        {"end": LINES.format("two")},
+        "tie",
+        "second tendon",
+        ("one", "two"),
+        "coefficients of equality 'tie'",
     ),
     "group switched off": Case(
         {"end": MOTOR},
@@ -184,3 +230,71 @@ def test_digits_of_the_file_leave_settings_open(tmp_path: Path) -> None:
     """0.7500001 and 0.75 are equal to six digits."""
     found = compared(tmp_path, {"fore": ' gravcomp="0.75"'}, {"fore": ' gravcomp="0.7500001"'})
     assert found.outcome is Outcome.SAME_TO_ROUNDING
+
+
+def compared_texts(folder: Path, *texts: str) -> crosscheck.Diff:
+    paths = [folder / "first.xml", folder / "second.xml"]
+    for path, text in zip(paths, texts, strict=True):
+        path.write_text(text)
+    return crosscheck.diff(*map(str, paths))
+
+
+def test_polynomials_of_two_joints_of_one_body_are_two_settings(tmp_path: Path) -> None:
+    pole = """<mujoco><worldbody><body name="pole"><joint axis="0 1 0" damping="0.1 {}"/>
+      <joint axis="1 0 0" damping="0.1 2"/><inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/></body>
+      </worldbody></mujoco>"""
+    (row,) = compared_texts(tmp_path, pole.format(1), pole.format(9)).differences
+    assert (row.element, row.first, row.second) == ("pole", (1.0, 0.0), (9.0, 0.0))
+
+
+@pytest.mark.parametrize("number", ['limited="true" range="-1 1"', 'frictionloss="0.5"'])
+def test_a_flag_that_switches_all_constraints_off_removes_limits_and_friction(
+    number: str, tmp_path: Path
+) -> None:
+    second = {"option": '><flag constraint="disable"/></option><option'}
+    for element in ("shoulder", "cord"):
+        one = {element: f" {number}"}
+        assert len(compared(tmp_path, one, one | second).differences) == 1
+
+
+def test_the_body_of_a_site_counts_and_its_name_does_not(tmp_path: Path) -> None:
+    first = ARM.format(**PLAIN | {"end": THRUSTER})
+    assert compared_texts(tmp_path, first, first.replace('"tip"', '"tool"')).outcome is Outcome.SAME
+    site = '<site name="tip" pos="0.1 0 0.05"/>'
+    moved = first.replace(site, "").replace('<joint name="wrist"', site + '<joint name="wrist"')
+    (row,) = compared_texts(tmp_path, first, moved).differences
+    assert (row.element, row.cause, row.first, row.second) == ("push", "site", "fore", "hand")
+
+
+def test_tendons_without_names_have_partners_by_their_joints(tmp_path: Path) -> None:
+    def text(*ranges: tuple[str, int]) -> str:
+        tendons = (
+            f'<fixed range="-9 {largest}"><joint joint="{joint}" coef="2"/>'
+            '<joint joint="shoulder" coef="1"/></fixed>'
+            for joint, largest in ranges
+        )
+        return ARM.format(**PLAIN).replace("</tendon>", f"{''.join(tendons)}</tendon>")
+
+    one = text(("elbow", 3), ("wrist", 4))
+    assert compared_texts(tmp_path, one, text(("wrist", 4), ("elbow", 3))).outcome is Outcome.SAME
+    (row,) = compared_texts(tmp_path, one, text(("wrist", 4), ("elbow", 5))).differences
+    assert (row.element, row.cause, row.first, row.second) == ("tendon 2", "range", (-9.0, 3.0), (-9.0, 5.0))
+    inserted = compared_texts(tmp_path, one, text(("wrist", 4), ("wrist", 8), ("elbow", 3)))
+    assert all(row.first is None for row in inserted.differences)
+
+
+def test_tendons_keep_their_meaning_with_other_names_senses_and_zeros_of_joints(tmp_path: Path) -> None:
+    first = ARM.format(**PLAIN | {"cord": ' range="-1 1"'})
+    named = first.replace('"cord"', '"rope"').replace('"elbow"', '"middle"').replace('"fore"', '"ulna"')
+    assert compared_texts(tmp_path, first, named).outcome is Outcome.SAME
+    elbow, coefficient = 'name="elbow" axis="0 1 0"', '"elbow" coef="-1"'
+    turned = first.replace(elbow, 'name="elbow" axis="0 -1 0"')
+    other = turned.replace(coefficient, '"elbow" coef="1"')
+    assert compared_texts(tmp_path, first, other).outcome is Outcome.SAME
+    (row,) = compared_texts(tmp_path, first, turned).differences
+    assert (row.cause, row.first, row.second) == ("coefficient of 'elbow'", -1.0, 1.0)
+    # 90 degrees of the elbow are -pi/2 of the length
+    moved = first.replace(elbow, f'{elbow} ref="90"')
+    assert compared_texts(tmp_path, first, moved).outcome is Outcome.DIFFERENT
+    fitting = moved.replace('range="-1 1"', f'range="{-1 - np.pi / 2} {1 - np.pi / 2}"')
+    assert compared_texts(tmp_path, first, fitting).same

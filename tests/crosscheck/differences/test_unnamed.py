@@ -105,3 +105,16 @@ def test_compensation_of_gravity_of_bodies_without_names(diff):
     assert np.abs(accelerations(one) - accelerations(other)).max() > 0.1  # rad/s^2
     [row] = diff(one, other).differences
     assert (row.element, row.cause, row.first, row.second) == ("body 2", "gravcomp", 1.0, 0.2)
+
+
+def test_a_joint_that_has_the_name_of_the_body_of_a_joint_without_name(diff):
+    """The name of such a body is taken; the drive stays at its joint."""
+    one = arm(drives='<motor name="m" joint="lower" gear="9"/>').replace('"j1"', '"lower"')
+    one = one.replace('<body pos="0.01 0.02 -0.4">', '<body name="lower" pos="0.01 0.02 -0.4">')
+    unnamed = one.replace(' name="j2"', "")
+    for texts in ((one, unnamed), (unnamed, one), (unnamed, unnamed)):
+        found = diff(*texts)
+        assert found.outcome is Outcome.SAME
+        assert found.motion.likeness is Likeness.EQUAL
+    [row] = diff(unnamed, unnamed.replace('axis="1 0 0"', 'axis="1 0 0" damping="0.5"')).differences
+    assert (row.element, row.quantity, row.first, row.second) == ("lower (2)", "damping", 0.0, 0.5)
