@@ -69,13 +69,12 @@ def with_causes(
     """Return one row for each cause: true differences, then rounding, then conventions.
 
     Args:
-        rows: rows of single elements.
+        rows: rows of single elements, after `with_joint_causes`.
         first, second: the files.
         tolerance: relative difference that counts as rounding; None for the digits of the files.
     """
-    joined = _with_joint_causes([*rows])
     by_standing: dict[Standing, list[Difference]] = defaultdict(list)
-    for row in joined:
+    for row in rows:
         by_standing[row.standing].append(row)
     different = by_standing[Standing.DIFFERENT]
     formats = first.format, second.format
@@ -103,17 +102,27 @@ def with_causes(
     return [
         *different,
         *_by_quantity(by_standing[Standing.ROUNDING], allowed),
-        *_by_quantity(by_standing[Standing.CONVENTION], ""),
+        *_by_cause(by_standing[Standing.CONVENTION]),
     ]
 
 
 def _by_quantity(rows: list[Difference], cause: str) -> Iterator[Difference]:
-    """Yield one row for each quantity, with the elements of all rows."""
-    groups: dict[Quantity, list[Difference]] = defaultdict(list)
+    """Yield one row for each quantity of a kind of elements, with the elements of all rows."""
+    groups: dict[tuple[str, Quantity], list[Difference]] = defaultdict(list)
     for row in rows:
-        groups[row.quantity].append(row)
+        groups[row.element_kind, row.quantity].append(row)
     for group in groups.values():
-        yield _merged(group, cause or group[0].cause)
+        yield _merged(group, cause)
+
+
+def _by_cause(rows: list[Difference]) -> Iterator[Difference]:
+    """Yield one row for each quantity and cause, so that the cause is that of all elements."""
+    groups: dict[tuple[object, ...], list[Difference]] = defaultdict(list)
+    for row in rows:
+        key = row.element_kind, row.quantity, row.cause, row.first is None, row.second is None
+        groups[key].append(row)
+    for group in groups.values():
+        yield _merged(group, group[0].cause)
 
 
 def _merged(rows: list[Difference], cause: str) -> Difference:
@@ -121,57 +130,8 @@ def _merged(rows: list[Difference], cause: str) -> Difference:
     elements = tuple(dict.fromkeys(name for row in rows for name in row.elements))
     # Six digits: round-off does not decide which of equal rows is shown
     largest = max(rows, key=lambda row: float(f"{row.size:.6g}"))
-    return replace(largest, elements=elements, cause=cause)
-
-
-# Rows of one joint
-
-
-def _with_joint_causes(rows: list[Difference]) -> list[Difference]:
-    """Return rows in which a joint's reversed axis, moved zero and forgotten limits are one row."""
-    of_joint: dict[str, dict[Quantity, Difference]] = defaultdict(dict)
-    for row in rows:
-        if row.element_kind == "joint" and row.standing is not Standing.ROUNDING:
-            of_joint[row.element][row.quantity] = row
-    replaced: dict[int, Difference | None] = {}
-    for found in of_joint.values():
-        sign, zero = found.get(Quantity.SIGN), found.get(Quantity.ZERO)
-        axis = found.get(Quantity.JOINT_AXIS)
-        dependent = [found[quantity] for quantity in (Quantity.LIMITS, Quantity.REST) if quantity in found]
-        unchanged = [row for row in dependent if _is_as_written(row, sign, zero)]
-        if not unchanged:
-            continue
-        replaced.update((id(row), None) for row in unchanged)
-        what = " and ".join(row.quantity for row in unchanged)
-        if sign is not None:
-            words = f"{sign.cause}, {what} not mirrored"
-            if zero is not None:
-                # limits that are as written show that nothing but the axis is reversed, in a pose that has
-                # another coordinate than zero
-                words = f"{sign.cause}, its zero is elsewhere, {what} not mirrored"
-                replaced[id(zero)] = None
-            replaced[id(sign)] = replace(sign, cause=words, effect=None, convention=False)
-        if zero is not None and axis is not None and axis.cause:
-            # A turn about any direction is a turn of the axis and a turn about the axis
-            turn = 2.0 * math.acos(math.cos(0.5 * axis.size) * math.cos(0.5 * zero.size))
-            words = f"the link is turned at its parent by {math.degrees(turn):.4g} degrees"
-            replaced[id(axis)] = replace(axis, size=turn, cause=words)
-            replaced[id(zero)] = None
-        elif zero is not None and sign is None:
-            words = f"{zero.cause}, {what} not moved"
-            replaced[id(zero)] = replace(zero, cause=words, effect=None, convention=False)
-    kept = (replaced.get(id(row), row) for row in rows)
-    return [row for row in kept if row is not None]
-
-
-def _is_as_written(row: Difference, sign: Difference | None, zero: Difference | None) -> bool:
-    """Return whether limits or rest are equal in both files, in spite of another sign or zero."""
-    if row.first is None or row.second is None or not (sign or zero):
-        return False
-    sense = -1 if sign else 1
-    offset = zero.second if zero and isinstance(zero.second, float) else 0.0
-    as_written = (sense * np.atleast_1d(row.second) + offset)[::sense]
-    return bool(np.allclose(as_written, np.atleast_1d(row.first), rtol=1e-5, atol=1e-6 + row.uncertainty))
+    consequences = tuple(dict.fromkeys(name for row in rows for name in row.consequences))
+    return replace(largest, elements=elements, cause=cause, consequences=consequences)
 
 
 # Hypotheses
@@ -373,7 +333,8 @@ def _exchanged(rows: list[Difference]) -> Iterator[Hypothesis]:
     if explained:
         those = [rows[index] for index in sorted(explained)]
         pairs_of_names = [f"{a} and {b}" for a, b in zip(names[::2], names[1::2], strict=True)]
-        row = replace(those[0], elements=tuple(names), cause=f"exchanged: {', '.join(pairs_of_names)}")
+        row = _merged(those, f"exchanged: {', '.join(pairs_of_names)}")
+        row = replace(those[0], elements=tuple(names), cause=row.cause, consequences=row.consequences)
         yield Hypothesis(frozenset(explained), row)
 
 

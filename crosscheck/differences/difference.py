@@ -119,6 +119,7 @@ class Difference:
         convention: whether the row only says that the files use other terms for the same robot, or differ in
             what does not change its motion.
         evidence: which of the values may be right.
+        consequences: names of loops and springs with a number that follows from this difference.
     """
 
     element: str
@@ -134,6 +135,7 @@ class Difference:
     cause: str = ""
     convention: bool = False
     evidence: tuple[Evidence, ...] = ()
+    consequences: tuple[str, ...] = ()
 
     @property
     def standing(self) -> Standing:

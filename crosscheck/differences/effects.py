@@ -17,7 +17,7 @@ from crosscheck.differences.common_states import CommonStates
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.merged_robot import Merged, merged
 from crosscheck.differences.motion import relative_changes
-from newton_euler.reading.robot import FileBody, Robot
+from newton_euler.reading.robot import FileBody, FileCoupling, FileLoop, FileSpring, Robot
 from newton_euler.scalars import Array
 
 Fields = Mapping[Quantity, tuple[str, ...]]
@@ -111,6 +111,8 @@ def effects(states: CommonStates | None, rows: Sequence[Difference]) -> list[flo
         if row.standing is Standing.CONVENTION or (is_held and {*row.elements} <= held):
             continue
         changed = _changed(terms, row, rows)
+        if changed is not None and row.consequences:
+            changed = _with_consequences(terms, changed, {*row.consequences})
         if changed is not None:
             groups[_structure(changed)].append((index, changed))
         elif row.element_kind == "body" and row.quantity is Quantity.PRESENCE:
@@ -290,11 +292,7 @@ def _with_loops(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | N
         return replace(robot, loops=(*kept, *added))
     if quantity not in LOOP_FIELDS:
         return None
-    loops = [
-        _exchanged(own, other, LOOP_FIELDS[quantity] if own.name in names else ())
-        for own, other in zip(robot.loops, terms.second.loops, strict=True)
-    ]
-    return replace(robot, loops=tuple(loops))
+    return replace(robot, loops=_of_names(names, robot.loops, terms.second.loops, LOOP_FIELDS[quantity]))
 
 
 def _with_springs(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | None:
@@ -304,11 +302,8 @@ def _with_springs(terms: Merged, quantity: Quantity, names: set[str]) -> Robot |
         kept = [k for number, k in enumerate(robot.springs) if number in terms.springs or k.name not in names]
         added = [spring for spring in terms.other_springs if spring.name in names]
         return replace(robot, springs=(*kept, *added))
-    springs = [
-        _exchanged(own, other, SPRING_FIELDS[quantity] if own.name in names else ())
-        for own, other in zip(robot.springs, terms.second.springs, strict=True)
-    ]
-    return replace(robot, springs=tuple(springs))
+    fields = SPRING_FIELDS[quantity]
+    return replace(robot, springs=_of_names(names, robot.springs, terms.second.springs, fields))
 
 
 def _with_couplings(terms: Merged, quantity: Quantity, names: set[str]) -> Robot | None:
@@ -320,11 +315,38 @@ def _with_couplings(terms: Merged, quantity: Quantity, names: set[str]) -> Robot
         return replace(robot, couplings=(*kept, *added))
     if quantity is not Quantity.COUPLING:
         return None
-    couplings = [
-        _exchanged(own, other, ("powers",) if own.name in names else ())
-        for own, other in zip(robot.couplings, terms.second.couplings, strict=True)
-    ]
-    return replace(robot, couplings=tuple(couplings))
+    return replace(robot, couplings=_of_names(names, robot.couplings, terms.second.couplings, ("powers",)))
+
+
+def _with_consequences(terms: Merged, robot: Robot, names: set[str]) -> Robot:
+    """Return a robot with all numbers of loops and springs of given names from the second robot.
+
+    Args:
+        terms: both robots.
+        robot: a robot with the loops and springs of the first one.
+        names: names of loops and springs.
+    """
+    loop_fields = [field for fields in LOOP_FIELDS.values() for field in fields]
+    spring_fields = [*SPRING_FIELDS[Quantity.SPRING_POINT], *SPRING_FIELDS[Quantity.REST]]
+    return replace(
+        robot,
+        loops=_of_names(names, robot.loops, terms.second.loops, loop_fields),
+        springs=_of_names(names, robot.springs, terms.second.springs, spring_fields),
+    )
+
+
+Constraint = TypeVar("Constraint", FileLoop, FileSpring, FileCoupling)
+"""Element with a name and a partner at the same place of another sequence."""
+
+
+def _of_names(
+    names: set[str], own: Sequence[Constraint], others: Sequence[Constraint], fields: Sequence[str]
+) -> tuple[Constraint, ...]:
+    """Return elements, those of given names with some fields of their partners."""
+    return tuple(
+        _exchanged(each, other, fields if each.name in names else ())
+        for each, other in zip(own, others, strict=True)
+    )
 
 
 Element = TypeVar("Element", bound=object)

@@ -15,9 +15,12 @@ from crosscheck.differences.alignment import Alignment
 from crosscheck.differences.bodies import body_rows
 from crosscheck.differences.causes import with_causes
 from crosscheck.differences.connections import coupling_rows, joint_partners, loop_rows
+from crosscheck.differences.consequences import with_consequences
 from crosscheck.differences.difference import Difference, Quantity, Standing, Value, difference, numbers
 from crosscheck.differences.drives import drive_rows
 from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames, has_joint_above, joint_name
+from crosscheck.differences.joint_causes import with_joint_causes
+from crosscheck.differences.joint_order import with_joint_order
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
 from crosscheck.differences.settings import setting_rows
 from crosscheck.differences.springs import spring_rows
@@ -90,6 +93,7 @@ def differences(
         for body in bodies
         if not has_joint_above(file.robot, body)
     }
+    rows = with_consequences(common, with_joint_causes(with_joint_order(common, rows)))
     has_ground = first.has_ground or second.has_ground
     return [
         _without_effect(row, at_rest, fixed_alone, has_ground)
