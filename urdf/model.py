@@ -19,6 +19,7 @@ from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import REVOLUTE, UNIVERSAL, Loops
+from urdf.reading.planes import axes_of_plane, turned_planes
 from urdf.reading.vocabulary import BaseName
 
 HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
@@ -91,7 +92,8 @@ def build(
     if held:
         parsed = pin.buildReducedModel(parsed, held, pin.neutral(parsed))
     _check_joints(loops, "name_mot", loops.name_mot, list(parsed.names)[1:])  # joints with a motor
-    model, urdf_joints = _rebuild(parsed, types, _rounded_axes(urdf) if keeps_axes else {})
+    planes = turned_planes(xml_tree(urdf)) if "planar" in urdf else {}
+    model, urdf_joints = _rebuild(parsed, types, _rounded_axes(urdf) if keeps_axes else {}, planes)
 
     # loop closures
     constraints = pin.StdVec_RigidConstraintModel()
@@ -174,13 +176,16 @@ def _rounded_axes(urdf: str) -> dict[str, Array]:
     return axes
 
 
-def _rebuild(parsed: Any, types: dict[str, str], axes: dict[str, Array]) -> tuple[Any, tuple[str, ...]]:
+def _rebuild(
+    parsed: Any, types: dict[str, str], axes: dict[str, Array], planes: dict[str, Array]
+) -> tuple[Any, tuple[str, ...]]:
     """Copy a model with other types or axes of some joints.
 
     Args:
         parsed: `pinocchio.Model` that the parser has built.
         types: one of `urdf.loops.JOINT_TYPES` by name of the joint.
         axes: (3,) axis by name of the joint.
+        planes: (3,) normal of the plane of a planar joint, by name of the joint.
 
     Returns:
         The model, and for each of its joints the name of the joint in the parsed model.
@@ -205,6 +210,15 @@ def _rebuild(parsed: Any, types: dict[str, str], axes: dict[str, Array]) -> tupl
             parent = model.addJoint(parent, HINGE_MODELS[first](), placement, f"{urdf_joint}_{first}")
             urdf_joints.append(urdf_joint)
             joint, placement, name = HINGE_MODELS[second](), pin.SE3.Identity(), f"{urdf_joint}_{second}"
+        elif kind is None and name in planes:
+            # two slides in the plane, and a hinge across it that carries the body
+            first_axis, second_axis, normal = axes_of_plane(planes[name])
+            for letter, axis in (("x", first_axis), ("y", second_axis)):
+                slide = pin.JointModelPrismaticUnaligned(axis)
+                parent = model.addJoint(parent, slide, placement, f"{urdf_joint}_{letter}")
+                urdf_joints.append(urdf_joint)
+                placement = pin.SE3.Identity()
+            joint, name = pin.JointModelRevoluteUnaligned(normal), f"{urdf_joint}_z"
         number = model.addJoint(parent, joint, placement, name)
         model.appendBodyToJoint(number, parsed.inertias[index], pin.SE3.Identity())
         numbers.append(number)

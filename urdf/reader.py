@@ -48,6 +48,7 @@ from urdf.reading.given import Given, PinocchioModel
 from urdf.reading.leftovers import report_collisions, report_joints
 from urdf.reading.loops import closing_joints, couplings
 from urdf.reading.parser_messages import collected_messages, report_complaints
+from urdf.reading.planes import turned_planes
 from urdf.reading.source import (
     JointProperties,
     SourceError,
@@ -357,7 +358,11 @@ def _add_users_loop(robot: Robot, reference: PinocchioReference, scene: Scene, r
     if robot.gains:  # each constraint in memory has its own Baumgarte gains
         default = replace(default, kp=None, kd=None)
     settings = replace(default, **robot.own_run)
-    if problem := unsupported(reference):
+    planes = {} if robot.root is None else turned_planes(robot.root)
+    problem = unsupported(reference)
+    if planes:  # the reference has them as the format defines them
+        problem = f"Pinocchio moves planar joint {next(iter(planes))!r} across z, not across its axis"
+    if problem:
         report.start.append(f"a user's loop with Pinocchio is not judged: {problem}")
         return
     is_assumed = not robot.own_run

@@ -22,6 +22,7 @@ from newton_euler.scalars import Array
 from urdf.extensions import ARMATURE, STIFFNESS, Extensions
 from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, closure_names, parse_loops
 from urdf.pinocchio_reference import Closure, PinocchioReference, PointSpring
+from urdf.reading.planes import turned_planes
 
 HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 """Pinocchio's joint models of hinges, by axis."""
@@ -270,16 +271,23 @@ def _build_model(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
     if held:
         plain = pin.buildReducedModel(plain, held, pin.neutral(plain))
     # new number of each joint, and URDF joint of each new joint
-    model, number, urdf_joints = pin.Model(), {0: 0}, [""]
+    model, number, urdf_joints, planes = pin.Model(), {0: 0}, [""], turned_planes(xml_tree(text))
     for k in range(1, plain.njoints):
         name = str(plain.names[k])
         kind, pose = types.get(name, ""), plain.jointPlacements[k]
-        # two hinges for a universal joint, one joint for all others
-        hinges = [HINGE_MODELS[axis]() for axis in UNIVERSAL.get(kind, "")]
-        chain = hinges or [pin.JointModelSpherical() if kind == "SPHERICAL" else plain.joints[k]]
+        # two hinges for a universal joint, three joints for a plane that is not across z, one for all others
+        chain, letters = [plain.joints[k]], UNIVERSAL.get(kind, "")
+        if letters:
+            chain = [HINGE_MODELS[axis]() for axis in letters]
+        elif kind == "SPHERICAL":
+            chain = [pin.JointModelSpherical()]
+        elif not kind and name in planes:
+            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), planes[name]).matrix()
+            slides = [pin.JointModelPrismaticUnaligned(axis) for axis in turn.T[:2]]
+            chain, letters = [*slides, pin.JointModelRevoluteUnaligned(turn[:, 2])], "xyz"
         number[k] = number[plain.parents[k]]
         for n, joint in enumerate(chain):
-            joint_name = name if len(chain) == 1 else f"{name}_{UNIVERSAL[kind][n]}"
+            joint_name = name if len(chain) == 1 else f"{name}_{letters[n]}"
             number[k] = model.addJoint(number[k], joint, pose if n == 0 else pin.SE3.Identity(), joint_name)
             urdf_joints.append(name)
         model.appendBodyToJoint(number[k], plain.inertias[k], pin.SE3.Identity())

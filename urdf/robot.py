@@ -37,6 +37,7 @@ from newton_euler.scalars import Array
 from urdf.errors import LoopFileError
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, loop_files_beside
+from urdf.reading.planes import axes_of_plane
 from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, finite_or_infinite, parsed, read_loops
 from urdf.reading.transmissions import REDUCTION_TAGS, read_transmissions
 from urdf.reading.vocabulary import BASES, BaseName, unknown
@@ -286,7 +287,7 @@ def _motions(
             yield FileJoint(f"{name}_{letter}", JointKind.HINGE, axis, point=np.zeros(3))
     elif kind == "planar":
         # the format defines no limits of a planar joint; as in MuJoCo, they bound its first motion
-        for letter, axis in zip("xyz", _axes_of_plane(_axis(path, joint)), strict=True):
+        for letter, axis in zip("xyz", axes_of_plane(_axis(path, joint)), strict=True):
             motion = JointKind.HINGE if letter == "z" else JointKind.SLIDE
             yield _single_motion(joint, f"{name}_{letter}", motion, axis, extensions, limited=letter == "x")
     elif kind in JOINT_KINDS:
@@ -331,17 +332,6 @@ def _single_motion(
         effort=(-effort, effort),
         speed=_limit(limit, "velocity", math.inf),
     )
-
-
-def _axes_of_plane(normal: Array) -> Array:
-    """Return two axes of a plane and its unit normal (3,) as rows (3, 3): x, y, z, by the shortest turn."""
-    x, y, z = normal
-    if z < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])  # half a turn about x
-    turn = 1.0 / (1.0 + z)
-    first = 1.0 - turn * x * x, -turn * x * y, -x
-    second = -turn * x * y, 1.0 - turn * y * y, -y
-    return np.array([first, second, normal])
 
 
 def _axis(path: str, joint: ET.Element) -> Array:

@@ -15,6 +15,7 @@ from mechanisms import GRAVITY, REGULAR, at_rest, planar_four_bar
 from urdf_files import CHAIN, LOOPS, TIPS, joint, link, reading, robot
 
 import urdf
+from newton_euler import simulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.joint_kinds import Fixed, Free, Prismatic, Revolute, Spherical
 from urdf import read
@@ -64,6 +65,31 @@ def test_free_and_planar_joints_and_mimics(tmp_path: Path) -> None:
         where + "'follows' 0.1",
         "starts from coordinates 0 and mimics at their offsets: all loops closed, to 0.0e+00",
     ]
+
+
+@pytest.mark.parametrize("axis", ["0 0 1", "0 0 -1", "0 2 0", "0.2 1 0.1", ""])
+def test_a_planar_joint_moves_in_the_plane_across_its_axis(axis: str, tmp_path: Path) -> None:
+    """Its body, which starts at rest, falls along the plane without a turn, by half of g in the plane t^2."""
+    planar = joint("glides", "planar", "base", "a").replace('xyz="0.2 1 0.1"', f'xyz="{axis}"')
+    text = robot(link("a"), planar if axis else planar.replace('<axis xyz=""/>', ""))
+    (tmp_path / "robot.urdf").write_text(text)
+    found = read(tmp_path / "robot.urdf", duration=0.5, output_period=0.1, excitation=False)
+    given = np.array([float(number) for number in (axis or "1 0 0").split()])  # x is URDF's default
+    normal = pin.rpy.rpyToMatrix(0.3, -0.2, 0.5) @ (given / np.linalg.norm(given))
+    run = simulate(found.scene)
+    body = run.body_names.index("a")
+    fallen = run.position[:, body] - run.position[0, body]
+    in_plane = GRAVITY - (GRAVITY @ normal) * normal
+    assert fallen == pytest.approx(0.5 * np.outer(run.time**2, in_plane), abs=1e-9)
+    assert run.quaternion[:, body] == pytest.approx(np.tile(run.quaternion[0, body], (6, 1)), abs=1e-9)
+    # a loop with Pinocchio, which ignores the axis, runs another robot
+    assert (found.report.simulation is None) == (axis != "0 0 1")
+
+
+def test_an_axis_of_a_planar_joint_without_direction_is_refused(tmp_path: Path) -> None:
+    planar = joint("glides", "planar", "base", "a").replace("0.2 1 0.1", "0 0 0")
+    with pytest.raises(UrdfError, match="joint 'glides': its axis is 0 0 0"):
+        reading(tmp_path, robot(link("a"), planar))
 
 
 @pytest.mark.parametrize("kind", ["revolute", "continuous"])
