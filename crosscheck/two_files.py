@@ -75,6 +75,7 @@ def diff(
     *,
     names: Mapping[str, str] | None = None,
     tolerance: float | None = None,
+    geometry: bool = False,
     first_options: Mapping[str, str] | None = None,
     second_options: Mapping[str, str] | None = None,
     progress: Callable[[str], None] = lambda stage: None,
@@ -90,6 +91,8 @@ def diff(
         names: names of bodies or joints of the first file, and of their partners in the second. Others are
             found by names and structure.
         tolerance: relative difference that counts as rounding, instead of the digits of the files.
+        geometry: whether shapes of bodies are compared, too. No compared motion has contacts, so that shapes
+            do not change it. Scenes and models of Pinocchio have no shapes to compare.
         first_options, second_options: options of each model, such as `loops`, the loop file of a URDF.
         progress: function that is called with a message before each stage.
 
@@ -104,4 +107,4 @@ def diff(
     if tolerance is not None and not 0.0 <= tolerance < 1.0:
         raise OptionError("tolerance", tolerance, "a number from 0 to below 1")
     options = first_options or {}, second_options or {}
-    return Diff(compare_models((first, second), options, names or {}, tolerance, progress))
+    return Diff(compare_models((first, second), options, names or {}, tolerance, progress, geometry))

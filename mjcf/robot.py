@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -106,7 +106,7 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
                 hulls = with_hulls(essentials.texts, model)
                 of_hulls = _Description(compiled(hulls, is_variant=False)).robot
                 texts = hulls
-        numbers = {name: NumbersOfText(text, _is_number, is_angle=_is_angle) for name, text in texts.items()}
+        numbers = {name: numbers_of(text) for name, text in texts.items()}
         for _ in range(VARIANTS):
             changed = {name: each.variant(random) for name, each in numbers.items()}
             with suppress(ValueError, mujoco.FatalError):  # for example of limits that change places
@@ -133,6 +133,11 @@ def _notes_of_meshes(essentials: Essentials) -> Iterator[str]:
         yield f"masses count as 0 because meshes are missing, of bodies: {', '.join(essentials.missing)}"
 
 
+def numbers_of(text: str) -> NumbersOfText:
+    """Find the numbers in a text of an MJCF file."""
+    return NumbersOfText(text, _is_number, is_angle=_is_angle)
+
+
 def _is_number(attribute: str) -> bool:
     """Return False for attributes with names and other text."""
     return attribute not in FREE_TEXT
@@ -144,17 +149,23 @@ def _is_angle(tag: str, attribute: str) -> bool:
     return attribute in ("euler", "axisangle") or is_of_joint or (tag, attribute) == ("position", "ctrlrange")
 
 
-def compiled(texts: Mapping[str, str], is_variant: bool) -> mujoco.MjModel:
+def compiled(
+    texts: Mapping[str, str],
+    is_variant: bool,
+    prepare: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+) -> mujoco.MjModel:
     """Compile the texts of files.
 
     Args:
         texts: texts by the names with which they include each other, the top file first.
         is_variant: True to accept moments of inertia that no body can have, which MuJoCo refuses. The moments
             of a thin body become such numbers if their last digits change.
+        prepare: changes the model before it is compiled.
     """
     (_, top_text), *included = texts.items()
     spec = mujoco.MjSpec.from_string(top_text, include={name: text.encode() for name, text in included})
     spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # lengths of muscles would need simulations
+    prepare(spec)
     refused = []
     for body in spec.bodies if is_variant else ():
         if body.explicitinertial:
@@ -186,7 +197,7 @@ def _principal_inertia(body: mujoco.MjsBody) -> tuple[Array, Array | None]:
     return moments, quaternion
 
 
-def _rotation(quaternion: Array) -> Array:
+def rotation_of(quaternion: Array) -> Array:
     """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z)."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quaternion)
@@ -270,12 +281,12 @@ class _Description:
         first_joints, counts = model.body_jntadr.tolist(), model.body_jntnum.tolist()
         parents, masses = model.body_parentid.tolist(), model.body_mass.tolist()
         for number in range(1, model.nbody):
-            axes = _rotation(model.body_iquat[number])  # principal axes of inertia
+            axes = rotation_of(model.body_iquat[number])  # principal axes of inertia
             joints = range(first_joints[number], first_joints[number] + counts[number])
             yield FileBody(
                 name=model.body(number).name,
                 parent=parents[number] - 1,
-                placement=Placement(model.body_pos[number].copy(), _rotation(model.body_quat[number])),
+                placement=Placement(model.body_pos[number].copy(), rotation_of(model.body_quat[number])),
                 joints=tuple(map(self._joint, joints)),
                 mass=masses[number],
                 center=model.body_ipos[number].copy(),
@@ -335,7 +346,7 @@ class _Description:
             # a connect has the points on body 1 and body 2; a weld has them the other way, and then the
             # quaternion of body 2 in body 1
             points = (data[3:6], data[:3]) if is_weld else (data[:3], data[3:6])
-            rotations = (_rotation(data[6:10]) if is_weld else np.eye(3)), np.eye(3)
+            rotations = (rotation_of(data[6:10]) if is_weld else np.eye(3)), np.eye(3)
             frames = [Placement(*pair) for pair in zip(map(np.copy, points), rotations, strict=True)]
         holds_rotation = is_weld and data[10] != 0.0  # factor of torques
         return FileLoop(

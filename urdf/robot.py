@@ -248,7 +248,7 @@ def _body(
     mass, center, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     inertial = link.find("inertial")
     if inertial is not None:
-        frame = _origin(inertial)
+        frame = origin_of(inertial)
         mass, center = _number(inertial.find("mass"), "value"), frame.position
         xx, xy, xz, yy, yz, zz = (
             _number(inertial.find("inertia"), name) for name in NUMBER_ATTRIBUTES["inertia"]
@@ -258,7 +258,7 @@ def _body(
     return FileBody(
         name=str(link.get("name")),
         parent=parent,
-        placement=IN_PLACE if joint is None else _origin(joint),
+        placement=IN_PLACE if joint is None else origin_of(joint),
         joints=motions,
         mass=mass,
         center=center,
@@ -393,7 +393,7 @@ def _loops(robot: Robot, root: ET.Element, extensions: Extensions, loops: Loops)
         for joint in xml_tree(extensions.text).findall("joint"):
             added = _link_of(joint, "child")
             if added not in numbers:
-                frames[added] = numbers[_link_of(joint, "parent")], _origin(joint)
+                frames[added] = numbers[_link_of(joint, "parent")], origin_of(joint)
     placements = robot.placements()
     for pair, kind in zip(all_loops.closed_loop, all_loops.type, strict=True):
         for name in pair:
@@ -423,7 +423,7 @@ def _vector(element: ET.Element, name: str) -> Array:
     return np.array([float(number) for number in element.get(name, "0 0 0").split()])
 
 
-def _origin(element: ET.Element) -> Placement:
+def origin_of(element: ET.Element) -> Placement:
     """Return the placement that the `<origin>` of an element gives; none means the frame of the parent."""
     origin = element.find("origin")
     if origin is None:

@@ -43,6 +43,7 @@ from crosscheck.support.errors import CrosscheckError
     metavar="NUMBER",
     help="Relative difference that counts as rounding.  [default: the digits of the files]",
 )
+@click.option("--geometry", is_flag=True, help="Compare shapes too: collision and visual ones.")
 @folder_option("output/diff/FIRST_SECOND")
 @verbose_option
 def diff_command(
@@ -52,6 +53,7 @@ def diff_command(
     set_second: tuple[str, ...],
     names: Path | None,
     tolerance: float | None,
+    geometry: bool,
     output: Path | None,
 ) -> int:
     """Compare two model files of one robot: what differs, and does it matter.
@@ -64,7 +66,7 @@ def diff_command(
     are the same but the motions could not be compared.
     """
     options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
-    return compare_and_show((first, second), options, output, _pairs(names), tolerance)
+    return compare_and_show((first, second), options, output, _pairs(names), tolerance, geometry)
 
 
 def compare_and_show(
@@ -73,6 +75,7 @@ def compare_and_show(
     output: Path | None,
     names: Mapping[str, str] = {},
     tolerance: float | None = None,
+    geometry: bool = False,
 ) -> int:
     """Compare two model files, write and print the results, and return the exit status.
 
@@ -82,6 +85,7 @@ def compare_and_show(
         output: folder for the results; None for the default.
         names: names of bodies or joints of the first file, and of their partners in the second.
         tolerance: relative difference that counts as rounding; None for the digits of the files.
+        geometry: whether shapes of bodies are compared, too.
     """
     from crosscheck.differences.result import compare_models
     from crosscheck.report.annotations import sarif, workflow_commands
@@ -97,7 +101,7 @@ def compare_and_show(
         check_no_other_results(folder, models, "comparison of files")
     check_writable(*paths, folder / PAGE)
     with progress_shown() as progress:
-        comparison = compare_models(models, options, names, tolerance, progress)
+        comparison = compare_models(models, options, names, tolerance, progress, geometry)
     found = report(comparison)
     summary = markdown(replace(found, parts=found.summary)).encode()
     contents = as_json(comparison.summary(), found), summary, sarif(comparison)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import assert_never
 
+from newton_euler.reading.file_shapes import Role
 from newton_euler.scalars import Array
 
 Value = float | tuple[float, ...] | str | None
@@ -63,6 +64,17 @@ class Quantity(StrEnum):
     SPRING_POINT = "point"
     START = "start"
     START_SPEED = "speed at the start"
+    SIZE = "size"
+    PLACE = "place"
+    ORIENTATION = "orientation"
+    SHAPE = "shape"
+    MESH_SCALE = "mesh scale"
+    CONTYPE = "contype"
+    CONAFFINITY = "conaffinity"
+    CONDIM = "condim"
+    CONTACT_FRICTION = "friction"
+    MARGIN = "margin"
+    GAP = "gap"
 
 
 class Standing(StrEnum):
@@ -106,7 +118,7 @@ class Difference:
     Attributes:
         element: name in the first file, or in the second if only the second has the element.
         element_kind: "body", "joint", "drive", "loop", "coupling", "spring", "transmission", "keyframe" or
-            "model".
+            "model"; of a shape "collision box", "visual mesh" and so on, where the element is its body.
         quantity: what differs.
         first, second: value in each file, in the frame, zero and sign of the first file; None if the
             element or the number is missing there.
@@ -138,6 +150,16 @@ class Difference:
     consequences: tuple[str, ...] = ()
 
     @property
+    def is_geometry(self) -> bool:
+        """True if the row is about shapes of bodies, which the compared motion does not depend on."""
+        return self.element_kind.startswith(tuple(f"{role} " for role in Role))
+
+    @property
+    def is_of_body(self) -> bool:
+        """True if `element` is the name of a body."""
+        return self.is_geometry or self.element_kind == "body"
+
+    @property
     def standing(self) -> Standing:
         """Return whether the row is a true difference, rounding or a convention."""
         if self.convention:
@@ -153,7 +175,7 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             return "kg"
         case Quantity.CENTER | Quantity.JOINT_ORIGIN | Quantity.LOOP_POINT | Quantity.SPRING_POINT:
             return "m"
-        case Quantity.LOOP_LENGTH:
+        case Quantity.LOOP_LENGTH | Quantity.SIZE | Quantity.PLACE | Quantity.MARGIN | Quantity.GAP:
             return "m"
         case Quantity.INERTIA:
             return "kg m^2"
@@ -162,6 +184,8 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
         case Quantity.GRAVITY:
             return "m/s^2"
         case Quantity.INERTIA_AXES | Quantity.JOINT_ORIENTATION | Quantity.FRAME | Quantity.LOOP_AXIS:
+            return "rad"
+        case Quantity.ORIENTATION:
             return "rad"
         case Quantity.ZERO | Quantity.REST | Quantity.LIMITS | Quantity.START | Quantity.TRANSMISSION_OFFSET:
             return length
@@ -194,6 +218,12 @@ def unit(quantity: Quantity, slide: bool = False) -> str:
             | Quantity.HARDWARE_INTERFACE
             | Quantity.ACTUATOR
             | Quantity.INTEGRATOR
+            | Quantity.SHAPE
+            | Quantity.MESH_SCALE
+            | Quantity.CONTYPE
+            | Quantity.CONAFFINITY
+            | Quantity.CONDIM
+            | Quantity.CONTACT_FRICTION
         ):
             return ""
         case _:

@@ -15,17 +15,23 @@ from crosscheck.differences.common_states import CommonStates, common_states
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
 from crosscheck.differences.evidence import with_evidence
+from crosscheck.differences.frames import common_frames
+from crosscheck.differences.geometry import geometry_rows
 from crosscheck.differences.loop_cuts import with_same_cuts
 from crosscheck.differences.motion import Likeness, Motion, compare_motions
 from crosscheck.differences.rows import differences
 from crosscheck.differences.run import Run, run_both
 from crosscheck.differences.shapes import shapes
 from crosscheck.differences.unnamed import with_names
-from crosscheck.loading.robots import describe_model
+from crosscheck.loading.robots import describe_model, describe_shapes
+from newton_euler.reading.file_shapes import FileShapes
 from newton_euler.reading.robot import RobotFile
 
 if TYPE_CHECKING:
     from crosscheck.loading.load import Model
+
+RANK = {standing: place for place, standing in enumerate(Standing)}
+"""Order of rows: true differences first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +41,8 @@ class FileComparison:
     Attributes:
         first, second: the files.
         alignment: pairs of their bodies and joints.
-        rows: what differs: true differences, the largest effect on motion first, then rounding, then
-            conventions.
+        rows: what differs: true differences, the largest effect on motion first and those of shapes last,
+            then rounding, then conventions.
         motion: whether the robots move alike.
         states: common states of both robots; None for robots without joints in common.
         tolerance: relative difference that counts as rounding; None for the digits of the files.
@@ -99,6 +105,16 @@ class FileComparison:
         """
         return run_both(self.states, self.motion)
 
+    def with_geometry(self, shapes: tuple[FileShapes, FileShapes]) -> FileComparison:
+        """Return the comparison with the rows of the shapes of both files after its own."""
+        common = common_frames(self.first, self.second, self.alignment, self.tolerance)
+        rows = sorted((*self.rows, *geometry_rows(common, shapes)), key=lambda row: RANK[row.standing])
+        first, second = (
+            replace(file, notes=(*file.notes, *each.notes))
+            for file, each in zip((self.first, self.second), shapes, strict=True)
+        )
+        return replace(self, first=first, second=second, rows=tuple(rows))
+
     def summary(self) -> dict[str, Any]:
         """All numbers, for JSON."""
         files = [
@@ -131,6 +147,7 @@ def compare_models(
     names: Mapping[str, str],
     tolerance: float | None,
     progress: Callable[[str], None],
+    geometry: bool = False,
 ) -> FileComparison:
     """Read two models of any kind, and compare them.
 
@@ -138,13 +155,19 @@ def compare_models(
         models: the models, see `crosscheck.loading.robots.describe_model`.
         options: options of each model.
         names, tolerance, progress: see `compare_files`.
+        geometry: whether the shapes of bodies are compared, too.
 
     Raises:
         CrosscheckError, NewtonEulerError: for a model, a name or an option that cannot be used.
     """
     progress("reading the files")
     first, second = (describe_model(*each) for each in zip(models, options, strict=True))
-    return compare_files(first, second, names, tolerance, progress)
+    found = compare_files(first, second, names, tolerance, progress)
+    if not geometry:
+        return found
+    progress("comparing shapes")
+    one, two = (describe_shapes(*each) for each in zip(models, options, strict=True))
+    return found.with_geometry((one, two))
 
 
 def compare_files(
@@ -187,9 +210,8 @@ def compare_files(
         rows = [replace(row, convention=row.convention or _is_constraint(row)) for row in rows]
     rows = [replace(row, convention=row.convention or _is_unsaid(row, formats)) for row in rows]
     rows = with_evidence(rows, (first, second), alignment)
-    rank = list(Standing)
     # rows without a known effect, such as limits, after those with one
-    rows.sort(key=lambda row: (rank.index(row.standing), 1.0 if row.effect is None else -row.effect))
+    rows.sort(key=lambda row: (RANK[row.standing], 1.0 if row.effect is None else -row.effect))
     return FileComparison(first, second, alignment, tuple(rows), motion, states, tolerance)
 
 

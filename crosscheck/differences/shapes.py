@@ -104,14 +104,15 @@ def shapes(
     marks = []
     for number, row in enumerate(rows):
         found = [_bodies_of(robot, row) for robot in robots]
-        partners = _partners(alignment, row.element_kind, found[0])
+        partners = _partners(alignment, row, found[0])
         found[1] = list(dict.fromkeys([*found[1], *partners]))
         for side, indices in enumerate(found):
-            (bodies if row.element_kind == "body" else joints)[side].update(indices)
+            if not row.is_geometry:
+                (bodies if row.is_of_body else joints)[side].update(indices)
         for side, indices in enumerate(found):
             if indices:
                 body, pose = robots[side].bodies[indices[0]], poses[side][indices[0]]
-                at = body.center if row.element_kind == "body" else body.joint_point
+                at = body.center if row.is_of_body else body.joint_point
                 marks.append(Mark(number, _numbers(pose.point(at))))
                 break
     first, second = (
@@ -149,10 +150,10 @@ def _bodies_of(robot: Robot, row: Difference) -> list[int]:
 def _bodies(robot: Robot, row: Difference, name: str) -> Iterator[int]:
     """Yield the indices of bodies that have an element of a row: the bodies of a joint, a drive or a loop."""
     joints = {name}
+    if row.is_of_body:
+        yield from (k for k, body in enumerate(robot.bodies) if body.name == name)
+        return
     match row.element_kind:
-        case "body":
-            yield from (k for k, body in enumerate(robot.bodies) if body.name == name)
-            return
         case "loop" | "spring":
             for each in robot.loops if row.element_kind == "loop" else robot.springs:
                 if robot.loop_name(each) == name:
@@ -167,9 +168,9 @@ def _bodies(robot: Robot, row: Difference, name: str) -> Iterator[int]:
             yield k
 
 
-def _partners(alignment: Alignment, kind: str, bodies: Sequence[int]) -> Iterator[int]:
+def _partners(alignment: Alignment, row: Difference, bodies: Sequence[int]) -> Iterator[int]:
     """Yield the bodies of the second robot that are partners of bodies, or whose joints are partners."""
-    if kind == "body":
+    if row.is_of_body:
         yield from (pair.second[0] for pair in alignment.bodies if {*pair.first} & {*bodies})
     else:
         joints: list[tuple[JointKey, JointKey]] = [(pair.first, pair.second) for pair in alignment.joints]

@@ -9,10 +9,36 @@ from typing import TYPE_CHECKING, Any
 from crosscheck.library.model_files import PINOCCHIO_OPTIONS, URDF_OPTIONS, name_and_options
 from crosscheck.loading.load import is_scene, load_scene
 from crosscheck.support.errors import CrosscheckError
+from newton_euler.reading.file_shapes import FileShapes
 from newton_euler.reading.robot import RobotFile
 
 if TYPE_CHECKING:
     from crosscheck.loading.load import Model
+
+
+def describe_shapes(model: Model, options: Mapping[str, str]) -> FileShapes:
+    """Describe the shapes of a model file, or of a model that MuJoCo has in memory.
+
+    Args:
+        model: the model, see `describe_model`.
+        options: options of the model, see `describe_model`.
+
+    Raises:
+        CrosscheckError: for a scene and a model of Pinocchio.
+        NewtonEulerError: for a file that cannot be read.
+    """
+    source: Any = os.fspath(model) if isinstance(model, os.PathLike) else model
+    name, known = ("a scene", {}) if is_scene(model) else name_and_options(source)
+    if is_scene(model) or known is PINOCCHIO_OPTIONS:
+        needed = "an MJCF or URDF file, or a model of MuJoCo"
+        raise CrosscheckError(f"shapes of {name} cannot be compared; needed: {needed}")
+    if known is URDF_OPTIONS:
+        from urdf.file_shapes import file_shapes as of_urdf
+
+        return of_urdf(source)
+    from mjcf.file_shapes import file_shapes as of_mjcf
+
+    return of_mjcf(source, **options)
 
 
 def describe_model(model: Model, options: Mapping[str, str]) -> RobotFile:

@@ -69,7 +69,8 @@ def annotate(comparison: FileComparison) -> list[Annotation]:
     partners = _partners(comparison.first.robot, comparison.second.robot, comparison.alignment)
     found = []
     for row in comparison.differences:
-        names = partners.get((row.element_kind, row.element), row.element), row.element
+        kind = "body" if row.is_of_body else row.element_kind
+        names = partners.get((kind, row.element), row.element), row.element
         is_there = row.second is not None, row.first is not None
         lines = [
             _line_of(file, row, name)
@@ -105,7 +106,7 @@ def _line_of(file: RobotFile, row: Difference, name: str) -> SourceLine:
         row: the row.
         name: name of the element in this file.
     """
-    for tag in TAGS.get(row.element_kind, ()):
+    for tag in TAGS.get("body" if row.is_of_body else row.element_kind, ()):
         if (tag, name) in file.lines:
             return file.lines[tag, name]
     for (_, other), line in file.lines.items():

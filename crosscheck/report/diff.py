@@ -36,6 +36,9 @@ MAX_CONVENTIONS = 3
 MAX_HEADING = 24
 """Largest number of characters of a file name that is the heading of a column."""
 
+GEOMETRY = "shapes: no effect on the compared motion, as contacts are not in it"
+"""Title of the rows of shapes."""
+
 Sides = tuple[str, str]
 """What sentences call the first and the second of two compared robots."""
 
@@ -62,6 +65,8 @@ ABSOLUTE = {
     Quantity.START,
     Quantity.START_SPEED,
     Quantity.TRANSMISSION_OFFSET,
+    Quantity.PLACE,
+    Quantity.ORIENTATION,
 }
 """Quantities whose difference is a length or an angle; that of others is relative."""
 
@@ -71,12 +76,17 @@ def report(comparison: FileComparison) -> Report:
     outcome = comparison.outcome
     different = comparison.differences
     short: list[Part] = []
-    if different:
-        short.append(short_table("", different, FILES))
+    moving = [row for row in different if not row.is_geometry]
+    of_shapes = different[len(moving) :]
+    if moving:
+        short.append(short_table("", moving, FILES))
+    if of_shapes:
+        short.append(_shapes_table(of_shapes))
     evidence = [evidence_text(row) for row in different if row.evidence]
     if evidence:
         short.append(Lines("evidence", evidence[:MAX_LISTED]))
-    short.append(Lines("", list(_notes(comparison, len(different) - MAX_LISTED))))
+    unlisted = sum(max(0, len(rows) - MAX_LISTED) for rows in (moving, of_shapes))
+    short.append(Lines("", list(_notes(comparison, unlisted))))
     parts: list[Part] = [Lines("evidence", evidence)] if evidence else []
     if elements := list(_elements_of_rows(different)):
         parts.append(Lines("elements of rows that stand for several", elements))
@@ -106,6 +116,12 @@ def short_table(title: str, rows: Sequence[Difference], sides: Sides) -> Table:
     return Table(title, columns, [_short_row(row, sides) for row in rows[:MAX_LISTED]])
 
 
+def _shapes_table(rows: Sequence[Difference]) -> Table:
+    """Make the table of the first differences of shapes for the terminal: size, and a sentence."""
+    columns = [*number_columns("difference"), Column("what differs")]
+    return Table(GEOMETRY, columns, [_short_row(row, FILES)[1:] for row in rows[:MAX_LISTED]])
+
+
 def verdict(comparison: FileComparison) -> str:
     """Format the result in one sentence."""
     different, motion = comparison.differences, comparison.motion
@@ -129,7 +145,16 @@ def verdict(comparison: FileComparison) -> str:
             change = f"accelerations{without} change by at most {percent(effect)}"
             return f"{words}: {numbers} within {within}; {change}"
         case _:
-            return f"{words}: {_counted(len(different), 'difference')}; {motion_text(comparison, FILES)}"
+            count = _counted(len(different), "difference") + _of_shapes(different)
+            return f"{words}: {count}; {motion_text(comparison, FILES)}"
+
+
+def _of_shapes(rows: Sequence[Difference]) -> str:
+    """Tell how many of some differences are those of shapes; "" if none is."""
+    count = sum(row.is_geometry for row in rows)
+    if not count:
+        return ""
+    return " of shapes" if count == len(rows) else f", {count} of them of shapes"
 
 
 def _counted(count: int, noun: str, plural: str = "") -> str:
@@ -236,15 +261,17 @@ def long_table(title: str, comparison: FileComparison, names: tuple[str, str]) -
     found: Rows = []
     is_by_digits = comparison.tolerance is None
     allowed = "the digits of the files leave open" if is_by_digits else "the tolerance"
-    for standing, words in (
-        (Standing.DIFFERENT, f"different: by more than {allowed}"),
-        (Standing.ROUNDING, f"rounding: within {_allowance(comparison)}"),
-        (Standing.CONVENTION, "no effect on the motion: other terms for the same robot, and settings"),
+    numbers = (str(number) for number in count(1))
+    for standing, is_geometry, words in (
+        (Standing.DIFFERENT, False, f"different: by more than {allowed}"),
+        (Standing.DIFFERENT, True, GEOMETRY),
+        (Standing.ROUNDING, None, f"rounding: within {_allowance(comparison)}"),
+        (Standing.CONVENTION, None, "no effect on the motion: other terms for the same robot, and settings"),
     ):
-        if rows := comparison.of_standing(standing):
+        rows = [row for row in comparison.of_standing(standing) if is_geometry in (None, row.is_geometry)]
+        if rows:
             found.append(words)
-            numbers = (str(number) if standing is Standing.DIFFERENT else "" for number in count(1))
-            found.extend(_row(number, row) for number, row in zip(numbers, rows, strict=False))
+            found.extend(_row(next(numbers) if standing is Standing.DIFFERENT else "", row) for row in rows)
     return Table(title, columns, found)
 
 
@@ -271,8 +298,9 @@ def sentence(row: Difference, sides: Sides = FILES) -> str:
 
 
 def _with_values(row: Difference, sides: Sides) -> str:
-    """Tell a difference with its values; of several numbers, such as a position, without."""
+    """Tell a difference with its values; of several numbers, such as a position, only those of shapes."""
     text = what_differs(row)
+    any_tuple = isinstance(row.first, tuple) or isinstance(row.second, tuple)
     values = [value_text(value) for value in (row.first, row.second)]
     if row.quantity is Quantity.PRESENCE:
         text += f" only in {sides[row.first is None]}"
@@ -280,7 +308,7 @@ def _with_values(row: Difference, sides: Sides) -> str:
             text += f" ({values[row.first is None]} kg)"
     elif row.quantity is Quantity.GRAVITY:
         text += f": {values[0]} against {values[1]} {row.unit}"
-    elif not isinstance(row.first, tuple) and not isinstance(row.second, tuple) and values[0] != values[1]:
+    elif values[0] != values[1] and (row.is_geometry or not any_tuple):
         unit = f" {row.unit}" if row.unit else ""
         between = unit if row.second is None else ""  # the unit is that of the number before
         text += f": {values[0]}{between} against {values[1]}{'' if row.second is None else unit}"
@@ -306,7 +334,11 @@ def _row(number: str, row: Difference) -> list[str | Cell]:
 
 def what_differs(row: Difference) -> str:
     """Name the quantity and the element of a difference, and the number of others with the same cause."""
-    what = row.element_kind if row.quantity is Quantity.PRESENCE else f"{row.quantity.value} of"
+    if row.is_geometry:
+        is_whole = row.quantity in (Quantity.PRESENCE, Quantity.SHAPE)
+        what = f"{row.element_kind} of" if is_whole else f"{row.quantity.value} of {row.element_kind} of"
+    else:
+        what = row.element_kind if row.quantity is Quantity.PRESENCE else f"{row.quantity.value} of"
     return f"{what} {_element(row)}"
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
@@ -51,12 +51,13 @@ class Essentials(NamedTuple):
     missing: tuple[str, ...]
 
 
-def essential_texts(files: XmlTexts, shapes_of: frozenset[str] = frozenset()) -> Essentials:
+def essential_texts(files: XmlTexts, shapes_of: Container[str | None] = frozenset()) -> Essentials:
     """Reduce the texts of a file and of the files that it includes.
 
     Args:
         files: the texts.
-        shapes_of: names of bodies that keep their shapes although they have an `<inertial>`.
+        shapes_of: names of bodies that keep their shapes although they have an `<inertial>`; "world" is the
+            ground, and None stands for bodies without name.
     """
     roots = {path: xml_tree(text) for path, text in files.texts.items()}
     elements = [(path, each) for path, root in roots.items() for each in root.iter()]
@@ -141,7 +142,7 @@ def _reduce(
     world_has_mass: bool,
     keeps_all: bool,
     wrapped: set[str],
-    shapes_of: frozenset[str],
+    shapes_of: Container[str | None],
 ) -> None:
     """Remove from an element what masses, joints, loops and drives do not depend on.
 
@@ -164,7 +165,7 @@ def _reduce(
             keeps = keeps_all or child.get("name") in shapes_of
             removes = child.find("inertial") is not None and not keeps
         elif child.tag == "worldbody":
-            removes = not world_has_mass and not keeps_all
+            removes = not (world_has_mass or keeps_all or "world" in shapes_of)
         elif child.tag == "material":
             child.attrib.pop("texture", None)
             child[:] = ()
@@ -173,7 +174,7 @@ def _reduce(
 
 
 def _reduce_assets(
-    roots: list[ET.Element], find_asset: Callable[[str, str], str | None], shapes_of: frozenset[str]
+    roots: list[ET.Element], find_asset: Callable[[str, str], str | None], shapes_of: Container[str | None]
 ) -> tuple[list[str], list[str]]:
     """Remove the assets that no shape needs, and shapes whose assets are missing.
 

@@ -59,8 +59,8 @@ class _Visual:
     color: Color | None
 
 
-class _Unusable(Exception):
-    """Visual element that cannot be shown; the message is the reason."""
+class UnusableShape(Exception):
+    """Shape of a link that cannot be read; the message is the reason."""
 
 
 def with_visuals(
@@ -85,12 +85,12 @@ def with_visuals(
         try:
             shape = _primitive(visual)
             if shape is None:
-                meshes.append((visual, *_mesh_file(Path(path), visual)))
+                meshes.append((visual, *mesh_file(Path(path), visual.element)))
             else:
                 shapes.append((visual, shape))
-        except (_Unusable, NewtonEulerError) as error:
+        except (UnusableShape, NewtonEulerError) as error:
             report.left_out(element, str(error), moves_nothing=True)
-    files = _load_meshes(list(dict.fromkeys(file for _, file, _ in meshes)))
+    files = read_meshes(list(dict.fromkeys(file for _, file, _ in meshes)))
     drawn: list[tuple[_Visual, Mesh]] = []
     for visual, file, scale in meshes:
         mesh = files[file]
@@ -125,14 +125,14 @@ def link_shapes(path: str, root: ET.Element, links: Collection[str]) -> dict[str
         name = str(link.get("name"))
         for tag in ("visual", "collision") if name in links else ():
             of_tag = []
-            with suppress(_Unusable, NewtonEulerError):
+            with suppress(UnusableShape, NewtonEulerError):
                 for element in link.findall(tag):
                     visual = _Visual(0, name, element, origin(element.find("origin")), None)
                     of_tag.append((visual, _primitive(visual)))
                     if of_tag[-1][1] is None:
-                        files[id(element)] = _mesh_file(Path(path), visual)
+                        files[id(element)] = mesh_file(Path(path), visual.element)
                 candidates.setdefault(name, []).append(of_tag)
-    meshes = _load_meshes(list(dict.fromkeys(file for file, _ in files.values())))
+    meshes = read_meshes(list(dict.fromkeys(file for file, _ in files.values())))
 
     def loaded(visual: _Visual, shape: Shape | None) -> Shape | Mesh | None:
         """Return a shape, or its mesh in the frame of the link; None for a mesh that cannot be read."""
@@ -205,38 +205,38 @@ def _primitive(visual: _Visual) -> Shape | None:
     pose = visual.pose
     if box is not None:
         quaternion = pin.SE3ToXYZQUAT(pose)[W_X_Y_Z]
-        half = 0.5 * _numbers(box, "size", 3)
+        half = 0.5 * shape_numbers(box, "size", 3)
         return Box(half, pose.translation, quaternion / np.linalg.norm(quaternion))
     if cylinder is not None:
-        arm = 0.5 * _numbers(cylinder, "length", 1) * pose.rotation[:, 2]
-        radius = float(_numbers(cylinder, "radius", 1)[0])
+        arm = 0.5 * shape_numbers(cylinder, "length", 1) * pose.rotation[:, 2]
+        radius = float(shape_numbers(cylinder, "radius", 1)[0])
         return Cylinder(pose.translation - arm, pose.translation + arm, radius)
     if sphere is not None:
-        return Sphere(pose.translation, float(_numbers(sphere, "radius", 1)[0]))
+        return Sphere(pose.translation, float(shape_numbers(sphere, "radius", 1)[0]))
     return None
 
 
-def _numbers(element: ET.Element, name: str, count: int) -> Array:
-    """Return the numbers (count,) of an attribute; raises `_Unusable` for anything else."""
+def shape_numbers(element: ET.Element, name: str, count: int) -> Array:
+    """Return the numbers (count,) of an attribute; raises `UnusableShape` for anything else."""
     try:
         values = [float(x) for x in element.get(name, "").split()]
     except ValueError:
         values = []
     if len(values) != count or not all(map(math.isfinite, values)):
         needed = "a number" if count == 1 else f"{count} numbers"
-        raise _Unusable(f"<{element.tag}> has {name}={element.get(name, '')!r:.100}; needed: {needed}")
+        raise UnusableShape(f"<{element.tag}> has {name}={element.get(name, '')!r:.100}; needed: {needed}")
     return np.array(values)
 
 
-def _mesh_file(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
-    """Return the path of the mesh file of a visual element, and the scale (3,) of the mesh.
+def mesh_file(urdf: Path, element: ET.Element) -> tuple[Path, Array]:
+    """Return the path of the mesh file of a `<visual>` or `<collision>`, and the scale (3,) of the mesh.
 
-    Raises `_Unusable` for a file that does not exist, is too large, or is outside of the allowed folders.
+    Raises `UnusableShape` for a file that does not exist, is too large, or is outside of the allowed folders.
     """
-    mesh = visual.element.find("geometry/mesh")
+    mesh = element.find("geometry/mesh")
     if mesh is None:
-        raise _Unusable("it has no box, cylinder, sphere or mesh")
-    scale = _numbers(mesh, "scale", 3) if mesh.get("scale") else np.ones(3)
+        raise UnusableShape("it has no box, cylinder, sphere or mesh")
+    scale = shape_numbers(mesh, "scale", 3) if mesh.get("scale") else np.ones(3)
     name = mesh.get("filename", "")
     home = urdf.resolve().parent
     package, _, rest = name.removeprefix("package://").partition("/")
@@ -248,12 +248,12 @@ def _mesh_file(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
         candidates = [(allowed_folder, home / name.removeprefix("file://"))]
     for folder, file in candidates:
         if "\0" in name or not file.resolve().is_relative_to(folder.resolve()):
-            raise _Unusable(f"mesh {name!r:.200} leads outside of {str(folder)!r}")
+            raise UnusableShape(f"mesh {name!r:.200} leads outside of {str(folder)!r}")
         if file.is_file():
             if file.stat().st_size > MAX_MESH_BYTES:
-                raise _Unusable(f"mesh {name!r:.200} is larger than {MAX_MESH_BYTES} bytes")
+                raise UnusableShape(f"mesh {name!r:.200} is larger than {MAX_MESH_BYTES} bytes")
             return file.resolve(), scale
-    raise _Unusable(f"mesh {name!r:.200} does not exist")
+    raise UnusableShape(f"mesh {name!r:.200} does not exist")
 
 
 def packages(home: Path, name: str) -> list[Path]:
@@ -275,7 +275,7 @@ def packages(home: Path, name: str) -> list[Path]:
     return folders
 
 
-def _load_meshes(files: list[Path]) -> dict[Path, Mesh | None]:
+def read_meshes(files: list[Path]) -> dict[Path, Mesh | None]:
     """Return the mesh of each file, in the coordinates of the file; None for a file that cannot be read."""
     meshes: dict[Path, Mesh | None] = dict.fromkeys(files)
     if not files:
