@@ -61,7 +61,6 @@ def settings(
         switched_off: what the option flags of the model switch off, such as "limit".
     """
     found: dict[Setting, SettingValue] = {}
-    names = Names.of(model)
     if "actuation" in switched_off:
         found[Setting("model", "", "flag actuation")] = "disable"
     if model.opt.density or model.opt.viscosity:

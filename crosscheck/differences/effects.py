@@ -17,6 +17,7 @@ from crosscheck.differences.common_states import CommonStates
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.merged_robot import Merged, merged
 from crosscheck.differences.motion import relative_changes
+from crosscheck.differences.springs import SPRING_NUMBERS
 from newton_euler.reading.robot import FileBody, FileCoupling, FileLoop, FileSpring, Robot
 from newton_euler.scalars import Array
 
@@ -73,9 +74,7 @@ LOOP_FIELDS: Fields = {
 
 SPRING_FIELDS: Fields = {
     Quantity.SPRING_POINT: ("first_frame", "second_frame"),
-    Quantity.STIFFNESS: ("stiffness",),
-    Quantity.DAMPING: ("damping",),
-    Quantity.REST: ("rest",),
+    **{quantity: (field,) for quantity, (field, _) in SPRING_NUMBERS.items()},
 }
 """Fields of a spring between points, by the quantity of a row."""
 

@@ -22,6 +22,7 @@ from crosscheck.differences.frames import IN_WORLD, CommonFrames, common_frames,
 from crosscheck.differences.joint_causes import with_joint_causes
 from crosscheck.differences.joint_order import with_joint_order
 from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped_rows
+from crosscheck.differences.moved_bodies import with_moved_bodies
 from crosscheck.differences.settings import setting_rows
 from crosscheck.differences.springs import spring_rows
 from crosscheck.differences.stack import angle, distance
@@ -93,7 +94,8 @@ def differences(
         for body in bodies
         if not has_joint_above(file.robot, body)
     }
-    rows = with_consequences(common, with_joint_causes(with_joint_order(common, rows)))
+    rows = with_moved_bodies(common, with_joint_causes(with_joint_order(common, rows)))
+    rows = with_consequences(common, rows)
     has_ground = first.has_ground or second.has_ground
     return [
         _without_effect(row, at_rest, fixed_alone, has_ground)

@@ -62,6 +62,15 @@ CASES = {
         0.005,
         ("ball_67",),
     ),
+    "body with a universal joint in two loops": Case(
+        TRACKER,
+        'name="panel_7" pos="-0.022780000000000005',
+        'name="panel_7" pos="-0.027780000000000005',
+        "universal_47_2",
+        Quantity.JOINT_ORIGIN,
+        0.005,
+        ("ball_67", "ball_57"),
+    ),
     "point of a rod": Case(
         ROD, 'pos="0.3 0 0.15"/>', 'pos="0.305 0 0.15"/>', "rod", Quantity.LOOP_POINT, 0.005, ("rod",)
     ),
