@@ -31,7 +31,6 @@ from crosscheck.engines.engine_runs import Stop
 from crosscheck.library.options import titled
 from crosscheck.loading.load import non_default_options
 from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind, without_loops
-from crosscheck.own_run.errors import early_chaos_text
 from crosscheck.own_run.judge import Judgement
 from crosscheck.support.versions import versions
 from newton_euler.equations.redundancy import mobility
@@ -181,7 +180,7 @@ class EngineComparison(ABC):
             undetermined = self._undetermined(name)
             reasons = [undetermined[each.kind] for each in allowed if each.kind in undetermined]
             if allowed and not run.is_judged:
-                reasons.append(f"not judged: {early_chaos_text(run.scale)}")
+                reasons.append(f"not judged: {run.why_not_judged}")
             stops = (*stops, *(Stop(name, reason) for reason in dict.fromkeys(reasons)))
         if self.logs:
             for name, log in self.logs.items():

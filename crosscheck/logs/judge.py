@@ -140,6 +140,15 @@ class LogJudgement(Judgement):
     mistakes: tuple[Mistake | Mismatch, ...] = ()
 
     @property
+    def why_not_judged(self) -> str:
+        """Reason why no row after the first one is compared, for a log that is not judged."""
+        if self.rows > 1:
+            return super().why_not_judged
+        first = next(event for event in self.events if event.time > 0.0)
+        action = f"the first action of {first.element}, at {first.time:.3g} s"
+        return f"no row before {action}, which the reference does not simulate"
+
+    @property
     def undetermined(self) -> dict[ErrorKind, str]:
         """Errors that the log does not determine, with the reason and what is needed."""
         found = {}
@@ -252,7 +261,7 @@ def _judged(reading: LogReading, name: str, options: LogOptions, watch: Watch) -
     until = min((event.time for event in events if event.time > 0.0), default=None)
     error, run, rows, scale = compared.error, compared.run, len(compared.run.time), compared.motion_scale
     if until is not None or any(horizons):
-        rows = rows if until is None else max(2, int(np.searchsorted(run.time, until)))
+        rows = rows if until is None else max(1, int(np.searchsorted(run.time, until)))
         run = run.first(rows)
         # errors are parts of the motion up to the end of the comparison
         count = max(2, int(np.searchsorted(compared.reference.time, run.time[-1], side="right")))

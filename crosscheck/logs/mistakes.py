@@ -18,6 +18,7 @@ from crosscheck.logs.options import LogOptions
 from crosscheck.logs.other_readings import (
     OtherReading,
     coordinate_columns,
+    offset_option,
     other_readings,
     readings_of_elements,
 )
@@ -264,7 +265,7 @@ def _delay(compared: ComparedLog) -> Iterator[Mistake]:
     if abs(best - spacing * round(best / spacing)) < WHOLE_ROWS * spacing:
         best = spacing * round(best / spacing)
     if best > 0.0:
-        option = f"--log-set offset={float(compared.data.time[0]) + best:.6g}"
+        option = offset_option(float(compared.data.time[0]) + best)
         yield Mistake(("time",), f"times {best:.4g} s earlier", option, compared.error, error)
     else:
         what = f"times {-best:.4g} s later, or without the first row"

@@ -26,7 +26,8 @@ class LogOptions:
         angle: unit of angles without a unit in the name of the column, "rad" or "deg"; also of their rates.
         length: unit of lengths without a unit in the name of the column, "m", "mm" or "cm"; also of rates.
         time: unit of times without a unit in the name of the column, "s", "ms", "us" or "ns".
-        offset: time of the log, s, at which the time of the simulation is zero.
+        offset: time of the log, s, at which the time of the simulation is zero; earlier rows are left out.
+            None stands for 0 and all rows.
         position: point of a body that positions are of: "center" of mass or origin of the body "frame". ""
             chooses the point for which the poses in the first row close the joints better.
         zero: where joint coordinates in the log are zero: as in the model "file", or at the "start" of the
@@ -40,7 +41,7 @@ class LogOptions:
     angle: Literal["rad", "deg"] = "rad"
     length: Literal["m", "mm", "cm"] = "m"
     time: Literal["s", "ms", "us", "ns"] = "s"
-    offset: float = 0.0
+    offset: float | None = None
     position: Origin = ""
     zero: Literal["file", "start"] = "file"
     inputs: Literal["log", "before", "scene"] = "log"

@@ -25,6 +25,9 @@ from newton_euler.model.source_file import SourceError
 REST = 1e-3
 """Largest motion of a log, divided by its whole motion, that counts as rest at its start."""
 
+OFFSET_DECIMALS = 9
+"""Number of decimals of an offset in s: those of `TIME_TOLERANCE`, within which a row is at the offset."""
+
 MAX_VIOLATION, VIOLATION_FACTOR = 1e-2, 0.5
 """Largest violation of joints, sizes of the mechanism or rad, in readings of single elements that are tried;
 and the same as a fraction of the violation in the present reading. It takes no simulation."""
@@ -109,15 +112,20 @@ def other_readings(reading: LogReading, options: LogOptions, data: LogData) -> I
             other = replace(options, time=unit)  # type: ignore[arg-type]
             yield OtherReading(other, ("time",), f"unit {unit}", f"--log-set time={unit}")
     first = float(data.time[0])
-    if options.offset == 0.0 and (row := _last_row_at_rest(data)) > 0:
+    if options.offset is None and (row := _last_row_at_rest(data)) > 0:
         motion = float(data.time[row])
         other = replace(options, offset=motion)
         what = f"times {motion - first:.4g} s earlier, as nothing moves before"
-        yield OtherReading(other, ("time",), what, f"--log-set offset={motion:.9g}")
-    if options.offset == 0.0 and first != 0.0 and is_time_dependent(reading.scene):
+        yield OtherReading(other, ("time",), what, offset_option(motion))
+    if options.offset is None and first != 0.0 and is_time_dependent(reading.scene):
         other = replace(options, offset=first)
         what = f"time {first:.6g} s as time zero"
-        yield OtherReading(other, ("time",), what, f"--log-set offset={first:.9g}")
+        yield OtherReading(other, ("time",), what, offset_option(first))
+
+
+def offset_option(time: float) -> str:
+    """Return the option for an offset of a time, s; a time that is round-off, such as 0.3 - 3 * 0.1, is 0."""
+    return f"--log-set offset={round(time, OFFSET_DECIMALS) + 0.0:.9g}"  # + 0.0: no sign of zero
 
 
 def readings_of_elements(reading: LogReading, options: LogOptions, data: LogData) -> Iterator[OtherReading]:

@@ -23,7 +23,7 @@ from crosscheck.logs.rates import RATE_ROWS, energy, logged_rates, velocities
 from crosscheck.logs.start import LogStart, log_start, with_own_velocities
 from crosscheck.logs.table import MIN_ROWS, LogTable
 from crosscheck.own_run.errors import MotionScale, RunError, run_error
-from crosscheck.own_run.interpolation import interpolated, of_bodies, without_energies
+from crosscheck.own_run.interpolation import TIME_TOLERANCE, interpolated, of_bodies, without_energies
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
@@ -305,7 +305,7 @@ class LogReading:
 
         The time of the scene is zero at the time `LogOptions.offset` of the log.
         """
-        return started_at(self.scene, float(data.time[0]) - options.offset)
+        return started_at(self.scene, float(data.time[0]) - (options.offset or 0.0))
 
     def missing(self, compared: ComparedLog) -> tuple[str, ...]:
         """Name bodies that the log does not determine, with columns that would determine them.
@@ -330,13 +330,16 @@ class LogReading:
         return tuple(sorted(found))
 
 
-def _from_offset(data: LogData, offset: float) -> LogData:
+def _from_offset(data: LogData, offset: float | None) -> LogData:
     """Return a log without the rows before `offset`, the time of the log at which the scene's time is zero.
 
-    All rows are kept if the user gave no offset (0), or if fewer than `MIN_ROWS` would be left.
+    All rows are kept if there is no offset (None), or if fewer than `MIN_ROWS` would be left. A row within
+    `TIME_TOLERANCE` of the offset is kept.
     """
-    rows = np.flatnonzero(data.time >= offset)
-    if not offset or len(rows) < MIN_ROWS or len(rows) == len(data.time):
+    if offset is None:
+        return data
+    rows = np.flatnonzero(data.time >= offset - TIME_TOLERANCE)
+    if len(rows) < MIN_ROWS or len(rows) == len(data.time):
         return data
     return data.at(rows)
 

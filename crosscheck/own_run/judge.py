@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from crosscheck.own_run.comparison import MIN_OUTPUTS, Comparison, merged
-from crosscheck.own_run.errors import Band, LoopError, MotionScale, RunError, errors_over_time
+from crosscheck.own_run.errors import (
+    Band,
+    LoopError,
+    MotionScale,
+    RunError,
+    early_chaos_text,
+    errors_over_time,
+)
 from crosscheck.own_run.remedies import MeasuredRemedy, find_remedies
 from crosscheck.own_run.stability import ModeAtFault, ModelChange, Stability, model_changes
 from crosscheck.support.errors import CrosscheckError
@@ -138,6 +145,11 @@ class Judgement:
     def is_judged(self) -> bool:
         """False if no output of a complete run after the start is compared, see `Band.NOT_JUDGED`."""
         return self.band is not Band.NOT_JUDGED
+
+    @property
+    def why_not_judged(self) -> str:
+        """Reason why no output after the start is compared, for a run that is not judged."""
+        return early_chaos_text(self.scale)
 
     @property
     def band(self) -> Band:

@@ -58,7 +58,8 @@ def _lines(judgement: LogJudgement, allowed: Sequence[AllowedError]) -> Iterator
     yield f"{judgement.name}  {headline(judgement)}{reason}"
     bodies = judgement.compared  # names of the compared bodies
     compared = f"{len(bodies)} bodies" if len(bodies) > 1 else bodies[0]
-    texts = [f"{judgement.engine}: {judgement.rows} rows, {times[-1]:.4g} s, {compared}"]
+    rows = f"{judgement.rows} {'rows' if judgement.rows > 1 else 'row'}"
+    texts = [f"{judgement.engine}: {rows}, {times[-1]:.4g} s, {compared}"]
     if judgement.points:
         texts.append(f"positions of {POINTS[judgement.points]}")
     if judgement.has_inputs:
@@ -120,7 +121,9 @@ def _notes(judgement: LogJudgement) -> Iterator[str]:
     if judgement.missing:
         yield f"not compared: {_name_list(judgement.missing)}"
     if judgement.dropped:
-        yield f"{judgement.dropped} rows without some of the numbers were left out"
+        rows = "row" if judgement.dropped == 1 else "rows"
+        were = "was" if judgement.dropped == 1 else "were"
+        yield f"{judgement.dropped} {rows} without some of the numbers {were} left out"
     if judgement.unused:
         names = _name_list([name or "one without a name" for name in judgement.unused])
         yield f"columns not read, as the model has no joint, body or quantity of that name: {names}"

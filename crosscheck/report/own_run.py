@@ -18,7 +18,6 @@ from crosscheck.own_run.errors import (
     MechanismMotion,
     MotionScale,
     RunError,
-    early_chaos_text,
 )
 from crosscheck.own_run.horizon import MAX_ERROR_GROWTH
 from crosscheck.own_run.judge import Judgement
@@ -295,7 +294,7 @@ def headline(judgement: Judgement) -> str:
     if judgement.stopped_as_it_stands:
         return "DIVERGED with what acts in the file and not in the reference"
     if not judgement.is_judged:
-        return f"{Band.NOT_JUDGED}: {early_chaos_text(judgement.scale)}"
+        return f"{Band.NOT_JUDGED}: {judgement.why_not_judged}"
     if error.relative < ROUND_OFF:
         return "ACCURATE, the same as the reference to round-off"
     word = {Band.ACCURATE: "ACCURATE TO", Band.USABLE: "OFF BY", Band.WRONG: "WRONG BY"}[judgement.band]

@@ -173,14 +173,14 @@ def csv_rows(path: str, text: str) -> list[Row]:
         rows = [Row(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
     except csv.Error as error:
         raise SourceError(path, f"line {reader.line_num}: {error}") from error
+    for separator, name in ((";", "';'"), ("\t", "tabs")):
+        if rows and len(rows[0].cells) == 1 and separator in rows[0].cells[0]:
+            problem = f"columns are separated by {name}"
+            raise SourceError(path, f"line 1: {problem}; needed: commas, and decimal points in numbers")
     for line, cells in rows:
         for cell in cells:
             if not cell.isprintable():
                 raise SourceError(path, f"line {line}: {cell!r:.100} has a control character; remove it")
-    for separator in ";\t":
-        if rows and len(rows[0].cells) == 1 and separator in rows[0].cells[0]:
-            problem = f"columns are separated by {separator!r}"
-            raise SourceError(path, f"line 1: {problem}; needed: commas, and decimal points in numbers")
     return rows
 
 

@@ -268,6 +268,11 @@ DAMAGE = {
         "'time': times 0.3 s earlier, as nothing moves before",
         "--log-set offset=0.3",
     ),
+    "late, from time zero on": (
+        lambda j, b: {n: c - 0.3 if n == "time" else c for n, c in held(j, 60).items()},
+        "'time': times 0.3 s earlier, as nothing moves before",
+        "--log-set offset=0",
+    ),
     "first row too early": (
         lambda j, b: {n: c[:-1] if n == "time" else np.delete(c, 1) for n, c in j.items()},
         "'time': times 0.005 s later, or without the first row",
@@ -382,6 +387,15 @@ def test_a_later_start_of_inputs_over_time():
     shifted = later | {"time": later["time"] + 0.3}
     assert judge_log(scene, None, "log", shifted).band is Band.WRONG
     assert judge_log(scene, None, "log", Log(shifted, offset=0.3)).error.relative < 1e-6
+
+
+def test_rows_before_the_offset_are_left_out(four_bar):
+    _, scene, names, joints, *_ = four_bar
+    late = {name: column - 0.3 if name == "time" else column for name, column in held(joints, 60).items()}
+    assert judge_log(scene, names, "log", late).rows == len(late["time"])
+    found = judge_log(scene, names, "log", Log(late, offset=0.0))
+    assert found.rows == len(joints["time"])
+    assert found.error.relative < 1e-3
 
 
 def test_files_and_functions(tmp_path, four_bar):

@@ -1,4 +1,4 @@
-"""Logs of motions that are chaotic before the second row: nothing of them is compared."""
+"""Logs of motions that are chaotic, or have an event, before the second row: nothing of them is compared."""
 
 from __future__ import annotations
 
@@ -47,3 +47,30 @@ def test_a_log_without_a_row_before_chaos_is_not_judged(tmp_path):
     verdict = crosscheck.check(str(path), ["newton_euler"], runs={"log": right}, **options)
     assert verdict.logs["log"].band is not Band.NOT_JUDGED
     verdict.assert_accurate(0.02, allow_reduced=True)
+
+
+HINGE = """<mujoco><compiler angle="radian"/><option timestep="0.001"/><worldbody>
+  <body name="arm"><joint name="hinge" axis="0 1 0" range="-1 .22" limited="true"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body></worldbody></mujoco>"""
+
+
+def test_a_log_without_a_row_before_an_event_is_not_judged(tmp_path):
+    """The hinge reaches its limit of 0.22 rad 0.016 s after the start, before the second row at 0.05 s."""
+    path = tmp_path / "limit.xml"
+    path.write_text(HINGE)
+    model = mujoco.MjModel.from_xml_string(HINGE)
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = 0.2, 1.0
+    rows = []
+    for _ in range(10):
+        rows.append([data.time, data.qpos[0], data.qvel[0]])
+        mujoco.mj_step(model, data, 50)
+    table = dict(zip(["time", "hinge", "hinge_vel"], np.array(rows).T, strict=True))
+    verdict = crosscheck.check(str(path), ["newton_euler"], runs={"log": table}, excitation="off")
+    found = verdict.logs["log"]
+    assert (found.band, found.error.outputs, found.rows) == (Band.NOT_JUDGED, 0, 1)
+    assert found.until == pytest.approx(0.016, abs=0.002)
+    assert "limits of joint 'hinge'" in found.why_not_judged
+    assert log_lines(found, []).lines[0] == f"log  NOT JUDGED: {found.why_not_judged}"
+    with pytest.raises(AssertionError, match=r"UNFINISHED: log: not judged: no row before"):
+        verdict.assert_accurate(0.5)

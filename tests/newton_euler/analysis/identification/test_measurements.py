@@ -27,6 +27,7 @@ CSV = "time,coordinate.pivot\n0.0,0.1\n0.1,0.2\n0.2,0.3\n"
         ("", "needed: a column time"),
         ("t,coordinate.pivot\n0,1\n1,2\n", "needed: a column time"),
         (CSV.replace(",", ";"), "line 1: columns are separated by ';'; needed: commas, and decimal points"),
+        (CSV.replace(",", "\t"), "line 1: columns are separated by tabs; needed: commas, and decimal points"),
         (CSV.replace("0.1,0.2", "0,1,0,2"), "line 3: has 4 cells; needed: 2, and decimal points"),
         (
             CSV.replace("0.3", '"0,3"'),
