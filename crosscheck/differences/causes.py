@@ -316,7 +316,7 @@ def _exchanged(rows: list[Difference]) -> Iterator[Hypothesis]:
     """Suggest that two elements have each other's numbers."""
     of_element: dict[tuple[str, str], dict[Quantity, int]] = defaultdict(dict)
     for index, row in enumerate(rows):
-        if len(row.elements) == 1:
+        if len(row.elements) == 1 and row.quantity is not Quantity.PRESENCE:
             of_element[row.element_kind, row.element][row.quantity] = index
     explained: set[int] = set()
     names: list[str] = []

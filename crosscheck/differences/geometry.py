@@ -29,6 +29,9 @@ SAME_SURFACE = 1e-4
 CLEAR = 1e-3
 """rad, turn that is clearly more than rounding, as of a symmetric shape; and relative change of a size."""
 
+MIN_TURN = 1e-6
+"""rad, smallest turn of a shape that is reported; vertices of meshes have single precision."""
+
 CUBE = [
     np.eye(3)[list(order)] * signs
     for order in permutations(range(3))
@@ -258,7 +261,8 @@ def _size_and_place(common: CommonFrames, number: int, one: _Placed, two: _Place
         sizes = common.compare(number, rotations[0][..., 2], rotations[1][..., 2], angle)
     else:
         sizes = common.compare(number, *rotations, _turn)
-    yield Quantity.ORIENTATION, (0.0, sizes[0]), sizes
+    if sizes[0] > MIN_TURN:
+        yield Quantity.ORIENTATION, (0.0, sizes[0]), sizes
 
 
 def _misfit(one: _Placed, two: _Placed, turn: Array) -> tuple[int, bool, float]:

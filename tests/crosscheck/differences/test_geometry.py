@@ -172,6 +172,19 @@ def test_the_same_change_at_several_bodies_is_one_row(tmp_path):
     assert {*row.elements} == {"fore", "upper"}
 
 
+def test_shapes_that_only_one_file_has_at_a_body_each_are_not_exchanged(tmp_path):
+    found = of_mjcf(tmp_path, {"fore": box()}, {"upper": box()})
+    assert {(row.quantity, row.element, row.cause) for row in found.differences} == {
+        (Q.PRESENCE, "fore", ""),
+        (Q.PRESENCE, "upper", ""),
+    }
+
+
+def test_a_turn_below_single_precision_is_none(tmp_path):
+    found = of_mjcf(tmp_path, {"fore": box()}, {"fore": box(more=' quat="1 0 0 2e-9"')})
+    assert found.outcome is Outcome.SAME
+
+
 def test_shapes_of_the_ground_are_compared(tmp_path):
     row = only_row(of_mjcf(tmp_path, {"floor": '<geom type="plane" size="1 1 1"/>'}, {}))
     assert (row.element, row.element_kind) == ("world", "collision plane")
