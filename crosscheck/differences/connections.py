@@ -12,10 +12,11 @@ from numpy.polynomial import Polynomial
 from crosscheck.differences.alignment import JointPair
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.frames import IN_WORLD, LOOP_ENDS, CommonFrames
-from crosscheck.differences.stack import Poses, absolute, angle, distance
+from crosscheck.differences.stack import Poses, absolute, angle, distance, turn_angle
 from newton_euler.reading.robot import (
     FileJoint,
     FileLoop,
+    FileSpring,
     LoopKind,
 )
 
@@ -117,7 +118,7 @@ def ends_of_partners(
     partners = {}
     for index, own in enumerate(first):
         ends = _ends(common, elements, index, 0)
-        best, nearest = None, math.inf
+        best, nearest = None, (math.inf, 0.0)
         for other in free:
             rival, rival_ends = second[other], _ends(common, elements, other, 1)
             is_slide = isinstance(own, FileLoop) and own.kind == LoopKind.SLIDE
@@ -132,12 +133,20 @@ def ends_of_partners(
             # Same names first, then nearest points; MuJoCo and Pinocchio allow elements without names
             if own.name and rival.name == own.name:
                 apart = -1.0
-            if apart < nearest:
-                best, nearest = (other, ends, rival_ends), apart
+            value = round(apart, 9), _unlikeness(own, rival)
+            if value < nearest:
+                best, nearest = (other, ends, rival_ends), value
         if best is not None:
             free.remove(best[0])
             partners[index] = best
     return partners
+
+
+def _unlikeness(own: FileLoop | FileSpring, rival: FileLoop | FileSpring) -> float:
+    """Return how much the numbers of two loops or springs of the same bodies differ."""
+    if isinstance(own, FileSpring) and isinstance(rival, FileSpring):
+        return abs(own.stiffness - rival.stiffness) + abs(own.damping - rival.damping)
+    return float(isinstance(own, FileLoop) and isinstance(rival, FileLoop) and own.kind != rival.kind)
 
 
 def _ends(common: CommonFrames, elements: Literal["loops", "springs"], index: int, side: int) -> Ends:
@@ -168,6 +177,9 @@ def _paired_loop(
     if loop.kind != other.kind:
         yield difference(name, "loop", Quantity.KIND, (str(loop.kind), str(other.kind)), (1.0, 0.0))
         return
+    if loop.kind == LoopKind.WELD:
+        yield from _weld_rows(common, name, ends, other_ends)
+        return
     yield from point_rows(common, (name, "loop", Quantity.LOOP_POINT), ends, other_ends)
     for end, other_end in zip(ends, other_ends, strict=True):
         if loop.kind in (LoopKind.HINGE, LoopKind.SLIDE):
@@ -187,6 +199,24 @@ def _paired_loop(
         sizes = common.judge.compare(lengths[0], lengths[1], absolute)
         if sizes[0]:
             yield difference(name, "loop", Quantity.LOOP_LENGTH, (loop.length, other.length), sizes)
+
+
+def _weld_rows(common: CommonFrames, name: str, ends: Ends, other_ends: Ends) -> Iterator[Difference]:
+    """Yield the rows of the place and the turn that two welds hold; where a body is welded does not count."""
+    held, other = (each[0].frame @ each[1].frame.inverse() for each in (ends, other_ends))
+    point = ends[1].frame.position[:1]  # where the first robot is welded, in the second body
+    points = held.point(point), other.point(point)
+    # both bodies' frames are uncertain
+    slack = max(common.frames[end.number].slack_angle + common.frames[end.number].slack_shift for end in ends)
+    sizes = common.compare(ends[0].number, *points, distance)
+    if sizes[0]:
+        values = numbers(points[0][0]), numbers(points[1][0])
+        yield difference(name, "loop", Quantity.LOOP_POINT, values, (sizes[0], sizes[1] + 2.0 * slack))
+    sizes = common.compare(ends[0].number, held.rotation, other.rotation, turn_angle)
+    if sizes[0]:
+        words = f"the body is held turned by {math.degrees(sizes[0]):.4g} degrees"
+        sizes = sizes[0], sizes[1] + 2.0 * slack
+        yield difference(name, "loop", Quantity.LOOP_AXIS, (0.0, sizes[0]), sizes, words)
 
 
 def point_rows(

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from crosscheck.differences.alignment import Alignment, JointPair
+from crosscheck.differences.unnamed import is_numbered
 from newton_euler.reading.robot import FileDrive, Robot
 
 
@@ -13,7 +14,7 @@ def drive_pairs(first: Robot, second: Robot, joints: Iterable[JointPair]) -> lis
     """Return pairs of drives that act on the same joints.
 
     Drives of no joint are pairs if their transmissions are of the same kind. Of several drives, those of the
-    same name are a pair, then those of the same kind of law, then those with the most equal gears.
+    same name are a pair, then those of the same kind of law, then those with the most equal numbers.
     """
     partners = {second.joint(pair.second).name: first.joint(pair.first).name for pair in joints}
     free = list(range(len(second.drives)))
@@ -35,12 +36,18 @@ def drive_pairs(first: Robot, second: Robot, joints: Iterable[JointPair]) -> lis
 def _unlikeness(drive: FileDrive, other: FileDrive) -> tuple[bool, int, bool, bool, float]:
     """Return a key that sorts drives of the same joints by their likeness to a drive."""
     gears = zip(sorted(drive.gears.values()), sorted(other.gears.values()), strict=False)
+    numbers = (
+        drive.stiffness - other.stiffness,
+        drive.damping - other.damping,
+        *(one * drive.gain - two * other.gain for one, two in gears),
+    )
+    limits = (drive.control_limits != other.control_limits) + (drive.force_limits != other.force_limits)
     return (
-        drive.name != other.name,
+        drive.name != other.name and not (is_numbered(drive) and is_numbered(other)),
         len({*drive.other.items()} ^ {*other.other.items()}) if not drive.gears else 0,
         bool(drive.stiffness) != bool(other.stiffness),
         bool(drive.damping) != bool(other.damping),
-        sum(abs(one * drive.gain - two * other.gain) for one, two in gears),
+        sum(map(abs, numbers)) + limits,
     )
 
 

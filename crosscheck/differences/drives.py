@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from crosscheck.differences.frames import CommonFrames
 from crosscheck.differences.places import place_rows
 from crosscheck.differences.settings import Names, names_in_first
 from crosscheck.differences.stack import relative
+from crosscheck.differences.unnamed import is_numbered
 from newton_euler.reading.robot import FilePlace, JointKind, Robot, RobotFile
 from newton_euler.scalars import Array
 
@@ -39,6 +41,7 @@ def drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Diff
     for index, other_index in paired:
         yield from _paired_drive(common, index, other_index, by_second)
         yield from _rows_of_others(common, index, other_index, names)
+    yield from _name_row(common, paired)
     known, known_others = {one for one, _ in paired}, {two for _, two in paired}
     alone = [drive for k, drive in enumerate(first.drives) if k not in known]
     others = [drive for k, drive in enumerate(second.drives) if k not in known_others]
@@ -56,6 +59,22 @@ def drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Diff
     for in_first, drives in ((True, alone), (False, others)):
         for drive in drives:
             yield only_in_one("drive", drive.name, f"on {', '.join(drive.gears) or 'a body'}", in_first)
+
+
+def _name_row(common: CommonFrames, paired: Sequence[tuple[int, int]]) -> Iterator[Difference]:
+    """Yield one row for all names that the second file gives to other drives than the first."""
+    first, second = common.first.file.robot.drives, common.second.file.robot.drives
+    others = {
+        first[one].name: second[two].name
+        for one, two in paired
+        if first[one].name != second[two].name and not is_numbered(first[one])
+    }
+    exchanged = [name for name in others if name in others.values()]
+    if exchanged:
+        name = exchanged[0]
+        words = "both files have these names, for other drives: what finds drives by name takes another"
+        row = difference(name, "drive", Quantity.NAME, (name, others[name]), (1.0, 0.0), words)
+        yield replace(row, elements=tuple(exchanged))
 
 
 def _paired_drive(

@@ -16,7 +16,7 @@ import numpy as np
 
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.frames import IN_WORLD, CommonFrames
-from crosscheck.differences.stack import Line, Poses, Side, angle, distance
+from crosscheck.differences.stack import Line, Poses, Side, angle, distance, turn_angle
 from newton_euler.reading.robot import FilePlace, PlaceKind
 from newton_euler.scalars import Array
 
@@ -83,7 +83,7 @@ def _sizes(common: CommonFrames, number: int, kind: PlaceKind, one: Poses, two: 
             yield _Size((numbers(axes[0][0]), numbers(axes[1][0])), sizes, "rad")
         case PlaceKind.FRAME:
             yield _of_points(compare, one.position, two.position)
-            sizes = compare(one.rotation, two.rotation, _turn)
+            sizes = compare(one.rotation, two.rotation, turn_angle)
             yield _Size((0.0, sizes[0]), sizes, "rad")
         case _:
             assert_never(kind)
@@ -113,9 +113,3 @@ def _angle_of_lines(reference: Array, values: Array) -> Array:
     """Return the angles (V,), rad, between lines along unit vectors (V, 3), which have no direction."""
     angles = angle(reference, values)
     return np.minimum(angles, math.pi - angles)
-
-
-def _turn(reference: Array, values: Array) -> Array:
-    """Return the angles (V,), rad, of the rotations from one matrix (1, 3, 3) to others (V, 3, 3)."""
-    chord = np.linalg.norm(values - reference, axis=(-2, -1)) / math.sqrt(8.0)
-    return np.asarray(2.0 * np.arcsin(np.minimum(chord, 1.0)))

@@ -8,10 +8,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from crosscheck.compare.outcome import Outcome
 from crosscheck.differences.alignment import Alignment, align
 from crosscheck.differences.causes import LACKING
-from crosscheck.differences.common_states import CommonStates, common_states
+from crosscheck.differences.common_states import ROUND_OFF, CommonStates, common_states
 from crosscheck.differences.difference import Difference, Quantity, Standing
 from crosscheck.differences.effects import effects
 from crosscheck.differences.evidence import with_evidence
@@ -25,7 +27,7 @@ from crosscheck.differences.shapes import shapes
 from crosscheck.differences.unnamed import with_names
 from crosscheck.loading.robots import describe_model, describe_shapes
 from newton_euler.reading.file_shapes import FileShapes
-from newton_euler.reading.robot import RobotFile
+from newton_euler.reading.robot import Robot, RobotFile
 
 if TYPE_CHECKING:
     from crosscheck.loading.load import Model
@@ -208,6 +210,8 @@ def compare_files(
     if motion.likeness in (Likeness.EQUAL, Likeness.ROUNDING):
         # a loop of one file and couplings of the other that allow the same motion
         rows = [replace(row, convention=row.convention or _is_constraint(row)) for row in rows]
+        regrouped = _regrouped(first.robot, second.robot, alignment)
+        rows = [_without_effect(row, regrouped) for row in rows]
     rows = [replace(row, convention=row.convention or _is_unsaid(row, formats)) for row in rows]
     rows = with_evidence(rows, (first, second), alignment)
     # rows without a known effect, such as limits, after those with one
@@ -218,6 +222,34 @@ def compare_files(
 def _is_constraint(row: Difference) -> bool:
     """Return whether a row is about a loop or coupling of one file only, or a loop of another kind."""
     return row.quantity in (Quantity.PRESENCE, Quantity.KIND) and row.element_kind in ("loop", "coupling")
+
+
+def _regrouped(first: Robot, second: Robot, alignment: Alignment) -> set[tuple[str, ...]]:
+    """Return the names of groups of joints of the first robot that allow the same motions as in the second.
+
+    They do if the motions are equal, and no joint has what is in no compared motion: limits, dry friction.
+    """
+    found = set()
+    for group in alignment.groups:
+        joints = [first.joint(key) for key in group.first] + [second.joint(key) for key in group.second]
+        if not any(joint.friction or np.isfinite([*joint.limits, *joint.effort]).any() for joint in joints):
+            found.add(tuple(first.joint(key).name for key in group.first))
+    return found
+
+
+def _without_effect(row: Difference, regrouped: set[tuple[str, ...]]) -> Difference:
+    """Return a row of robots of equal motions as a convention if it changes nothing at all.
+
+    Args:
+        row: the row.
+        regrouped: names of groups of joints that allow the same motions in both files.
+    """
+    if row.quantity is Quantity.KIND and row.element_kind == "joint" and row.elements in regrouped:
+        return replace(row, convention=True, effect=0.0, cause=row.cause or "the same motions are free")
+    is_light = row.size <= ROUND_OFF and row.effect is not None and row.effect <= ROUND_OFF
+    if row.quantity is Quantity.PRESENCE and row.element_kind == "body" and is_light:
+        return replace(row, convention=True, cause=row.cause or "too light to change the motion")
+    return row
 
 
 def _is_unsaid(row: Difference, formats: tuple[str, str]) -> bool:

@@ -25,11 +25,11 @@ from crosscheck.differences.joints import joint_rows, moved_joint_row, regrouped
 from crosscheck.differences.moved_bodies import with_moved_bodies
 from crosscheck.differences.settings import setting_rows
 from crosscheck.differences.springs import spring_rows
-from crosscheck.differences.stack import angle, distance
+from crosscheck.differences.stack import Side, angle, distance
 from crosscheck.differences.starts import CHANGES_RUN, start_rows
 from crosscheck.differences.transmissions import transmission_rows
 from crosscheck.differences.vectors import rotation_vector
-from newton_euler.reading.robot import JointKind, Robot, RobotFile
+from newton_euler.reading.robot import IN_PLACE, JointKind, LoopKind, Robot, RobotFile
 from newton_euler.scalars import Array
 
 __all__ = ["Difference", "Quantity", "Standing", "differences"]
@@ -190,10 +190,29 @@ def _model_rows(common: CommonFrames) -> Iterator[Difference]:
         # "floating in the first, fixed in the second"
         held, _, other = common.alignment.base.partition(" in the first, ")
         values_of_base = held, other.removesuffix(" in the second")
-        yield difference(name, "model", Quantity.BASE, values_of_base, (1.0, 0.0))
+        is_welded = _is_welded(common.first, held) or _is_welded(common.second, values_of_base[1])
+        words = "a weld to the ground holds the base" if is_welded and "fixed" in values_of_base else ""
+        row = difference(name, "model", Quantity.BASE, values_of_base, (1.0, 0.0), words)
+        yield replace(row, convention=bool(words), effect=0.0 if words else None)
     yield from _run_rows(name, *robots)
     yield from _world_row(common, gravities[0])
     yield from _frame_row(common)
+
+
+def _is_welded(side: Side, held: str) -> bool:
+    """Return whether a robot has a floating base that a weld holds to the ground in the pose of the file."""
+    robot, placements = side.file.robot, side.file.robot.placements()
+    for loop in robot.loops if held == "floating" else ():
+        frames = [
+            (placements[body] if body >= 0 else IN_PLACE) @ frame
+            for body, frame in ((loop.first, loop.first_frame), (loop.second, loop.second_frame))
+        ]
+        bodies = [body for body in (loop.first, loop.second) if body >= 0]
+        is_base = len(bodies) == 1 and any(j.kind is JointKind.FREE for j in robot.bodies[bodies[0]].joints)
+        gap = [one - two for one, two in zip(*frames, strict=True)]
+        if loop.kind is LoopKind.WELD and is_base and all(np.abs(g).max() < MIN_TURN for g in gap):
+            return True
+    return False
 
 
 def _run_rows(name: str, first: Robot, second: Robot) -> Iterator[Difference]:

@@ -248,6 +248,12 @@ def angle(reference: Array, values: Array) -> Array:
     return np.arctan2(np.linalg.norm(np.cross(reference, values), axis=-1), dot(reference, values))
 
 
+def turn_angle(reference: Array, values: Array) -> Array:
+    """Return the angles (V,), rad, of the rotations from one matrix (1, 3, 3) to others (V, 3, 3)."""
+    chord = np.linalg.norm(values - reference, axis=(-2, -1)) / math.sqrt(8.0)
+    return np.asarray(2.0 * np.arcsin(np.minimum(chord, 1.0)))
+
+
 def matrix_distance(reference: Array, values: Array) -> Array:
     """Return the norms of the differences of matrices (V, 3, 3) from a matrix, relative to its norm."""
     norm = np.linalg.norm(reference) or 1.0

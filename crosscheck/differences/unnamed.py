@@ -5,6 +5,7 @@ Elements are paired before they get these names, since equal numbers in two file
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -57,6 +58,11 @@ def _names_of_drives(drives: Sequence[FileDrive], bodies: Sequence[str]) -> Iter
     for drive, target in zip(drives, targets, strict=True):
         law = "position" if drive.stiffness else "velocity" if drive.damping else "force"
         yield target if counts[target] == 1 else f"{law} drive of {target}"
+
+
+def is_numbered(drive: FileDrive) -> bool:
+    """Return whether a drive without name in its file has a name that tells it from others of one joint."""
+    return re.match(r"(position|velocity|force) drive of ", drive.name) is not None
 
 
 def _target(drive: FileDrive, bodies: Sequence[str]) -> str:
