@@ -94,9 +94,17 @@ class Recorder:
 
     def loop_errors(self) -> LoopErrors:
         """Return the violations of the equalities that are switched on at the recorded times."""
-        active = np.flatnonzero(self._data.eq_active)
+        bits = mujoco.mjtDisableBit
+        off = self._model.opt.disableflags & (bits.mjDSBL_EQUALITY | bits.mjDSBL_CONSTRAINT)
+        active = np.flatnonzero(self._data.eq_active * (not off))
         names = tuple(element_name(self._model, "equality", int(k)) for k in active)
-        return LoopErrors(names, np.array(self.openings)[:, active], np.array(self.angles)[:, active])
+        return LoopErrors(
+            names,
+            np.array(self.openings)[:, active],
+            np.array(self.angles)[:, active],
+            have_lengths=~self._is_angle[active],
+            have_angles=(self._is_weld | self._is_angle)[active],
+        )
 
     def trajectory(
         self,

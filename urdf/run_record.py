@@ -91,7 +91,9 @@ class Recorder:
             openings[:, k] = np.linalg.norm(translations[:, first] - translations[:, second], axis=1)
             angles[:, k] = _angular_errors(closure.kind, quaternions[:, first], quaternions[:, second])
         names = tuple(closure.element for closure in reference.closures)
-        return FileRun(trajectory, LoopErrors(names, openings, angles), events=(), stopped=stopped)
+        have_angles = np.array([closure.kind in ("6d", REVOLUTE) for closure in reference.closures], bool)
+        errors = LoopErrors(names, openings, angles, np.ones(len(names), bool), have_angles)
+        return FileRun(trajectory, errors, events=(), stopped=stopped)
 
 
 def _products(p: Array, q: Array) -> Array:

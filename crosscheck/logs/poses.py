@@ -224,23 +224,31 @@ def loop_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors | None:
     if not set(needed) <= set(found.names):
         return None
     columns = [found.names.index(name) for name in needed]
-    return LoopErrors(needed, found.openings[:, columns], found.angles[:, columns])
+    return LoopErrors(
+        needed,
+        found.openings[:, columns],
+        found.angles[:, columns],
+        found.have_lengths[columns],
+        found.have_angles[columns],
+    )
 
 
 def joint_errors(mechanism: Mechanism, poses: Poses) -> LoopErrors:
     """Return the violations of all joints between bodies with known poses."""
     frames, count = _frames(poses)
     errors: dict[str, tuple[Array, Array]] = {}
+    kinds: list[tuple[bool, bool]] = []  # whether a joint constrains lengths, and angles
     for joint, equations in zip(mechanism.joints, mechanism.equations, strict=True):
         if equations.first in frames and equations.second in frames:
             phi = equations.phi(frames[equations.first], frames[equations.second])
             residuals = np.abs(unstacked(phi, count))  # (n, rows of the joint)
             openings = np.linalg.norm(residuals * equations.is_length, axis=1)
+            kinds.append((bool(np.any(equations.is_length)), not np.all(equations.is_length)))
             errors[joint.name] = openings, np.max(residuals * ~equations.is_length, axis=1, initial=0.0)
     if not errors:
-        return LoopErrors((), np.zeros((0, 0)), np.zeros((0, 0)))
+        return LoopErrors((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, bool), np.zeros(0, bool))
     openings, angles = (np.stack(each, axis=1) for each in zip(*errors.values(), strict=True))
-    return LoopErrors(tuple(errors), openings, angles)
+    return LoopErrors(tuple(errors), openings, angles, *np.array(kinds).T)
 
 
 def coordinates_in_poses(mechanism: Mechanism, poses: Poses) -> dict[Key, Array]:

@@ -139,14 +139,18 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def without_loops(judgement: Judgement) -> dict[ErrorKind, str]:
-    """Map the errors of loops to why they cannot be limited, if the run has no loop constraints."""
-    if judgement.loop_error.has_loops:
-        return {}
-    needed = "needed: a model with loop constraints"
-    return {
-        kind: f"no loops, so that a limit of {kind} limits nothing; {needed}"
-        for kind in (ErrorKind.OPENING, ErrorKind.LOOP_ANGLE)
-    }
+    """Map the errors of loops to why they cannot be limited, if the run has no such loop constraints."""
+    found, loops = {}, judgement.loop_error
+    has_loops = bool(loops.opening_at[0] or loops.angle_at[0])
+    for kind, (name, _), measure in (
+        (ErrorKind.OPENING, loops.opening_at, "lengths"),
+        (ErrorKind.LOOP_ANGLE, loops.angle_at, "angles"),
+    ):
+        if not name:
+            lacks = f"no loops with constraints of {measure}" if has_loops else "no loops"
+            needed = f"needed: a model with loop constraints of {measure}"
+            found[kind] = f"{lacks}, so that a limit of {kind} limits nothing; {needed}"
+    return found
 
 
 def exceeded_text(name: str, judgement: Judgement, exceeded: Sequence[AllowedError]) -> str:

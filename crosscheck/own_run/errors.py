@@ -118,9 +118,9 @@ class LoopError:
 
     Attributes:
         opening: largest violation of a constraint of lengths, m, such as the gap between two points.
-        opening_at: constraint and time, s, of that violation.
+        opening_at: constraint and time, s, of that violation; the name is "" without constraints of lengths.
         angle: largest violation of a constraint of angles, rad.
-        angle_at: constraint and time, s, of that violation.
+        angle_at: constraint and time, s, of that violation; the name is "" without constraints of angles.
     """
 
     opening: float = 0.0
@@ -128,24 +128,22 @@ class LoopError:
     angle: float = 0.0
     angle_at: tuple[str, float] = ("", 0.0)
 
-    @property
-    def has_loops(self) -> bool:
-        """True if the run has loop constraints."""
-        return bool(self.opening_at[0])
-
     @classmethod
     def of(cls, found: LoopErrors, times: Array) -> LoopError:
         """Find the largest violations up to the last one of the given times, s."""
-        if not found.names:
-            return cls()
-        openings, angles = found.openings[: len(times)], found.angles[: len(times)]
-        (opened, loop), (turned, other) = _largest_at(openings), _largest_at(angles)
-        return cls(
-            opening=float(openings[opened, loop]),
-            opening_at=(found.names[loop], float(times[opened])),
-            angle=float(angles[turned, other]),
-            angle_at=(found.names[other], float(times[turned])),
-        )
+        lengths = cls._largest(found.openings, found.have_lengths, found.names, times)
+        return cls(*lengths, *cls._largest(found.angles, found.have_angles, found.names, times))
+
+    @staticmethod
+    def _largest(
+        errors: Array, counts: Array, names: tuple[str, ...], times: Array
+    ) -> tuple[float, tuple[str, float]]:
+        """Return the largest one of errors (n, k) of the constraints that count (k,), and where it is."""
+        kept = np.flatnonzero(counts)
+        if not len(kept):
+            return 0.0, ("", 0.0)
+        output, loop = _largest_at(errors[: len(times), kept])
+        return float(errors[output, kept[loop]]), (names[kept[loop]], float(times[output]))
 
 
 @dataclass(frozen=True)

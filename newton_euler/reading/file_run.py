@@ -62,11 +62,15 @@ class LoopErrors:
         names: the constraints, such as "equality 'loop'".
         openings: (n, k) distances, m; 0 for constraints of angles.
         angles: (n, k) angles, rad; 0 for constraints of lengths.
+        have_lengths: (k,) True for constraints of lengths, or of lengths and angles, such as welds.
+        have_angles: (k,) True for constraints of angles, or of lengths and angles.
     """
 
     names: tuple[str, ...]
     openings: Array
     angles: Array
+    have_lengths: Array
+    have_angles: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 import pytest
 from command_line import check_refused, run, verdict_of
 
 import crosscheck
 from crosscheck.compare.outcome import ExitStatus, Outcome
-from crosscheck.own_run.allowed import OWN_RUN, AllowedError, ErrorKind, exceeded_text, length
-from crosscheck.own_run.errors import Band
+from crosscheck.own_run.allowed import (
+    OWN_RUN,
+    AllowedError,
+    ErrorKind,
+    exceeded_text,
+    length,
+    without_loops,
+)
+from crosscheck.own_run.errors import Band, LoopError
 from crosscheck.support.errors import CrosscheckError
 from mjcf.errors import collected_warnings
+from newton_euler.reading.file_run import LoopErrors
 
 ENGINES = ["newton_euler", "mujoco"]
 
@@ -222,7 +232,25 @@ def test_the_end_of_a_long_run_that_is_not_judged_is_an_unfinished_judgement(swi
         verdict.assert_accurate(1e-3)
 
 
-@pytest.mark.parametrize("equality", ["", '<equality><joint joint1="hinge" active="false"/></equality>'])
+SWITCHED_OFF = """<option><flag equality="disable"/></option>
+  <equality><joint joint1="hinge"/></equality>"""
+
+
+@pytest.mark.parametrize("angles", [[True], [False]])
+def test_a_limit_needs_a_loop_constraint_of_its_kind(angles):
+    errors = np.array([[0.0], [0.5]])
+    have_angles = np.array(angles)
+    found = LoopErrors(("loop",), errors * ~have_angles, errors * have_angles, ~have_angles, have_angles)
+    loops = LoopError.of(found, np.array([0.0, 0.1]))
+    limited, lacking = (loops.angle, loops.opening) if angles == [True] else (loops.opening, loops.angle)
+    assert (limited, lacking) == (0.5, 0.0)
+    kinds = [ErrorKind.OPENING if angles == [True] else ErrorKind.LOOP_ANGLE]
+    assert list(without_loops(SimpleNamespace(loop_error=loops))) == kinds
+
+
+@pytest.mark.parametrize(
+    "equality", ["", '<equality><joint joint1="hinge" active="false"/></equality>', SWITCHED_OFF]
+)
 @pytest.mark.parametrize("kind", ["opening", "loop_angle"])
 def test_the_loop_error_of_a_file_without_loops_cannot_be_limited(capsys, tmp_path, swing, kind, equality):
     path = swing(FINE)
