@@ -83,13 +83,17 @@ def _join(
     ]
     if _kind(pair[0]) in (LoopKind.ROD, None):
         following, causes, what = lengths, points or moved, "the length"
+    elif _kind(pair[0]) is LoopKind.WELD:
+        # MuJoCo takes the pose that a weld holds from the pose of the file
+        held = (Quantity.LOOP_POINT, Quantity.LOOP_AXIS)
+        following, causes, what = [k for k, row in own.items() if row.quantity in held], moved, "the pose"
     elif len(points) == 2:
         following, causes, what = points[1:], points[:1], "the point on the other body"
     else:
         following, causes, what = points, moved, "a point"
     if not following or not causes:
         return
-    row, cause = different[following[0]], max(causes, key=lambda k: different[k].size)
+    row, cause = different[following[-1]], max(causes, key=lambda k: different[k].size)
     openings = [_openings(common, *each) for each in zip(pair, ends, (0, 1), strict=True)]
     change = float(np.abs(openings[1] - openings[0]).max())
     if change <= row.uncertainty + MAX_OPENING_CHANGE * row.size:
@@ -101,7 +105,8 @@ def _join(
             cause=f"{named.cause}; {words}" if named.cause else words,
             consequences=(*named.consequences, name),
         )
-        rows[following[0]] = None
+        for k in following:
+            rows[k] = None
 
 
 def _kind(element: FileLoop | FileSpring) -> LoopKind | None:
@@ -136,7 +141,10 @@ def _openings(common: CommonFrames, element: FileLoop | FileSpring, ends: Ends, 
         return np.array(element.rest) - apart
     if element.kind is LoopKind.ROD:
         return np.array([element.length - apart])
-    return np.asarray(opening @ bodies[0].rotation[0])
+    if element.kind is not LoopKind.WELD:
+        return np.asarray(opening @ bodies[0].rotation[0])
+    turns = [body.rotation[0] @ end.frame.rotation[0] for body, end in zip(bodies, ends, strict=True)]
+    return np.concatenate([opening @ bodies[0].rotation[0], (turns[0].T @ turns[1]).ravel()])
 
 
 def _joints_between(robot: Robot, element: FileLoop | FileSpring) -> set[str]:

@@ -122,6 +122,36 @@ def test_a_length_that_differs_beside_a_point_is_a_row_of_its_own(tmp_path: Path
     }
 
 
+WELD = """<mujoco><worldbody>
+  <body name="a"><joint name="j" axis="0 1 0"/>
+    <inertial pos="0.1 0.02 0" mass="1" diaginertia="0.01 0.02 0.02"/>
+  <body name="b" pos="0.3 0 0"><joint name="k" axis="0 1 0"/>
+    <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.02"/></body></body>
+  <body name="c" pos="0.6 0 0"><joint name="turn" axis="0 1 0"/><joint name="x" type="slide" axis="1 0 0"/>
+    <joint name="z" type="slide" axis="0 0 1"/>
+    <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.02"/></body></worldbody>
+  <equality><weld name="hold" body1="b" body2="c"{}/></equality></mujoco>"""
+
+
+def test_the_rotation_that_a_weld_holds_is_a_row(tmp_path: Path) -> None:
+    half = np.radians(5.0)
+    texts = [
+        WELD.format(f' relpose="0.3 0 0 {np.cos(angle):.12f} 0 {np.sin(angle):.12f} 0"')
+        for angle in (0.0, half)
+    ]
+    (row,) = compared(tmp_path, *texts).differences
+    assert (row.element, row.quantity, row.unit) == ("hold", Quantity.LOOP_AXIS, "rad")
+    assert row.size == pytest.approx(2.0 * half)
+
+
+@pytest.mark.parametrize("place", ['pos="0.3 0 0" euler="10 0 0"', 'pos="0.31 0 0"'])
+def test_a_weld_in_the_pose_of_the_file_follows_a_joint(place: str, tmp_path: Path) -> None:
+    first = WELD.format("")
+    second = first.replace('name="b" pos="0.3 0 0"', f'name="b" {place}')
+    (row,) = compared(tmp_path, first, second).differences
+    assert (row.element, row.element_kind, row.consequences) == ("k", "joint", ("hold",))
+
+
 @pytest.mark.parametrize("has_names", [True, False], ids=["with their names", "without their names"])
 @pytest.mark.parametrize("numbers", ["", ' damping="0.3" range="-0.5 1"'], ids=["plain", "with numbers"])
 def test_exchanged_joints_of_a_universal_joint_are_one_row(
