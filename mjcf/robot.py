@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from mjcf.loops import fixed_tendon_weights
 from mjcf.mesh_masses import with_hulls, with_mesh_masses
 from mjcf.point_springs import point_springs, site_placement
 from mjcf.reading.compile import compile_spec
-from mjcf.reading.essentials import Essentials, essential_texts
+from mjcf.reading.essentials import NO_MASS, Essentials, essential_texts
 from mjcf.reading.source import UNNAMED, copy_model, model_name
 from mjcf.reading.xml_scan import FREE_TEXT, SourceError, read_texts
 from mjcf.settings import Names, settings
@@ -100,6 +100,7 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
         except (ValueError, mujoco.FatalError) as error:
             raise SourceError(path, f"MuJoCo refuses it: {' '.join(str(error).split()):.500}") from error
         description = _Description(model)
+        described = _without_missing(description.robot, essentials.missing)
         texts, of_hulls = essentials.texts, description.robot
         if essentials.loaded:
             with suppress(ValueError, mujoco.FatalError):  # of vertices that have no hull
@@ -111,18 +112,31 @@ def _describe_file(path: str, root: str | None) -> RobotFile:
             changed = {name: each.variant(random) for name, each in numbers.items()}
             with suppress(ValueError, mujoco.FatalError):  # for example of limits that change places
                 variant = _Description(compiled(changed, is_variant=True)).robot
-                variants.append(with_mesh_masses(variant, description.robot, of_hulls))
+                variant = with_mesh_masses(variant, description.robot, of_hulls)
+                variants.append(_without_missing(variant, essentials.missing))
     if len(variants) < VARIANTS:
         refused = f"MuJoCo refuses {VARIANTS - len(variants)} of {VARIANTS} variants within the digits"
         description.notes.append(f"{refused}; uncertainties come from the others")
     return RobotFile(
-        replace(description.robot, name=description.robot.name or Path(path).stem),
+        replace(described, name=described.name or Path(path).stem),
         variants=tuple(variants),
         source=path,
         format="URDF" if path.lower().endswith(".urdf") else "MJCF",
         lines=element_lines(files.texts, SourceError),
         notes=(*_notes_of_meshes(essentials), *description.notes),
+        missing_meshes=essentials.missing,
     )
+
+
+def _without_missing(robot: Robot, missing: Collection[str]) -> Robot:
+    """Return a robot whose bodies with missing meshes have no mass instead of the smallest one for MuJoCo."""
+
+    def without_mass(body: FileBody) -> FileBody:
+        if body.name in missing and body.mass < 2.0 * float(NO_MASS["mass"]):
+            return replace(body, mass=0.0, center=np.zeros(3), inertia=np.zeros((3, 3)))
+        return body
+
+    return replace(robot, bodies=tuple(map(without_mass, robot.bodies)))
 
 
 def _notes_of_meshes(essentials: Essentials) -> Iterator[str]:

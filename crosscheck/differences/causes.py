@@ -112,7 +112,7 @@ def _by_quantity(rows: list[Difference], cause: str) -> Iterator[Difference]:
     for row in rows:
         groups[row.element_kind, row.quantity].append(row)
     for group in groups.values():
-        yield _merged(group, cause)
+        yield merged_rows(group, cause)
 
 
 def _by_cause(rows: list[Difference]) -> Iterator[Difference]:
@@ -122,10 +122,10 @@ def _by_cause(rows: list[Difference]) -> Iterator[Difference]:
         key = row.element_kind, row.quantity, row.cause, row.first is None, row.second is None
         groups[key].append(row)
     for group in groups.values():
-        yield _merged(group, group[0].cause)
+        yield merged_rows(group, group[0].cause)
 
 
-def _merged(rows: list[Difference], cause: str) -> Difference:
+def merged_rows(rows: list[Difference], cause: str) -> Difference:
     """Return the largest of some rows, with the elements of all of them."""
     elements = tuple(dict.fromkeys(name for row in rows for name in row.elements))
     # Six digits: round-off does not decide which of equal rows is shown
@@ -218,7 +218,7 @@ def _missing_columns(rows: list[Difference], formats: tuple[str, str]) -> Iterat
             finite = np.concatenate([value for value in values if value is not None] or [np.zeros(1)])
             span = f"{finite.min():.4g}" + (f" to {finite.max():.4g}" if np.ptp(finite) else "")
             cause = _lack(formats[other], quantity).removeprefix("; ") or "only in one file"
-            found = _merged([rows[index] for index in group], cause)
+            found = merged_rows([rows[index] for index in group], cause)
             found = replace(found, first=span) if where == 0 else replace(found, second=span)
             yield Hypothesis(frozenset(group), found)
 
@@ -241,7 +241,7 @@ def _scaled_masses(rows: list[Difference]) -> Iterator[Hypothesis]:
             continue
         words = f"{len(group)} masses" if len(group) > 1 else "mass"
         words += (" and inertias" if len(group) > 1 else " and inertia") if inertias else ""
-        row = _merged([rows[index] for index in group], f"{words} {_times(factor, MASS_UNITS)}")
+        row = merged_rows([rows[index] for index in group], f"{words} {_times(factor, MASS_UNITS)}")
         yield Hypothesis(frozenset([*group, *inertias]), row)
 
 
@@ -253,7 +253,7 @@ def _scaled_lengths(rows: list[Difference]) -> Iterator[Hypothesis]:
     ):
         lengths = [rows[index] for index in group if rows[index].quantity in LENGTHS]
         if len(lengths) >= 3 and len({row.quantity for row in lengths}) > 1:
-            row = _merged(lengths, f"{len(lengths)} lengths {_times(factor, LENGTH_UNITS)}")
+            row = merged_rows(lengths, f"{len(lengths)} lengths {_times(factor, LENGTH_UNITS)}")
             yield Hypothesis(frozenset(group), row)
 
 
@@ -271,7 +271,7 @@ def _scaled(rows: list[Difference]) -> Iterator[Hypothesis]:
                 those = [rows[index] for index in group]
                 kind = those[0].element_kind
                 times = _times(factor, OTHER_UNITS)
-                row = _merged(those, f"{quantity} of {len(group)} {_plural(kind)} {times}")
+                row = merged_rows(those, f"{quantity} of {len(group)} {_plural(kind)} {times}")
                 yield Hypothesis(frozenset(group), row)
 
 
@@ -299,7 +299,7 @@ def _rounded_off(rows: list[Difference]) -> Iterator[Hypothesis]:
             has_numbers = any(np.any(_numbers((rows[k].first, rows[k].second)[coarse])) for k in group)
             if has_numbers and len({rows[index].element for index in group}) > 2:
                 cause = f"{len(group)} numbers are rounded to {decimals} decimals in the {name} file"
-                yield Hypothesis(frozenset(group), _merged([rows[index] for index in group], cause))
+                yield Hypothesis(frozenset(group), merged_rows([rows[index] for index in group], cause))
 
 
 def _is_rounded(fine: Array | None, coarse: Array | None, decimals: int) -> bool:
@@ -333,7 +333,7 @@ def _exchanged(rows: list[Difference]) -> Iterator[Hypothesis]:
     if explained:
         those = [rows[index] for index in sorted(explained)]
         pairs_of_names = [f"{a} and {b}" for a, b in zip(names[::2], names[1::2], strict=True)]
-        row = _merged(those, f"exchanged: {', '.join(pairs_of_names)}")
+        row = merged_rows(those, f"exchanged: {', '.join(pairs_of_names)}")
         row = replace(those[0], elements=tuple(names), cause=row.cause, consequences=row.consequences)
         yield Hypothesis(frozenset(explained), row)
 
@@ -364,7 +364,7 @@ def _only_in_one(rows: list[Difference], formats: tuple[str, str]) -> Iterator[H
         those = [rows[index] for index in group]
         lack = _lack(formats[1 if in_first else 0], Quantity.PRESENCE) if kind == "drive" else ""
         cause = lack.removeprefix("; ")
-        yield Hypothesis(frozenset(group), _merged(those, cause))
+        yield Hypothesis(frozenset(group), merged_rows(those, cause))
 
 
 def _same_everywhere(rows: list[Difference]) -> Iterator[Hypothesis]:
@@ -383,7 +383,7 @@ def _same_everywhere(rows: list[Difference]) -> Iterator[Hypothesis]:
             elements = f"{len(those)} {_plural(those[0].element_kind)}"
             same = f"{those[0].quantity} of {elements} {_times(factor, OTHER_UNITS)}"
         cause = "; ".join(dict.fromkeys(row.cause for row in those if row.cause)) or same
-        yield Hypothesis(frozenset(group), _merged(those, cause))
+        yield Hypothesis(frozenset(group), merged_rows(those, cause))
 
 
 def _without_side(row: Difference) -> tuple[object, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from crosscheck.differences.alignment import Alignment
 from crosscheck.differences.bodies import body_rows
-from crosscheck.differences.causes import with_causes
+from crosscheck.differences.causes import merged_rows, with_causes
 from crosscheck.differences.connections import coupling_rows, joint_partners, loop_rows
 from crosscheck.differences.consequences import with_consequences
 from crosscheck.differences.difference import Difference, Quantity, Standing, Value, difference, numbers
@@ -82,6 +82,7 @@ def differences(
         *start_rows(common, joints),
         *setting_rows(common, joints),
     ]
+    rows = [*_with_missing_meshes(rows, common)]
     at_rest = {
         first.robot.bodies[body].name
         for number in range(len(alignment.bodies))
@@ -101,6 +102,28 @@ def differences(
         _without_effect(row, at_rest, fixed_alone, has_ground)
         for row in with_causes(rows, first, second, tolerance)
     ]
+
+
+def _with_missing_meshes(rows: list[Difference], common: CommonFrames) -> Iterator[Difference]:
+    """Yield rows, of which one is about all bodies that have no mass because a mesh is missing."""
+    first, second = common.first.file, common.second.file
+    partners = {
+        common.body_name(number): {second.robot.bodies[body].name for body in pair.second}
+        for number, pair in enumerate(common.alignment.bodies)
+    }
+    of_meshes = []
+    for row in rows:
+        names = {row.element}, partners.get(row.element, set())
+        values = row.first, row.second
+        if row.quantity is Quantity.MASS and any(
+            value == 0.0 and not own.isdisjoint(file.missing_meshes)
+            for value, own, file in zip(values, names, (first, second), strict=True)
+        ):
+            of_meshes.append(row)
+        else:
+            yield row
+    if of_meshes:
+        yield merged_rows(of_meshes, "mesh missing: no mass")
 
 
 def _without_effect(

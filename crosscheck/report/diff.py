@@ -25,6 +25,7 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
+from crosscheck.support.units import significant
 from newton_euler.reading.robot import RobotFile
 
 MAX_LISTED = 30
@@ -44,6 +45,9 @@ Sides = tuple[str, str]
 
 FILES: Sides = ("the first file", "the second file")
 """The robots of two files."""
+
+MAX_PERCENT = 10.0
+"""Relative difference from which on a factor takes the place of percent."""
 
 MIN_EFFECT = 1e-6
 """Relative change of accelerations below which a difference has no effect in words."""
@@ -187,7 +191,8 @@ def motion_text(comparison: FileComparison, sides: Sides) -> str:
                 return f"{sides[0]} has {_counted(first, 'independent motion')}, {sides[1]} {second}"
             if any(gap.is_open for gap in motion.gaps):
                 return f"poses of {sides[0]} do not fit {sides[1]}: {gap_text(motion)}"
-            return f"accelerations differ by up to {percent(motion.change)}, at {motion.body}, {motion.phase}"
+            change = change_text(motion.change)
+            return f"accelerations differ by up to {change}, at {motion.body}, {motion.phase}"
         case Likeness.EQUAL | Likeness.ROUNDING:
             states = comparison.states
             is_reduced = states is not None and any(cut.takes_motion for cut in states.cuts)
@@ -352,7 +357,17 @@ def effect_text(row: Difference) -> str:
     """Format the change of accelerations; "none" below round-off, "" if it was not computed."""
     if row.effect is None:
         return ""
-    return "none" if row.effect < MIN_EFFECT else percent(row.effect)
+    return "none" if row.effect < MIN_EFFECT else change_text(row.effect)
+
+
+def change_text(change: float) -> str:
+    """Format a relative change in percent; a large one as a factor."""
+    return percent(change) if change < MAX_PERCENT else f"{_number(change)} times"
+
+
+def _number(value: float) -> str:
+    """Format a number with three digits, and a short exponent from a million on."""
+    return significant(value).replace("e+0", "e").replace("e+", "e")
 
 
 def value_text(value: Value) -> str:
@@ -371,13 +386,17 @@ def _with_unit(value: Value, unit: str) -> str:
 
 
 def size_text(row: Difference) -> str:
-    """Format the size of a difference: a length, an angle, or percent; "" if it has none, as of words."""
+    """Format the size of a difference: a length, an angle, percent or a factor; "" if words differ."""
     has_numbers = not any(value is None or isinstance(value, str) for value in (row.first, row.second))
     if row.quantity is Quantity.PRESENCE or not has_numbers:
         return ""
     is_place = row.quantity is Quantity.SETTING and row.unit
     if row.quantity not in ABSOLUTE and not is_place:
-        return percent(row.size)
+        if row.size < MAX_PERCENT:
+            return percent(row.size)
+        if isinstance(row.first, float) and isinstance(row.second, float):
+            return f"times {_number(row.second / row.first)}"
+        return change_text(row.size)
     return length(row.size) if row.unit == "m" else angle(row.size)
 
 

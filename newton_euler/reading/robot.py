@@ -419,6 +419,7 @@ class RobotFile:
         notes: what the file has and the description has not, one sentence each.
         has_ground: whether a root without joints is known to be fixed. A URDF does not tell it from one that
             floats, unless its name is "world" or an option tells.
+        missing_meshes: names of bodies without mass, because their masses come from meshes that are missing.
     """
 
     robot: Robot
@@ -428,6 +429,7 @@ class RobotFile:
     lines: Mapping[tuple[str, str], SourceLine] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     has_ground: bool = True
+    missing_meshes: tuple[str, ...] = ()
 
     @property
     def robots(self) -> tuple[Robot, ...]:

@@ -237,7 +237,10 @@ def test_meshes_are_loaded_only_for_masses(tmp_path: Path) -> None:
     # a body whose mesh is missing
     path.write_text(text.format('<body name="lost"><joint/><geom type="mesh" mesh="gone"/></body>'))
     lost = describe(path)
-    assert lost.robot.bodies[2].mass < 1e-13
+    assert lost.missing_meshes == ("lost",)
+    for each in lost.robots:
+        assert each.bodies[2].mass == 0.0
+        assert not np.any(each.bodies[2].inertia)
     assert lost.notes[1] == "masses count as 0 because meshes are missing, of bodies: lost"
 
 
