@@ -66,7 +66,12 @@ def diff_command(
     are the same but the motions could not be compared.
     """
     options = scene_options(set_first, "--set-first"), scene_options(set_second, "--set-second")
-    return compare_and_show((first, second), options, output, _pairs(names), tolerance, geometry)
+    from crosscheck.differences.alignment import NamesError
+
+    try:
+        return compare_and_show((first, second), options, output, _pairs(names), tolerance, geometry)
+    except NamesError as error:
+        raise CrosscheckError(f"{names}: {str(error).removeprefix('names: ')}") from error
 
 
 def compare_and_show(
@@ -116,13 +121,19 @@ def compare_and_show(
 
 def _pairs(path: Path | None) -> dict[str, str]:
     """Read pairs of names from a YAML file; none without a file."""
+    from newton_euler.errors import quoted
     from newton_euler.model.source_file import SourceError, read_text
     from newton_euler.model.yaml_source import parse_yaml
 
     if path is None:
         return {}
     source = str(path)
-    content = parse_yaml(source, read_text(source, limit="file_size", error=SourceError)) or {}
-    if not isinstance(content, dict) or not all(isinstance(name, str) for name in content.values()):
-        raise CrosscheckError(f"{source}: needed: a line 'name in FIRST: name in SECOND' for each pair")
+    content = parse_yaml(source, read_text(source, limit="file_size", error=SourceError))
+    needed = "needed: a line 'name in FIRST: name in SECOND' for each pair"
+    if not isinstance(content, dict) or not content:
+        given = f"{quoted(content, 60)}, no pairs of names" if content else "no names"
+        raise CrosscheckError(f"{source}: {given}; {needed}")
+    for name, partner in content.items():
+        if not isinstance(partner, str):
+            raise CrosscheckError(f"{source}: {name!r:.60} has the partner {quoted(partner, 60)}; {needed}")
     return content

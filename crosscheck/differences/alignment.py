@@ -20,6 +20,10 @@ JointKey = tuple[int, int]
 """Index of a body in `Robot.bodies`, and index of a joint in `FileBody.joints`."""
 
 
+class NamesError(CrosscheckError):
+    """Pairs of names that the user demands and that two robots cannot have."""
+
+
 @dataclass(frozen=True, eq=False)
 class BodyPair:
     """Rigid bodies of two robots that play the same role.
@@ -136,7 +140,7 @@ def align(first: Robot, second: Robot, names: Mapping[str, str]) -> Alignment:
             which are paired in any case.
 
     Raises:
-        CrosscheckError: for a name that a robot does not have.
+        NamesError: for a name that a robot does not have, or several partners.
 
     Examples:
         >>> alignment = align(describe("panda.xml").robot, describe("panda.urdf").robot, {})
@@ -195,7 +199,7 @@ def _demanded(
         both = found[0].keys() & found[1].keys()
         if not both:
             kinds = [" and ".join(sorted(k)) for k in found]
-            raise CrosscheckError(
+            raise NamesError(
                 f"names: '{name}' is a {kinds[0]} of the first robot, '{other}' a {kinds[1]} of the second; "
                 "needed: two bodies or two joints"
             )
@@ -207,11 +211,13 @@ def _demanded(
         elif ends[0] and ends[1]:
             joints[ends[0]] = ends[1]
     for found_pairs in (links, joints):
-        twice = [k for k in found_pairs.values() if list(found_pairs.values()).count(k) > 1]
-        if twice:
-            raise CrosscheckError(
-                f"names: two names of the first robot have the same partner in the second robot, "
-                f"{', '.join(repr(k) for k in names.values() if list(names.values()).count(k) > 1)}"
+        if len({*found_pairs.values()}) < len(found_pairs):
+            others = list(names.values())
+            shared = [f"{one!r}: {other!r}" for one, other in names.items() if others.count(other) > 1]
+            # bodies and joints of other names may be one link
+            pairs = " and ".join(shared or [f"{one!r}: {other!r}" for one, other in names.items()])
+            raise NamesError(
+                f"names: {pairs} have the same partner in the second robot; needed: one for each"
             )
     return links, joints
 
@@ -228,7 +234,7 @@ def _elements(tree: LinkTree, name: str, which: str) -> dict[str, int]:
     if not found:
         known = [k.name for k in tree.robot.bodies] + [k.joint.name for k in tree.links if k.joint]
         closest = difflib.get_close_matches(name, sorted({k for k in known if k}), n=5, cutoff=0.0)
-        raise CrosscheckError(
+        raise NamesError(
             f"names: the {which} robot has no body or joint '{name}'; closest: {', '.join(closest)}"
         )
     return found

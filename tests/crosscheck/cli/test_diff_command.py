@@ -131,6 +131,29 @@ def test_names_that_the_user_pairs(capsys, arm, tmp_path):
     assert run(capsys, "diff", arm("first"), other, "--names", pairs)[0] == 2
 
 
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "no names"),
+        ("- elbow\n- shoulder\n", "['elbow', 'shoulder']"),
+        ("elbow\n", "'elbow'"),
+        ("elbow: {shoulder: 1}\n", "'elbow'"),
+        ("elbwo: elbow\n", "'elbwo'; closest: elbow"),
+        ("elbow: elbwo\n", "'elbwo'; closest: elbow"),
+        ("elbow: shoulder\nshoulder: shoulder\n", "'elbow': 'shoulder' and 'shoulder': 'shoulder'"),
+        ("elbow: elbow\nelbow: shoulder\n", "'elbow'"),
+    ],
+)
+def test_names_that_cannot_be_paired_are_one_line_with_the_file(capsys, arm, tmp_path, text, named):
+    pairs = tmp_path / "names.yaml"
+    pairs.write_text(text)
+    status_found, _, error = run(capsys, "diff", arm("first"), arm("other"), "--names", pairs)
+    assert status_found == 2
+    (line,) = error.strip().splitlines()
+    assert f"{pairs}: " in line
+    assert named in line
+
+
 def test_a_scene_and_its_file():
     assert crosscheck.diff("tracker", ROOT / "mjcf" / "tracker.xml").outcome is Outcome.SAME
 
