@@ -239,15 +239,22 @@ class CommonFrames:
                 for placement in (pair.placement, Placement(inside.position[0], inside.rotation[0]))
             ),
         ]
-        costs: list[int] = []
+        costs: list[tuple[int, int]] = []
         for candidate in candidates:
             self.frames[number] = candidate
-            # Another frame is a difference of its own
-            cost = sum(size > uncertainty for size, uncertainty in self._sizes(number)) + bool(costs)
-            costs.append(cost)
-            if cost <= 1:
+            differ = sum(size > uncertainty for size, uncertainty in self._sizes(number))
+            # Another frame is a difference of its own; if the numbers of differences are equal, it is more
+            # likely than a joint with another axis or place
+            costs.append((differ + bool(costs), self._count_joint_differences(number)))
+            if costs[-1][0] <= 1:
                 break
         self.frames[number] = candidates[costs.index(min(costs))]
+
+    def _count_joint_differences(self, number: int) -> int:
+        """Return the number of joints of a pair of bodies that differ in its common frame."""
+        places = [place for place in self.joints if number in (place.parent, place.child)]
+        sizes = [size for place in places for size in self._joint_sizes(place, number)]
+        return sum(size > uncertainty for size, uncertainty in sizes)
 
     def _slack(self, first: Poses, second: Poses, above: CommonFrame) -> tuple[float, float]:
         """Return the uncertainties, rad and m, of a frame that is found from its place at the parent body."""

@@ -11,7 +11,7 @@ import pytest
 from crosscheck.differences.alignment import align
 from crosscheck.differences.difference import Quantity, Standing
 from crosscheck.differences.rows import differences
-from newton_euler.reading.robot import FileBody, Placement, Robot
+from newton_euler.reading.robot import FileBody, JointKind, Placement, Robot
 from newton_euler.scalars import Array
 from tests.support.file_robots import as_file, hinge, turn, with_frame
 
@@ -107,3 +107,21 @@ def test_the_zero_of_a_joint_whose_links_look_the_same(angle):
     alignment = align(robot, second, {})
     assert [abs(k.offset) for k in alignment.joints] == pytest.approx([angle, 0.0, 0.0, 0.0, 0.0], abs=EXACT)
     assert [k.sense for k in alignment.joints] == [1] * 5
+
+
+def test_an_own_frame_of_a_link_rather_than_another_axis_of_its_joint():
+    """A finger that differs in mass, center and inertia, with a link frame turned by 180 degrees."""
+    hand = FileBody("hand", -1, Placement(ORIGIN, np.eye(3)), (), 1.0, ORIGIN, 1e-3 * np.eye(3))
+
+    def finger(rotation: Array, axis: list[float], mass: float, center: list[float], inertia: Array) -> Robot:
+        joint = replace(hinge("slide", axis), kind=JointKind.SLIDE)
+        placement = Placement(np.array([0, 0, 0.06]), rotation)
+        body = FileBody("finger", 0, placement, (joint,), mass, np.array(center), inertia)
+        return Robot("gripper", (hand, body))
+
+    first = finger(np.eye(3), [0, -1, 0], 0.1, [0, 0.01, 0.02], np.diag([2e-4, 1e-4, 1e-4]))
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    second = finger(half_turn, [0, 1, 0], 0.015, [0, 0, 0], np.diag([2.4e-6, 2.4e-6, 7.5e-7]))
+    rows = differences(as_file(first), as_file(second), align(first, second, {}), None)
+    different = {row.quantity for row in rows if row.standing is Standing.DIFFERENT}
+    assert different == {Quantity.MASS, Quantity.CENTER, Quantity.INERTIA}
