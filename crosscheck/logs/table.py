@@ -83,10 +83,10 @@ def read_table(given: Any, where: str = "log") -> LogTable:
 
 
 def _read_csv(where: str) -> LogTable:
-    """Read a CSV file whose first line names the columns."""
-    rows = csv_rows(where, read_text(where, "log_size"))
+    """Read a CSV file whose first line names the columns; comments may stand before it."""
+    rows = csv_rows(where, _without_comments(where, read_text(where, "log_size")))
     header = rows[0].cells if rows else []
-    check_names(where, header)
+    check_names(where, header, rows[0].line if rows else 1)
     for line, cells in rows:
         if len(cells) != len(header):
             raise SourceError(where, f"line {line}: has {len(cells)} cells; needed: {len(header)}")
@@ -98,6 +98,42 @@ def _read_csv(where: str) -> LogTable:
         if bad is not None:
             texts[name] = f"line {lines[bad]}: {cells_of_column[bad]!r:.60}"
     return LogTable(where, columns, texts, tuple(lines))
+
+
+def _without_comments(where: str, text: str) -> str:
+    """Return the text of a CSV file with empty lines in place of the comments before the header.
+
+    Comments begin with `#`. The last comment is the header if numbers follow, as in files of `numpy.savetxt`.
+    """
+    lines = text.splitlines(keepends=True)
+    count = next((k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)), len(lines))
+    comments = [k for k in range(count) if _is_comment(lines[k])]
+    if not comments:
+        return text
+    following = lines[count].split(",") if count < len(lines) else []
+    if any(_is_number(cell) for cell in following):
+        names = lines[comments[-1]].lstrip().lstrip("#")
+        if names.count(",") + 1 != len(following):
+            problem = f"line {count + 1}: has numbers after comments that name no columns"
+            raise SourceError(where, f"{problem}; needed: a line with {len(following)} names before it")
+        lines[comments.pop()] = names
+    for k in comments:
+        lines[k] = "\n"
+    return "".join(lines)
+
+
+def _is_comment(line: str) -> bool:
+    """Return True if a line begins with `#`."""
+    return line.lstrip().startswith("#")
+
+
+def _is_number(cell: str) -> bool:
+    """Return True if a cell of a CSV file is a number."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_parquet(where: str) -> LogTable:

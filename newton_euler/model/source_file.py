@@ -176,7 +176,8 @@ def csv_rows(path: str, text: str) -> list[Row]:
     for separator, name in ((";", "';'"), ("\t", "tabs")):
         if rows and len(rows[0].cells) == 1 and separator in rows[0].cells[0]:
             problem = f"columns are separated by {name}"
-            raise SourceError(path, f"line 1: {problem}; needed: commas, and decimal points in numbers")
+            line = rows[0].line
+            raise SourceError(path, f"line {line}: {problem}; needed: commas, and decimal points in numbers")
     for line, cells in rows:
         for cell in cells:
             if not cell.isprintable():
@@ -258,11 +259,17 @@ class TimeTable(NamedTuple):
             raise SourceError(self.path, f"{problem}; needed: {needed}")
 
 
-def check_names(path: str, header: Sequence[str]) -> None:
-    """Raise `SourceError` if two columns of a CSV header have the same name."""
+def check_names(path: str, header: Sequence[str], line: int = 1) -> None:
+    """Raise `SourceError` if two columns of a CSV header have the same name.
+
+    Args:
+        path: path of the file.
+        header: names of the columns.
+        line: line of the header.
+    """
     for name in header:
         if header.count(name) > 1:
-            raise SourceError(path, f"line 1: column {quoted(name)} is there twice; needed: once")
+            raise SourceError(path, f"line {line}: column {quoted(name)} is there twice; needed: once")
 
 
 MAX_XML_DEPTH = 400
