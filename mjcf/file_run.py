@@ -13,6 +13,7 @@ import copy
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import mujoco
@@ -132,6 +133,8 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         words = [settings.integrator, f"{1e3 * settings.timestep:g} ms"]
         if settings.solver != "Newton":
             words.append(f"solver {settings.solver}")
+        if settings.sleep:
+            words.append("sleep")
         if self._model.neq:
             time_constants = np.unique(self._model.eq_solref[:, 0])
             words.append(f"solref {' and '.join(f'{value:g}' for value in time_constants)}")
@@ -154,6 +157,7 @@ class MujocoFile(FileSimulation[MujocoSettings]):
             "tolerance": f"{settings.tolerance:g}",
             "solref": _numbers(settings.solref),
             "solimp": _numbers(settings.solimp),
+            "sleep": "enable" if settings.sleep else "disable",
         }
         of_file = vars(self.settings)
         return {
@@ -170,7 +174,9 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         for name in ("solref", "solimp"):
             if name in changes:
                 softness[name] = changes.pop(name)
+        flags = {"sleep": changes.pop("sleep")} if "sleep" in changes else {}
         lines = [f"<option {_attributes(changes)}/>"] if changes else []
+        lines += [f"<option><flag {_attributes(flags)}/></option>"] if flags else []
         if softness:
             lines.append(f"<default><equality {_attributes(softness)}/></default>")
             if self.own_softness:
@@ -227,6 +233,8 @@ class MujocoFile(FileSimulation[MujocoSettings]):
                 other = replace(of_file, integrator=name, timestep=of_file.timestep * cost)
                 yield Cause(INTEGRATOR, without=other, is_choice=True)
         yield Cause("solver iterations", without=replace(of_file, **CONVERGED_SOLVER))
+        if of_file.sleep:
+            yield Cause("sleep", without=replace(of_file, sleep=False))
 
     def softness(self, settings: MujocoSettings) -> tuple[MujocoSettings, ...]:
         """Return variants of settings, from soft to stiff equalities.
@@ -243,8 +251,8 @@ class MujocoFile(FileSimulation[MujocoSettings]):
     def alternatives(self, divisor: int) -> Iterator[MujocoSettings]:
         """Yield other settings that may reduce the error, with the file's time step divided by `divisor`.
 
-        They combine all integrators, all variants of `softness`, and the default solver if the file's solver
-        is weaker.
+        They combine all integrators, all variants of `softness`, no sleep if the file has it, and the default
+        solver if the file's solver is weaker.
         """
         of_file = self.settings
         step = of_file.timestep / divisor
@@ -253,9 +261,11 @@ class MujocoFile(FileSimulation[MujocoSettings]):
         is_weak = is_weak or of_file.tolerance > DEFAULT_SOLVER["tolerance"]
         if self._model.neq and (is_weak or of_file.solver != DEFAULT_SOLVER["solver"]):
             solvers.append(DEFAULT_SOLVER)
-        for solver in solvers:
-            for integrator in dict.fromkeys([of_file.integrator, *INTEGRATORS]):
-                yield from self.softness(replace(of_file, timestep=step, integrator=integrator, **solver))
+        integrators = dict.fromkeys([of_file.integrator, *INTEGRATORS])
+        sleeps = dict.fromkeys([of_file.sleep, False])
+        for solver, integrator, sleep in product(solvers, integrators, sleeps):
+            own = replace(of_file, timestep=step, integrator=integrator, sleep=sleep, **solver)
+            yield from self.softness(own)
 
     def at_divisor(self, settings: MujocoSettings, divisor: float) -> MujocoSettings:
         """Return the same settings with the file's time step divided by `divisor`.

@@ -31,6 +31,7 @@ class MujocoSettings:
         tolerance: relative improvement at which the constraint solver stops.
         solref: softness of all equalities; None keeps the softness that each equality has in the file.
         solimp: first three numbers of the impedance of all equalities; None keeps the numbers in the file.
+        sleep: whether MuJoCo lets mechanisms that move slowly sleep, that is, holds them at rest.
     """
 
     timestep: float
@@ -40,6 +41,7 @@ class MujocoSettings:
     tolerance: float
     solref: tuple[float, float] | None = None
     solimp: tuple[float, float, float] | None = None
+    sleep: bool = False
 
     @classmethod
     def of(cls, model: Any) -> MujocoSettings:
@@ -53,6 +55,7 @@ class MujocoSettings:
             solver=solver if solver != "NEWTON" else "Newton",
             iterations=int(model.opt.iterations),
             tolerance=float(model.opt.tolerance),
+            sleep=bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP),
         )
 
     def apply(self, model: Any) -> None:
@@ -61,6 +64,9 @@ class MujocoSettings:
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{self.integrator.upper()}")
         model.opt.solver = getattr(mujoco.mjtSolver, f"mjSOL_{self.solver.upper()}")
         model.opt.iterations, model.opt.tolerance = self.iterations, self.tolerance
+        model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        if self.sleep:
+            model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         if self.solref is not None:
             model.eq_solref[:] = self.solref
         if self.solimp is not None:

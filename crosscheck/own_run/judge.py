@@ -31,6 +31,10 @@ CANCELLATION = 1.25
 """Smallest ratio of the error by one cause and the error of the run at which errors count as cancelling."""
 
 
+MIN_EXPLAINED = 0.5
+"""Smallest sum of the errors by all causes, as a fraction of the run's error, that explains this error."""
+
+
 @dataclass(frozen=True)
 class MeasuredCause:
     """One property of the settings and the error that it causes alone.
@@ -140,6 +144,13 @@ class Judgement:
         exact = [cause.error.relative_by(by_position) for cause in self.causes if not cause.is_choice]
         largest = max(exact, default=0.0)
         return not self.stopped and largest > CANCELLATION * self.error.relative_by(by_position)
+
+    @property
+    def is_explained(self) -> bool:
+        """False if all causes together have a clearly smaller error than the run has."""
+        by_position = self.error.stated_by_position
+        total = sum(cause.error.relative_by(by_position) for cause in self.causes)
+        return bool(self.stopped) or total >= MIN_EXPLAINED * self.error.relative_by(by_position)
 
     @property
     def is_judged(self) -> bool:

@@ -55,27 +55,35 @@ SAME_RUN_TIME = 1.25
 """Largest ratio of two run times that count as the same."""
 
 
-def own_run_lines(judgement: Judgement, excitation: str = "", allowed: Sequence[AllowedError] = ()) -> Lines:
+def own_run_lines(
+    judgement: Judgement,
+    excitation: str = "",
+    allowed: Sequence[AllowedError] = (),
+    start_changes: Sequence[str] = (),
+) -> Lines:
     """Format a judgement, the result first.
 
     Args:
         judgement: the judgement.
         excitation: line of the import report on inputs and velocities that the file does not have.
         allowed: largest errors that the user allows.
+        start_changes: changes of the file's start that satisfy the constraints.
     """
-    lines = list(_lines(judgement, excitation, allowed))
+    lines = list(_lines(judgement, excitation, allowed, start_changes))
     return Lines(title="", lines=lines, verdict=judgement.band.verdict)
 
 
-def _lines(judgement: Judgement, excitation: str, allowed: Sequence[AllowedError]) -> Iterator[str]:
+def _lines(
+    judgement: Judgement, excitation: str, allowed: Sequence[AllowedError], start_changes: Sequence[str]
+) -> Iterator[str]:
     """Yield the lines of a judgement: a headline, then indented lines that begin with a keyword."""
     # a file without settings of a run, such as a URDF, is judged with usual settings, which are assumed
     yield f"{'usual' if judgement.are_assumed else 'your'} settings  {headline(judgement)}"
     yield f"  run     {judgement.settings} ({judgement.engine}); {_extent(judgement)}"
-    if excitation:
-        yield f"  motion  {excitation}; {OWN_MOTION}"
-    else:
-        yield "  motion  the start and the constant controls of the file"
+    motion = (
+        f"{excitation}; {OWN_MOTION}" if excitation else "the start and the constant controls of the file"
+    )
+    yield f"  motion  {'; '.join([motion, *start_changes])}"
     if judgement.stopped:
         yield f"  stopped {judgement.stopped}"
     error = judgement.error
@@ -228,11 +236,12 @@ def _causes(judgement: Judgement) -> list[str]:
     # relative to the motion
     errors = {each.name: each.error.relative_by(by_position) for each in judgement.causes}
     largest = max(errors.values(), default=0.0)
-    if not largest:
-        return []
-    listed = [each for each in judgement.causes if errors[each.name] >= MIN_CAUSE * largest]
-    small = [name for name, error in errors.items() if error < MIN_CAUSE * largest] + [*judgement.harmless]
+    listed = [each for each in judgement.causes if 0.0 < errors[each.name] >= MIN_CAUSE * largest]
+    large = {each.name for each in listed}
+    small = [name for name in errors if name not in large] + [*judgement.harmless]
     words = [f"{each.name}: {size(each.error, by_position)}" for each in listed]
+    if (listed or small) and not judgement.is_explained:
+        words.append("most of the error is unexplained")
     return words + ([f"little or nothing: {', '.join(small)}"] if small else [])
 
 

@@ -28,7 +28,7 @@ from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.own_run.judge import Judgement
 from crosscheck.report import render
 from crosscheck.report.own_run import own_run_cases
-from crosscheck.report.summary import judged_runs, summary
+from crosscheck.report.summary import are_loops_closed, are_velocities_changed, judged_runs, summary
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -62,10 +62,6 @@ SAME_CODE = "as all engines call the same code"
 
 MAX_ACTING_LINES = 3
 """Largest number of lines on elements that act and are not simulated; one more line names the others."""
-
-START_DIGITS = 1e-5
-"""Largest change of the start, rad or multiples of the mechanism's size, that is not reported: numbers in
-model files have about five digits, so that kinematic loops do not close exactly."""
 
 IMPLICIT = ("Radau", "implicitfast")
 """Implicit integrators, which engines choose for stiff scenes."""
@@ -281,15 +277,13 @@ def moved_start_lines(mapping: ImportReport, scene: Scene) -> Iterator[str]:
         scene: the scene.
     """
     changed = mapping.changed_velocities
-    if changed and changed.share > START_DIGITS:
+    if changed and are_velocities_changed(mapping):
         yield (
             f"the start is not the file's: velocities of {changed.start} do not fit the constraints; they "
             f"are changed by up to {changed.linear:.3g} m/s and {changed.angular:.3g} rad/s"
         )
     moved = mapping.moved
-    if moved is None:
-        return
-    if max(moved.displacement / scene.mechanism.size, abs(moved.joint_motion)) > START_DIGITS:
+    if moved and are_loops_closed(mapping, scene):
         yield (
             f"the start is not the file's: {moved.loop} is open by {moved.open:.3g} m or rad in the file; "
             f"closing the loops moved body {moved.body!r} by {moved.displacement:.3g} m and joint "

@@ -22,9 +22,15 @@ from crosscheck.own_run.allowed import OWN_RUN
 from crosscheck.report.log import log_lines
 from crosscheck.report.own_run import own_run_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, number_columns, seconds
+from newton_euler.model.scene import Scene
+from newton_euler.reading.import_report import ImportReport
 
 MAX_NOTES, MAX_NOTES_IF_FAILING = 3, 1
 """Largest number of sentences below the tables; a failing verdict takes more lines itself."""
+
+START_DIGITS = 1e-5
+"""Largest change of the start, rad or multiples of the mechanism's size, that is not reported: numbers in
+model files have about five digits, so that kinematic loops do not close exactly."""
 
 
 def summary(result: EngineComparison, limits: Sequence[str], notes: Sequence[str]) -> list[Part]:
@@ -55,11 +61,34 @@ def judged_runs(result: EngineComparison) -> list[Part]:
     if result.own_run:
         # the line of the import report (`mapping`) on inputs and velocities that the file does not have
         excitation = result.mapping.excitation if result.mapping else ""
-        own_run = own_run_lines(result.own_run, excitation, result.limits_of(OWN_RUN))
+        changes = _start_changes(result.mapping, result.scene) if result.mapping else []
+        own_run = own_run_lines(result.own_run, excitation, result.limits_of(OWN_RUN), changes)
         if result.logs and result.allowed_errors:
             own_run.lines.append("  note    --max-error limits the logs, not this run")
         parts.append(own_run)
     return parts
+
+
+def _start_changes(mapping: ImportReport, scene: Scene) -> list[str]:
+    """List the changes of the file's start that satisfy the constraints."""
+    changes = ["loops closed"] if are_loops_closed(mapping, scene) else []
+    if are_velocities_changed(mapping):
+        changes.append("velocities changed to fit the constraints")
+    return changes
+
+
+def are_velocities_changed(mapping: ImportReport) -> bool:
+    """Return True if velocities of the file's start were changed noticeably to satisfy the constraints."""
+    changed = mapping.changed_velocities
+    return changed is not None and changed.share > START_DIGITS
+
+
+def are_loops_closed(mapping: ImportReport, scene: Scene) -> bool:
+    """Return True if the file's start was moved noticeably to close the loops."""
+    moved = mapping.moved
+    if moved is None:
+        return False
+    return max(moved.displacement / scene.mechanism.size, abs(moved.joint_motion)) > START_DIGITS
 
 
 def judged_checks(result: EngineComparison) -> list[Check]:

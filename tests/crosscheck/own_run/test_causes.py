@@ -12,6 +12,7 @@ from mjcf_models import FOUR_BAR_BODIES
 from crosscheck.loading.load import load_scene, with_excitation
 from crosscheck.own_run.errors import Band
 from crosscheck.own_run.judge import judge
+from crosscheck.report.own_run import own_run_lines
 from mjcf.errors import collected_warnings
 
 FOUR_BAR = f"""<mujoco><option timestep="0.0005" integrator="RK4" iterations="100"/>
@@ -83,6 +84,44 @@ def test_cause(tmp_path, name):
     assert found.causes[0].name == cause, [(each.name, each.error.relative) for each in found.causes]
     assert found.remedies
     assert all(each.error.relative < found.error.relative for each in found.remedies)
+
+
+SLEEPING = """<mujoco><option timestep="0.002" gravity="0 0 0" integrator="RK4">
+  <flag sleep="enable"/></option><worldbody><body pos="0 0 1">
+  <joint axis="0 1 0" stiffness=".0001" springref="3"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body></worldbody></mujoco>"""
+
+
+@pytest.fixture
+def sleeping(tmp_path):
+    """A pendulum that a weak spring moves so slowly that MuJoCo lets it sleep."""
+    path = tmp_path / "sleeping.xml"
+    path.write_text(SLEEPING)
+    _, report = load_scene(str(path), {"excitation": "off"})
+    assert report is not None
+    return report.simulation
+
+
+def test_sleep_is_a_cause_and_its_end_a_fix(sleeping, tmp_path):
+    found = judge(sleeping)
+    assert (found.causes[0].name, found.is_explained) == ("sleep", True)
+    assert "sleep" in found.settings.split(", ")
+    remedy = found.remedies[0]
+    assert remedy.changes == {"sleep": "disable"}
+    assert remedy.error.relative < 1e-6 * found.error.relative
+    fragment = '<option><flag sleep="disable"/></option>'
+    assert remedy.fragment == fragment
+    awake = SLEEPING.replace('<flag sleep="enable"/>', "").replace("<worldbody>", f"{fragment}<worldbody>")
+    assert judged(tmp_path, awake).settings == "RK4, 2 ms"
+
+
+def test_an_error_without_a_tested_cause_is_unexplained(sleeping, monkeypatch):
+    causes = [cause for cause in sleeping.causes() if cause.name != "sleep"]
+    monkeypatch.setattr(sleeping, "causes", lambda: iter(causes))
+    found = judge(sleeping)
+    assert not found.is_explained
+    (line,) = (line for line in own_run_lines(found).lines if line.split()[0] == "cause")
+    assert "unexplained" in line
 
 
 ARM = """<mujoco><option timestep="0.002" integrator="Euler"/><worldbody>

@@ -131,6 +131,7 @@ def test_a_start_that_is_not_the_files_is_reported_first(reach, moved, tmp_path)
     if moved:
         change = verdict.crosscheck.mapping.moved
         assert (change.loop, change.open) == ("equality 'close'", pytest.approx(0.03))
+        assert "; loops closed" in str(verdict)
         assert change.body in ("crank", "rod", "lever")
         assert change.displacement > 0.005
         assert f"{change.open:.3g} m" in first
@@ -145,6 +146,8 @@ def test_velocities_of_a_file_that_do_not_fit_its_loops_are_reported(rates, chan
     lines = [line for line in verdict_limits(verdict.crosscheck) if "velocities of go" in line]
     found = verdict.crosscheck.summary()["changed_velocities"]
     assert (bool(lines), found is not None) == (changed, changed)
+    (motion,) = (line for line in str(verdict).splitlines() if line.startswith("  motion "))
+    assert ("velocities changed to fit the constraints" in motion) == changed
     if changed:
         assert found["share"] > 0.01
         assert f"{found['angular']:.3g} rad/s" in lines[0]
