@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
 
 import numpy as np
 
@@ -21,7 +22,8 @@ CHANGES_RUN = "changes the run, not the robot"
 def start_rows(common: CommonFrames, joints: Sequence[PairedJoint]) -> Iterator[Difference]:
     """Yield a row for each coordinate of a start whose value differs by more than its digits leave open.
 
-    Starts of equal names are compared, at hinges and slides that have partners.
+    Starts of equal names are compared, and starts without names in their order. They are compared at hinges
+    and slides that have partners.
 
     Args:
         common: both robots.
@@ -31,30 +33,32 @@ def start_rows(common: CommonFrames, joints: Sequence[PairedJoint]) -> Iterator[
     single = [
         joint for joint in joints if joint.first.kind == joint.second.kind and joint.first.kind in SCALAR
     ]
-    for first, second in _namesakes(one.robot, two.robot):
-        words = f"keyframe {one.robot.starts[first].name!r} {CHANGES_RUN}"
+    names, other_names = _start_names(one.robot), _start_names(two.robot)
+    for name in (each for each in names if each in other_names):
+        first, second = names.index(name), other_names.index(name)
+        words = f"keyframe {name!r} {CHANGES_RUN}"  # a number has no quotation marks
         # joints that have no name in a file are in none of its starts
         known, others = one.robot.starts[first].coordinates, two.robot.starts[second].coordinates
         for joint in (each for each in single if each.first.name in known and each.second.name in others):
-            name, slide = joint.first.name, joint.first.kind == JointKind.SLIDE
+            element, slide = joint.first.name, joint.first.kind == JointKind.SLIDE
             for quantity, field, offset in (
                 (Quantity.START, "coordinates", joint.offset),
                 (Quantity.START_SPEED, "velocities", 0.0),
             ):
-                own = _numbers(one, first, field, name)
+                own = _numbers(one, first, field, element)
                 other = joint.sense * (_numbers(two, second, field, joint.second.name) - offset)
                 sizes = common.judge.compare(own, other, absolute)
                 if sizes[0] > sizes[1]:
                     values = float(own[0]), float(other[0])
                     yield difference(
-                        name, "joint", quantity, values, sizes, words, slide=slide, convention=True
+                        element, "joint", quantity, values, sizes, words, slide=slide, convention=True
                     )
 
 
-def _namesakes(first: Robot, second: Robot) -> list[tuple[int, int]]:
-    """Return the indices of starts of two robots that have the same name."""
-    names: Mapping[str, int] = {start.name: number for number, start in enumerate(second.starts)}
-    return [(k, names[start.name]) for k, start in enumerate(first.starts) if start.name in names]
+def _start_names(robot: Robot) -> list[str | int]:
+    """Return the name of each start of a robot, or its number among those without names, from 0."""
+    numbers = count()
+    return [start.name or next(numbers) for start in robot.starts]
 
 
 def _numbers(file: RobotFile, start: int, field: str, joint: str) -> Array:

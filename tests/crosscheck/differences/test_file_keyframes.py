@@ -52,6 +52,22 @@ def test_another_number_of_a_keyframe_is_named(tmp_path, before, after, quantity
     assert (row.first, row.second) == pytest.approx(values)
 
 
+def test_keyframes_without_names_are_paired_by_their_order(tmp_path):
+    unnamed = ARM.replace('name="home" ', "").replace('name="bent" ', "")
+    assert not starts(tmp_path, unnamed, unnamed)
+    (row,) = starts(tmp_path, unnamed, unnamed.replace('qpos="0.5 0.02"', 'qpos="0.7 0.02"'))
+    assert (row.element, row.first, row.second) == ("shoulder", 0.5, 0.7)
+    assert row.cause.startswith("keyframe 0 ")
+    named = '<keyframe><key name="rest" qpos="-0.5 0"/>'
+    (row,) = starts(
+        tmp_path,
+        unnamed,
+        unnamed.replace("<keyframe>", named).replace('qpos="1 0.1"', 'qpos="1 0.15"'),
+    )
+    assert (row.element, row.first, row.second) == ("rail", 0.1, 0.15)
+    assert row.cause.startswith("keyframe 1 ")
+
+
 def test_a_keyframe_in_the_other_sense_is_the_same_pose(tmp_path):
     """The joint counts the other way, and so does its keyframe; MuJoCo puts the bodies to the same place."""
     turned = ARM.replace('axis="0 1 0" range="-1 2"', 'axis="0 -1 0" range="-2 1"')
