@@ -68,8 +68,8 @@ class Cut:
 def cuts(first: Robot, second: Robot, alignment: Alignment, without_drives: bool) -> tuple[Cut, Cut]:
     """Find what each robot has more than the other: a free base, and whole branches without partner.
 
-    A branch stays if a loop connects it to a body that has a partner, since it may guide that body. If only
-    one base is free, it is held where the other robot's base is.
+    A branch stays if a loop or a coupling connects it to a body that has a partner, since it may guide that
+    body. If only one base is free, it is held where the other robot's base is.
 
     Args:
         first, second: the robots.
@@ -105,14 +105,19 @@ def _held(robot: Robot, groups: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def _branches(robot: Robot, unpaired: Sequence[int]) -> tuple[int, ...]:
-    """Return the bodies without partner that carry no body with partner, neither by joints nor by loops."""
-    gone = set(unpaired)
-    held = {loop.second for loop in robot.loops if loop.first not in gone}
-    held |= {loop.first for loop in robot.loops if loop.second not in gone}
-    for index in reversed(range(len(robot.bodies))):
-        if index not in gone or index in held:
-            gone.discard(index)
-            held.add(robot.bodies[index].parent)
+    """Return the bodies without partner that no joint, loop or coupling ties to bodies with partner."""
+    of_joint = {joint.name: index for index, body in enumerate(robot.bodies) for joint in body.joints}
+    ties = [(loop.first, loop.second) for loop in robot.loops]
+    coupled = [c for c in robot.couplings if {c.follower, c.leader} <= of_joint.keys()]
+    ties += [(of_joint[c.follower], of_joint[c.leader]) for c in coupled]
+    gone, before = set(unpaired), -1
+    while len(gone) != before:
+        before = len(gone)
+        held = {body for tie in ties if not gone.issuperset(tie) for body in tie}
+        for index in reversed(range(len(robot.bodies))):
+            if index not in gone or index in held:
+                gone.discard(index)
+                held.add(robot.bodies[index].parent)
     return tuple(sorted(gone))
 
 

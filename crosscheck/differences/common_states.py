@@ -51,6 +51,7 @@ MAX_OPEN = 1e-5
 
 MIN_FREEDOM = 1e-4
 """A motion moves joints with partner if these move by more than this part of it."""
+
 DIGITS_FACTOR = 2.0
 """The largest change among a few variants underestimates the largest possible one by about this factor."""
 
@@ -319,12 +320,16 @@ class CommonStates:
         return found * np.array([robot.length if unit == "m" else 1.0 for _, unit in robot.rows])
 
     def freedoms(self) -> tuple[int, int]:
-        """Return the number of independent motions of joints with partner, in both robots."""
+        """Return the number of independent motions of joints with partner, in both robots.
+
+        Each robot counts where its loops are closed. The points of an open loop move apart if a body turns
+        that carries the whole loop, which would count as a constraint.
+        """
         first, second = paired_joints(self.alignment)
-        return (
-            self._freedom(self.one, self.coordinates, first),
-            self._freedom(self.two, self.coordinates_of_second, second),
-        )
+        closed, error = self.two.closed(self.coordinates_of_second)
+        is_closed = error[..., None] < MAX_OPEN
+        of_second = np.where(is_closed, closed, self.coordinates_of_second)
+        return self._freedom(self.one, self.coordinates, first), self._freedom(self.two, of_second, second)
 
     def _freedom(self, robot: Dynamics, coordinates: Array, joints: Sequence[tuple[int, int]]) -> int:
         """Return the rank of the admissible velocities of some joints, the usual one among the states."""

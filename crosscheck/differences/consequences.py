@@ -98,11 +98,11 @@ def _join(
     change = float(np.abs(openings[1] - openings[0]).max())
     if change <= row.uncertainty + MAX_OPENING_CHANGE * row.size:
         of = "" if cause in points else f" of {name}"
-        words = f"{what}{of} follows"
         named = rows[cause] or different[cause]
+        parts = [part for part in named.cause.split("; ") if part]
         rows[cause] = replace(
             named,
-            cause=f"{named.cause}; {words}" if named.cause else words,
+            cause="; ".join(dict.fromkeys((*parts, f"{what}{of} follows"))),
             consequences=(*named.consequences, name),
         )
         for k in following:

@@ -30,6 +30,9 @@ DRIVE_NUMBERS = {
 }
 """Numbers of a drive, with the names of their fields."""
 
+NO_HINGE_OR_SLIDE = "a ball or a body"
+"""What a drive without gears acts on, such as one at a site."""
+
 
 def drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Difference]:
     """Yield the rows of drives, paired by `drive_pairs`."""
@@ -51,8 +54,8 @@ def drive_rows(common: CommonFrames, joints: list[PairedJoint]) -> Iterator[Diff
             alone.remove(drive)
             others.remove(namesake)
             joints_of_both = (
-                ", ".join(drive.gears),
-                ", ".join(first_name.get(name, name) for name in namesake.gears),
+                ", ".join(drive.gears) or NO_HINGE_OR_SLIDE,
+                ", ".join(first_name.get(name, name) for name in namesake.gears) or NO_HINGE_OR_SLIDE,
             )
             words = "the drive acts on another joint"
             yield difference(drive.name, "drive", Quantity.TRANSMISSION, joints_of_both, (1.0, 0.0), words)

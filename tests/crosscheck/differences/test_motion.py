@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from mujoco_robots import to_mujoco
 from paired_robots import pairs_by_name
 from test_dynamics import TREE
 
+import crosscheck
 from crosscheck.differences.alignment import align
 from crosscheck.differences.common_states import PHASES, STATES, CommonStates, Phase, common_states
 from crosscheck.differences.motion import Likeness, Motion, compare_motions
@@ -191,6 +193,20 @@ def test_other_coupling_allows_other_poses() -> None:
     # the bars turn by up to 0.6 rad; c is off by twice its angle
     assert 0.3 < errors["two"] < 1.3
     assert {gap.unit for gap in found.gaps} == {"rad"}
+
+
+def test_a_loop_that_is_open_in_poses_of_the_first_file_leaves_as_many_motions(tmp_path: Path) -> None:
+    """The whole loop turns with a body: its open points move apart, which is no constraint."""
+    text = """<mujoco><worldbody><body><joint axis="1 0 0"/><geom size="0.1"/>
+      <body name="crank" pos="0 0 0.2"><joint axis="0 1 0"/><geom size="0.05" pos="0 0 0.1"/>
+        <body name="coupler" pos="0 0 0.2"><joint axis="0 1 0"/><geom size="0.05" pos="0.15 0 0"/></body>
+      </body><body name="rocker" pos="0.3 0 0.1"><joint axis="0 1 0"/><geom size="0.05" pos="0 0 0.1"/></body>
+    </body></worldbody>
+    <equality><connect body1="coupler" body2="rocker" anchor="{} 0 0"/></equality></mujoco>"""
+    paths = [tmp_path / "first.xml", tmp_path / "second.xml"]
+    for path, anchor in zip(paths, ("0.3", "0.32"), strict=True):
+        path.write_text(text.format(anchor))
+    assert crosscheck.diff(*map(str, paths)).motion.freedoms == (2, 2)
 
 
 def test_missing_loop_shows_as_freedoms() -> None:

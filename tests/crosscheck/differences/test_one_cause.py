@@ -180,3 +180,14 @@ def test_a_convention_names_the_cause_of_all_its_elements(tmp_path: Path) -> Non
     assert rows.keys() == {("motor",), ("elbow",)}
     assert all(row.convention for row in rows.values())
     assert len({row.cause for row in rows.values()}) == 2
+
+
+def test_two_loops_of_the_same_bodies_follow_a_joint_in_the_same_words(tmp_path: Path) -> None:
+    connect = '<connect name="loop" site1="coupler_end" site2="rocker_end"/>'
+    twice = '<connect body1="coupler" body2="rocker" anchor="{} 0 0"/>'
+    text = LINKAGE.replace(connect, twice.format(0.3) + twice.format(0.2))
+    (row,) = compared(
+        tmp_path, text, text.replace('name="rocker" pos="0.3 0 0"', 'name="rocker" pos="0.31 0 0"')
+    ).differences
+    words = row.cause.split("; ")
+    assert len(words) == len({*words}) == 1

@@ -92,6 +92,23 @@ def test_bodies_that_are_too_light_to_change_the_motion(mass, inertia, outcome, 
     assert (found.outcome, len(rows)) == (outcome, 1)
 
 
+@pytest.mark.parametrize(
+    ("armature", "couplings", "likeness"),
+    [
+        (0, '<joint joint1="idle" joint2="wrist"/>', Likeness.EQUAL),
+        (1, '<joint joint1="idle" joint2="wrist"/>', Likeness.DIFFERENT),
+        (0, '<joint joint1="idle" joint2="wrist"/><joint joint1="idle" joint2="elbow"/>', Likeness.DIFFERENT),
+    ],
+    ids=["massless", "rotor", "differential"],
+)
+def test_light_bodies_that_are_coupled_to_others_are_part_of_the_motion(armature, couplings, likeness, diff):
+    last = DUMMY.format("1e-9", "1e-12").replace("/>", f' armature="{armature}"/>', 1)
+    coupled = {"last": last, "end": f"<equality>{couplings}</equality>"}
+    for files in (({}, coupled), (coupled, {})):
+        found = diff(*files)
+        assert (found.outcome, found.motion.likeness) == (Outcome.DIFFERENT, likeness)
+
+
 def weld(pose):
     return {"end": f'<equality><weld name="hold" body1="hand" body2="upper" {pose}/></equality>'}
 
@@ -130,3 +147,11 @@ def test_drives_with_exchanged_names_are_other_drives_for_controllers(diff):
     assert (row.element_kind, row.quantity, row.elements) == ("drive", Quantity.NAME, ("a", "b"))
     assert found.motion.likeness is Likeness.EQUAL
     assert diff(first, {"end": drives.format("c", "d")}).outcome is Outcome.SAME
+
+
+def test_a_drive_on_a_ball_in_one_file_is_another_drive(diff):
+    drive = '<actuator><motor name="turn" joint="{}"/></actuator>'
+    hinges = {"wrist": HINGES.format(""), "end": drive.format("x")}
+    rows = diff(BALL | {"end": drive.format("wrist")}, hinges).differences
+    (values,) = [(row.first, row.second) for row in rows if row.quantity is Quantity.TRANSMISSION]
+    assert all(values)
