@@ -41,6 +41,11 @@ TAGS = {
 }
 """Tags of elements in MJCF and URDF files by the kind of a row; those of drives and loops are many."""
 
+PART_TAGS = frozenset(
+    {"body", "link", "joint", "freejoint", "site", "geom", "camera", "light", "spatial", "fixed"}
+)
+"""Tags of elements that are no drives, although a drive may have their name."""
+
 MOTION = "motion"
 """Rule of a comparison whose motions differ although no number does."""
 
@@ -99,20 +104,35 @@ def _partners(first: Robot, second: Robot, alignment: Alignment) -> dict[tuple[s
 
 
 def _line_of(file: RobotFile, row: Difference, name: str) -> SourceLine:
-    """Return the line of the element of a row; the first line of the file for an element without name.
+    """Return the line of the element of a row, that of its body for a joint without name, or else line 1.
 
     Args:
         file: the file.
         row: the row.
         name: name of the element in this file.
     """
-    for tag in TAGS.get("body" if row.is_of_body else row.element_kind, ()):
+    kind = "body" if row.is_of_body else row.element_kind
+    for tag in TAGS.get(kind, ()):
         if (tag, name) in file.lines:
             return file.lines[tag, name]
-    for (_, other), line in file.lines.items():
-        if other == name:
-            return line
-    return SourceLine(file.source, 1)
+    if kind == "joint":
+        bodies = [body for body in file.robot.bodies if name in {joint.name for joint in body.joints}]
+        names, tags = [body.name for body in bodies], {*TAGS["body"]}
+    elif kind == "drive":
+        names, tags = _names_of_drive(file.robot, name), {tag for tag, _ in file.lines} - PART_TAGS
+    else:
+        names, tags = [name], {tag for tag, _ in file.lines}
+    found = (
+        line for each in names for (tag, other), line in file.lines.items() if other == each and tag in tags
+    )
+    return next(found, SourceLine(file.source, 1))
+
+
+def _names_of_drive(robot: Robot, name: str) -> list[str]:
+    """Return the name of a drive, and those of what it acts on, by which a drive without name is found."""
+    drives = [drive for drive in robot.drives if drive.name == name]
+    targets = [target for drive in drives for target in (*drive.gears, *drive.other.values())]
+    return [name, *(target for target in targets if isinstance(target, str))]
 
 
 def _in_checkout_first(lines: list[SourceLine]) -> tuple[SourceLine, ...]:

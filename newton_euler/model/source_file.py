@@ -352,6 +352,10 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
         raise error(path, f"not XML: line {failure.lineno}: {problem}{place}") from failure
 
 
+TARGETS = ("joint", "jointinparent", "tendon", "site", "body")
+"""Attributes of XML elements that name what the element acts on."""
+
+
 class SourceLine(NamedTuple):
     """Line of a text file.
 
@@ -367,18 +371,25 @@ class SourceLine(NamedTuple):
 def element_lines(texts: Mapping[str, str], error: type[SourceError]) -> dict[tuple[str, str], SourceLine]:
     """Return the line of each element with a name in XML texts, by its tag and its name.
 
-    If several elements have the same tag and name, the first one counts.
+    An element without name that acts on another one, such as an actuator of MJCF, has the name of that one,
+    unless an element with this tag and name is there. If several elements have the same tag and name, the
+    first one counts.
 
     Args:
         texts: texts by the paths of their files.
         error: class of the error to raise for a text that is not well-formed.
     """
     lines: dict[tuple[str, str], SourceLine] = {}
+    unnamed: dict[tuple[str, str], SourceLine] = {}
     for path, text in texts.items():
 
         def store(tag: str, attributes: dict[str, str], line: int, path: str = path) -> None:
             if "name" in attributes:
                 lines.setdefault((tag, attributes["name"]), SourceLine(path, line))
+                return
+            target = next((attributes[what] for what in TARGETS if what in attributes), "")
+            if target:
+                unnamed.setdefault((tag, target), SourceLine(path, line))
 
         scan(path, text, None, store, error)
-    return lines
+    return lines | {key: line for key, line in unnamed.items() if key not in lines}

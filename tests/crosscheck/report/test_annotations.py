@@ -88,6 +88,38 @@ def test_lines_are_those_of_partners_if_names_are_exchanged(files: tuple[str, st
     assert [line.line for line in found["mass"].lines] == [2, 2]
 
 
+UNNAMED = """<mujoco><worldbody>
+<body name="upper">
+<joint name="fore" axis="0 1 0"/>
+<inertial pos="0.1 0 0" mass="1.5" diaginertia="0.02 0.1 0.1"/>
+<body name="fore" pos="0.3 0 0.1">
+<joint axis="1 0 0" {damping}/>
+<inertial pos="0.1 0.2 0" mass="0.8" diaginertia="0.01 0.04 0.03"/></body>
+</body></worldbody>
+<actuator>
+<motor {name} joint="fore" gear="{gear}"/>
+</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "quantity", "line"),
+    [
+        ("", {"damping": 'damping="0.7"'}, "damping", 5),
+        ("", {"gear": 11}, "gear", 10),
+        ('name="upper"', {"gear": 11}, "gear", 10),
+    ],
+)
+def test_lines_of_elements_without_name(
+    files: tuple[str, str], name: str, change: dict[str, Any], quantity: str, line: int
+) -> None:
+    """A joint has the name of a body, and a drive that of its joint or of a body; lines counted by hand."""
+    given = {"name": name, "damping": "", "gear": 10}
+    Path(files[0]).write_text(UNNAMED.format(**given))
+    Path("second.xml").write_text(UNNAMED.format(**given | change))
+    (found,) = annotate(crosscheck.diff(files[0], "second.xml").comparison)
+    assert (found.rule, [each.line for each in found.lines]) == (quantity, [line, line])
+
+
 def test_files_in_the_current_folder_come_first(
     files: tuple[str, str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
