@@ -244,16 +244,21 @@ class CommonFrames:
             self.frames[number] = candidate
             differ = sum(size > uncertainty for size, uncertainty in self._sizes(number))
             # Another frame is a difference of its own; if the numbers of differences are equal, it is more
-            # likely than a joint with another axis or place
-            costs.append((differ + bool(costs), self._count_joint_differences(number)))
+            # likely than a joint with an axis in another direction
+            costs.append((differ + bool(costs), self._count_turned_axes(number)))
             if costs[-1][0] <= 1:
                 break
         self.frames[number] = candidates[costs.index(min(costs))]
 
-    def _count_joint_differences(self, number: int) -> int:
-        """Return the number of joints of a pair of bodies that differ in its common frame."""
+    def _count_turned_axes(self, number: int) -> int:
+        """Return the number of joints of a pair of bodies whose axes differ in direction."""
         places = [place for place in self.joints if number in (place.parent, place.child)]
-        sizes = [size for place in places for size in self._joint_sizes(place, number)]
+        lines = [
+            self.lines(place.pair, number)
+            for place in places
+            if place.kind in (JointKind.HINGE, JointKind.SLIDE)
+        ]
+        sizes = [self.compare(number, line.axis, other.axis, angle) for line, other in lines]
         return sum(size > uncertainty for size, uncertainty in sizes)
 
     def _slack(self, first: Poses, second: Poses, above: CommonFrame) -> tuple[float, float]:
