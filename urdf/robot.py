@@ -21,6 +21,7 @@ from newton_euler.errors import check_choice
 from newton_euler.model.source_file import element_lines, path_text, read_text, read_xml, xml_tree
 from newton_euler.reading.digits import VARIANTS, NumbersOfText
 from newton_euler.reading.import_report import ImportReport
+from newton_euler.reading.names import names_by_kind
 from newton_euler.reading.robot import (
     IN_PLACE,
     FileBody,
@@ -222,7 +223,7 @@ def _extensions(path: str, text: str, root: ET.Element, loops: Loops, notes: lis
     for entry in report.entries:
         if entry.is_unsimulated:
             elements_of.setdefault(entry.how, []).append(entry.element)
-    notes.extend(f"{', '.join(elements)}: {why}" for why, elements in elements_of.items())
+    notes.extend(f"{names_by_kind(elements)}: {why}" for why, elements in elements_of.items())
     springs = extensions.point_springs
     notes.extend(f"spring {spring.name!r} between two points is not described" for spring in springs)
     return extensions

@@ -432,6 +432,7 @@ def _notes(comparison: FileComparison, unlisted: int) -> Iterator[str]:
     if rounded and comparison.outcome is Outcome.DIFFERENT:
         total = sum(len(row.elements) for row in rounded)
         yield f"{_numbers_differ(total, 'more ')} within {_allowance(comparison)}"
+    common = [note for note in comparison.first.notes if note in comparison.second.notes]
+    yield from (f"note: both files: {note}" for note in common)
     for file, title in zip((comparison.first, comparison.second), _titles(comparison), strict=True):
-        for note in file.notes:
-            yield f"note: {title}: {note}"
+        yield from (f"note: {title}: {note}" for note in file.notes if note not in common)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 
@@ -53,3 +54,20 @@ def body_names(given: Sequence[str]) -> list[str]:
 def joint_names(given: Sequence[str], bodies: Sequence[str]) -> list[str]:
     """Return names of joints, or those of their bodies, see `body_names`, if the file gives none."""
     return unique_names(given, bodies)
+
+
+def names_by_kind(elements: Sequence[str]) -> str:
+    """List elements in one short text: the first one of each kind, and how many more there are.
+
+    Args:
+        elements: elements such as "<limit> of joint 'elbow'". They are of one kind if they differ only in
+            what stands in quotation marks.
+
+    Examples:
+        >>> names_by_kind(["arm 'left'", "hand", "arm 'right'"])
+        "arm 'left' and 1 more, hand"
+    """
+    kinds: dict[str, list[str]] = {}
+    for element in elements:
+        kinds.setdefault(re.sub("'[^']*'", "", element), []).append(element)
+    return ", ".join(f"{first} and {len(more)} more" if more else first for first, *more in kinds.values())

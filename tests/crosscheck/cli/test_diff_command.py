@@ -371,3 +371,23 @@ def test_other_names_are_no_difference(tmp_path):
     for path, names in zip(paths, (("left", "right"), ("L", "R")), strict=True):
         path.write_text(LEGS.format(*names), encoding="utf-8")
     assert crosscheck.diff(*paths).outcome is Outcome.SAME
+
+
+def test_notes_name_one_of_like_elements_and_are_there_once(capsys, tmp_path):
+    text = '<robot name="arm"><link name="l0"/>'
+    for k in range(3):
+        text += f"""<link name="l{k + 1}"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+          <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+          <joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 1 0"/>
+          <limit lower="-1" upper="1" effort="9" velocity="9" other:rate="5"/></joint>"""
+    text = text.replace('name="arm"', 'name="arm" xmlns:other="http://other"') + "{}</robot>"
+    paths = [tmp_path / "one.urdf", tmp_path / "two.urdf"]
+    for path, more in zip(paths, ("", "<odd/>"), strict=True):
+        path.write_text(text.replace("{}", more))
+    _, out, _ = run(capsys, "diff", paths[0], paths[0], "--output", tmp_path / "out")
+    (note,) = (line for line in out.splitlines() if line.startswith("note: "))
+    assert note.startswith("note: both files: ")
+    assert note.count("joint 'j") == 1
+    assert " and 2 more: " in note
+    _, out, _ = run(capsys, "diff", *paths, "--output", tmp_path / "out")
+    assert sum(line.startswith("note: ") for line in out.splitlines()) == 2
