@@ -22,7 +22,6 @@ from newton_euler.scalars import Array
 from urdf.extensions import ARMATURE, STIFFNESS, Extensions
 from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, closure_names, parse_loops
 from urdf.pinocchio_reference import Closure, PinocchioReference, PointSpring
-from urdf.reading.planes import turned_planes
 
 HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 """Pinocchio's joint models of hinges, by axis."""
@@ -254,6 +253,17 @@ def _closures(model: Any, loops: Loops) -> list[Closure]:
     return closures
 
 
+def _turned_planes(text: str) -> dict[str, Array]:
+    """Return the unit normals (3,) of planar joints whose plane is not across z, by name of the joint."""
+    normals = {}
+    for joint in xml_tree(text).iterfind("joint[@type='planar']"):
+        axis = joint.find("axis")
+        normal = np.array([1.0, 0.0, 0.0] if axis is None else axis.attrib["xyz"].split(), dtype=float)
+        if normal[0] != 0.0 or normal[1] != 0.0 or normal[2] < 0.0:
+            normals[joint.attrib["name"]] = normal / np.linalg.norm(normal)
+    return normals
+
+
 def _build_model(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
     """Build Pinocchio's model of a URDF, with the types of joints in the loop file.
 
@@ -271,7 +281,7 @@ def _build_model(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
     if held:
         plain = pin.buildReducedModel(plain, held, pin.neutral(plain))
     # new number of each joint, and URDF joint of each new joint
-    model, number, urdf_joints, planes = pin.Model(), {0: 0}, [""], turned_planes(xml_tree(text))
+    model, number, urdf_joints, planes = pin.Model(), {0: 0}, [""], _turned_planes(text)
     for k in range(1, plain.njoints):
         name = str(plain.names[k])
         kind, pose = types.get(name, ""), plain.jointPlacements[k]
