@@ -15,10 +15,11 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import collected_warnings
+from mjcf.placements import rotation_of
 from mjcf.reading.essentials import essential_texts
 from mjcf.reading.source import copy_model
 from mjcf.reading.xml_scan import SourceError, read_texts
-from mjcf.robot import compiled, numbers_of, rotation_of
+from mjcf.robot import compiled, numbers_of
 from newton_euler.model.source_file import path_text, xml_tree
 from newton_euler.reading.digits import VARIANTS
 from newton_euler.reading.file_shapes import GROUND, FileShape, FileShapes, Role, note_of_meshes

@@ -16,6 +16,7 @@ from pathlib import PurePosixPath
 import mujoco
 import numpy as np
 
+from mjcf.placements import rotation_of
 from newton_euler.reading.robot import FileBody, Robot
 
 DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
@@ -47,10 +48,9 @@ def with_hulls(texts: Mapping[str, str], model: mujoco.MjModel) -> dict[str, str
 def _hull(model: mujoco.MjModel, number: int) -> str:
     """Return the outermost vertices of a mesh, m before its scale, with all digits."""
     start, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.mesh_quat[number])
+    rotation = rotation_of(model.mesh_quat[number])
     # MuJoCo has moved the vertices to the principal axes of the mesh
-    moved = model.mesh_vert[start : start + count] @ rotation.reshape(3, 3).T + model.mesh_pos[number]
+    moved = model.mesh_vert[start : start + count] @ rotation.T + model.mesh_pos[number]
     vertices = moved / model.mesh_scale[number]
     outermost = np.unique(np.argmax(vertices @ DIRECTIONS.T, axis=0))
     return " ".join(map(repr, vertices[outermost].ravel().tolist()))

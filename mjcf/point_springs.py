@@ -5,7 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from newton_euler.reading.robot import FilePlace, FileSpring, PlaceKind, Placement
+from mjcf.placements import site_placement
+from newton_euler.reading.robot import FileSpring
 
 
 def point_springs(model: mujoco.MjModel, *, has_springs: bool, has_dampers: bool) -> dict[int, FileSpring]:
@@ -40,15 +41,3 @@ def point_springs(model: mujoco.MjModel, *, has_springs: bool, has_dampers: bool
             rest=(low, high),
         )
     return found
-
-
-def site_placement(model: mujoco.MjModel, number: int) -> Placement:
-    """Return the placement of a site in the frame of its body."""
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.site_quat[number])
-    return Placement(model.site_pos[number].copy(), rotation.reshape(3, 3))
-
-
-def site_place(model: mujoco.MjModel, number: int, kind: PlaceKind) -> FilePlace:
-    """Return a site as a place; `kind` is what counts of its frame."""
-    return FilePlace(kind, int(model.site_bodyid[number]) - 1, site_placement(model, number))

@@ -20,7 +20,8 @@ from mjcf.errors import collected_warnings
 from mjcf.keyframes import starts
 from mjcf.loops import fixed_tendon_weights
 from mjcf.mesh_masses import with_hulls, with_mesh_masses
-from mjcf.point_springs import point_springs, site_placement
+from mjcf.placements import rotation_of, site_placement
+from mjcf.point_springs import point_springs
 from mjcf.reading.compile import compile_spec
 from mjcf.reading.essentials import NO_MASS, Essentials, essential_texts
 from mjcf.reading.source import UNNAMED, copy_model, model_name
@@ -209,13 +210,6 @@ def _principal_inertia(body: mujoco.MjsBody) -> tuple[Array, Array | None]:
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, (axes * np.linalg.det(axes)).ravel())
     return moments, quaternion
-
-
-def rotation_of(quaternion: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z)."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
 
 
 class _Description:

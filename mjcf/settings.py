@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from mjcf.loops import fixed_tendon_weights
-from mjcf.point_springs import site_place
-from newton_euler.reading.names import body_names, joint_names, unique_names
+from mjcf.placements import rotation_of, site_place
+from newton_euler.reading.names import body_names, unique_names
 from newton_euler.reading.robot import FileDrive, FilePlace, PlaceKind, Placement, Setting, SettingValue
 from newton_euler.scalars import Array
 
@@ -36,7 +36,7 @@ class Names(NamedTuple):
         equalities = [model.equality(number).name for number in range(model.neq)]
         return Names(
             ("world", *bodies),
-            tuple(joint_names(joints, [bodies[body - 1] for body in model.jnt_bodyid])),
+            tuple(unique_names(joints, [bodies[body - 1] for body in model.jnt_bodyid])),
             tuple(unique_names(tendons, (f"tendon {k}" for k in range(1, model.ntendon + 1)))),
             tuple(unique_names(equalities, (f"equality {k}" for k in range(1, model.neq + 1)))),
         )
@@ -192,9 +192,7 @@ def _path(model: mujoco.MjModel, name: str, number: int) -> dict[Setting, Settin
 def _shape_place(model: mujoco.MjModel, number: int, wrap: mujoco.mjtWrap) -> FilePlace:
     """Return the center of a sphere, or the axis of a cylinder, around which a tendon wraps."""
     kind = PlaceKind.POINT if wrap == mujoco.mjtWrap.mjWRAP_SPHERE else PlaceKind.LINE
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[number])
-    frame = Placement(model.geom_pos[number].copy(), rotation.reshape(3, 3))
+    frame = Placement(model.geom_pos[number].copy(), rotation_of(model.geom_quat[number]))
     return FilePlace(kind, int(model.geom_bodyid[number]) - 1, frame)
 
 

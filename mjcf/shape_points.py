@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import collected_warnings
+from mjcf.placements import rotation_of
 from mjcf.reading.essentials import essential_texts
 from mjcf.reading.xml_scan import read_texts
 from mjcf.robot import compiled
@@ -36,9 +37,7 @@ def shape_points(path: str, bodies: Collection[str]) -> dict[str, Array]:
             name = model.body(model.geom_bodyid[geom]).name
             points = _points(model, geom)
             if name in found and len(points):
-                rotation = np.zeros(9)
-                mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-                found[name].append(model.geom_pos[geom] + points @ rotation.reshape(3, 3).T)
+                found[name].append(model.geom_pos[geom] + points @ rotation_of(model.geom_quat[geom]).T)
     return {name: np.concatenate(parts) for name, parts in found.items() if parts}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.point_springs import site_place
+from mjcf.placements import rotation_of, site_place
 from mjcf.settings import Names
 from newton_euler.reading.robot import FilePlace, PlaceKind, Placement
 from newton_euler.scalars import Array
@@ -77,10 +77,9 @@ def _gear_of_joint(model: mujoco.MjModel, joint: int, gear: Array, is_in_parent:
 
 def _with_z_axis(axis: Array) -> Array:
     """Return a rotation (3, 3) whose last column is a unit vector (3,)."""
-    rotation, quaternion = np.zeros(9), np.zeros(4)
+    quaternion = np.zeros(4)
     mujoco.mju_quatZ2Vec(quaternion, axis)
-    mujoco.mju_quat2Mat(rotation, quaternion)
-    return rotation.reshape(3, 3)
+    return rotation_of(quaternion)
 
 
 def numbered(name: str, values: Array) -> Numbers:

@@ -38,7 +38,7 @@ from newton_euler.scalars import Array
 from urdf.errors import LoopFileError
 from urdf.extensions import Extensions
 from urdf.loops import NO_LOOPS, REVOLUTE, UNIVERSAL, Loops, loop_files_beside
-from urdf.reading.planes import axes_of_plane
+from urdf.reading.planes import axes_of_plane, axis_vector
 from urdf.reading.source import NUMBER_ATTRIBUTES, SourceError, finite_or_infinite, parsed, read_loops
 from urdf.reading.transmissions import REDUCTION_TAGS, read_transmissions
 from urdf.reading.vocabulary import BASES, BaseName, unknown
@@ -337,8 +337,7 @@ def _single_motion(
 
 def _axis(path: str, joint: ET.Element) -> Array:
     """Return the unit vector (3,) of a joint's axis in the frame of the joint."""
-    element = joint.find("axis")
-    axis = np.array([1.0, 0.0, 0.0]) if element is None else _vector(element, "xyz")
+    axis = axis_vector(joint)
     length = np.linalg.norm(axis)
     if not length:
         raise SourceError(path, f"joint {joint.get('name')!r}: its axis is 0 0 0; needed: a direction")

@@ -7,7 +7,6 @@ their vertices, as files are renamed and move the frames of meshes.
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ import numpy as np
 from crosscheck.differences.causes import with_causes
 from crosscheck.differences.difference import Difference, Quantity, Value, difference, numbers
 from crosscheck.differences.frames import IN_WORLD, CommonFrames, has_joint_above
-from crosscheck.differences.stack import ROUND_OFF, Poses, Side, angle, distance, relative
+from crosscheck.differences.stack import ROUND_OFF, Poses, Side, angle, distance, relative, turn_angle
 from crosscheck.differences.tree_match import assignment
 from newton_euler.reading.file_shapes import GROUND, FileShape, FileShapes
 from newton_euler.scalars import Array
@@ -126,10 +125,7 @@ def _placed(common: CommonFrames, side: Side, shapes: FileShapes) -> dict[int, l
             elif body < 0 or has_joint_above(robot, body):
                 continue
         of_variants = [shape, *(variant[index] for variant in shapes.variants)]
-        pose = Poses(
-            np.array([each.placement.rotation for each in of_variants]),
-            np.array([each.placement.position for each in of_variants]),
-        )
+        pose = Poses.of([each.placement for each in of_variants])
         frame = common.frames[number].first if is_first else common.frames[number].second
         if body >= 0:
             pose = _product(_product(frame.inverse(), side.world[body]), pose)
@@ -260,7 +256,7 @@ def _size_and_place(common: CommonFrames, number: int, one: _Placed, two: _Place
     if kind in AXIAL:
         sizes = common.compare(number, rotations[0][..., 2], rotations[1][..., 2], angle)
     else:
-        sizes = common.compare(number, *rotations, _turn)
+        sizes = common.compare(number, *rotations, turn_angle)
     if sizes[0] > MIN_TURN:
         yield Quantity.ORIENTATION, (0.0, sizes[0]), sizes
 
@@ -280,12 +276,6 @@ def _misfit(one: _Placed, two: _Placed, turn: Array) -> tuple[int, bool, float]:
     )
     differ = [error > CLEAR for error in errors]
     return sum(differ), differ[0], sum(errors)
-
-
-def _turn(reference: Array, values: Array) -> Array:
-    """Return the angles (V,), rad, between rotations (V, 3, 3) and a rotation (1, 3, 3)."""
-    chords = np.linalg.norm(values - reference, axis=(-2, -1)) / (2.0 * math.sqrt(2.0))
-    return np.asarray(2.0 * np.arcsin(np.minimum(chords, 1.0)))
 
 
 def _coincide(one: Array, two: Array) -> bool:

@@ -6,7 +6,6 @@ a universal joint are exchanged, then all numbers of both joints are.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -15,6 +14,7 @@ import numpy as np
 
 from crosscheck.differences.difference import Difference, Quantity, Standing, Value
 from crosscheck.differences.frames import CommonFrames
+from crosscheck.differences.stack import angle
 
 MAX_TILT = 1e-4
 """rad, largest angle between an axis and that of the other joint with which it is exchanged."""
@@ -73,7 +73,8 @@ def _have_exchanged_axes(one: JointRows, two: JointRows) -> bool:
     if any(row is None or row.standing is not Standing.DIFFERENT for row in rows):
         return False
     first, second = (_axes(own) for own in (one, two))
-    return all(_angle(*pair) < MAX_TILT for pair in ((first[0], second[1]), (second[0], first[1])))
+    pairs = (first[0], second[1]), (second[0], first[1])
+    return all(angle(np.array(own, float), np.array(other, float)) < MAX_TILT for own, other in pairs)
 
 
 def _axes(rows: JointRows) -> tuple[Value, Value]:
@@ -88,12 +89,6 @@ def _in_file(row: Difference, rows: JointRows) -> Value:
         return row.second
     reversed_values = tuple(-number for number in row.second)
     return reversed_values[::-1] if row.quantity is Quantity.LIMITS else reversed_values
-
-
-def _angle(one: Value, two: Value) -> float:
-    """Return the angle, rad, between two vectors."""
-    first, second = np.array(one, float), np.array(two, float)
-    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
 
 
 def _explained(own: JointRows, other: JointRows) -> Iterator[Difference]:

@@ -96,10 +96,7 @@ def _of_points(compare: Callable[..., tuple[float, float]], one: Array, two: Arr
 
 def _in_world(side: Side, places: Sequence[FilePlace]) -> Poses:
     """Return where a place of a file and its variants is in the world."""
-    inside = Poses(
-        np.array([place.frame.rotation for place in places]),
-        np.array([place.frame.position for place in places]),
-    )
+    inside = Poses.of([place.frame for place in places])
     body = places[0].body
     return side.world[body] @ inside if body >= 0 else inside
 

@@ -7,7 +7,7 @@ array, of length V, counts the robot and its variants, so that one evaluation se
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -53,6 +53,13 @@ class Poses(NamedTuple):
     def point(self, point: Array) -> Array:
         """Return points (V, 3) of this frame in the other frame."""
         return self.position + apply(self.rotation, point)
+
+    @classmethod
+    def of(cls, placements: Sequence[Placement]) -> Poses:
+        """Return the stack of the placements of a robot and its variants."""
+        return cls(
+            np.array([each.rotation for each in placements]), np.array([each.position for each in placements])
+        )
 
     @classmethod
     def constant(cls, placement: Placement) -> Poses:
@@ -112,10 +119,7 @@ class Side:
         self.lines: dict[JointKey, Line] = {}
         for index, body in enumerate(file.robot.bodies):
             bodies = [robot.bodies[index] for robot in self._robots]
-            placement = Poses(
-                np.array([each.placement.rotation for each in bodies]),
-                np.array([each.placement.position for each in bodies]),
-            )
+            placement = Poses.of([each.placement for each in bodies])
             pose = (self.world[body.parent] if body.parent >= 0 else GROUND) @ placement
             for number, joint in enumerate(body.joints):
                 axis = np.array([each.joints[number].axis for each in bodies])
@@ -146,7 +150,7 @@ class Side:
         """
         body = int(getattr(getattr(self.file.robot, elements)[index], end))
         given = [getattr(getattr(robot, elements)[index], f"{end}_frame") for robot in self._robots]
-        inside = Poses(np.array([f.rotation for f in given]), np.array([f.position for f in given]))
+        inside = Poses.of(given)
         return body, self.world[body] @ inside if body >= 0 else inside
 
     def mass_properties(self, bodies: tuple[int, ...], frame: Poses) -> MassProperties:

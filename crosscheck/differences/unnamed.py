@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from newton_euler.reading.names import body_names, joint_names, unique_names
+from newton_euler.reading.names import body_names, unique_names
 from newton_euler.reading.robot import FileDrive, FilePlace, Robot, RobotFile
 
 
@@ -26,7 +26,7 @@ def _named(robot: Robot) -> Robot:
     """
     names = body_names([body.name for body in robot.bodies])
     of_joints = iter(
-        joint_names(
+        unique_names(
             [joint.name for body in robot.bodies for joint in body.joints],
             [name for body, name in zip(robot.bodies, names, strict=True) for _ in body.joints],
         )

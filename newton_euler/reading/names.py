@@ -51,11 +51,6 @@ def body_names(given: Sequence[str]) -> list[str]:
     return unique_names(given, (f"body {number}" for number in range(1, len(given) + 1)))
 
 
-def joint_names(given: Sequence[str], bodies: Sequence[str]) -> list[str]:
-    """Return names of joints, or those of their bodies, see `body_names`, if the file gives none."""
-    return unique_names(given, bodies)
-
-
 def names_by_kind(elements: Sequence[str]) -> str:
     """List elements in one short text: the first one of each kind, and how many more there are.
 

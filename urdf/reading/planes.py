@@ -13,9 +13,6 @@ import numpy as np
 from newton_euler.scalars import Array
 from urdf.errors import UrdfError
 
-DEFAULT_AXIS = "1 0 0"
-"""Axis of a joint without the element `<axis>`."""
-
 
 def turned_planes(root: ET.Element) -> dict[str, Array]:
     """Return the unit normals (3,) of planar joints whose plane is not across z, by name of the joint.
@@ -30,14 +27,19 @@ def turned_planes(root: ET.Element) -> dict[str, Array]:
     for joint in root.findall("joint"):
         if joint.get("type") != "planar":
             continue
-        element = joint.find("axis")
-        text = DEFAULT_AXIS if element is None else element.get("xyz", "0 0 0")
-        axis = np.array([float(number) for number in text.split()])
+        axis = axis_vector(joint)
         if not np.any(axis):
             raise UrdfError(f"joint {joint.get('name')!r}: its axis is 0 0 0; needed: a direction")
         if np.any(axis[:2]) or axis[2] < 0.0:
             normals[str(joint.get("name"))] = axis / np.linalg.norm(axis)
     return normals
+
+
+def axis_vector(joint: ET.Element) -> Array:
+    """Return the axis (3,) of a joint as the file has it, of any length; x without the element `<axis>`."""
+    element = joint.find("axis")
+    text = "1 0 0" if element is None else element.get("xyz", "0 0 0")
+    return np.array([float(number) for number in text.split()])
 
 
 def axes_of_plane(normal: Array) -> Array:
