@@ -284,7 +284,7 @@ def _elements_of_rows(rows: Sequence[Difference]) -> Iterator[str]:
     """Yield the names of all elements of each row that stands for several, with the number of the row."""
     for number, row in enumerate(rows, start=1):
         if len(row.elements) > 1:
-            yield f"{number}  {row.quantity.value}: {', '.join(row.elements)}"
+            yield f"{number}  {_quantity(row)}: {', '.join(row.elements)}"
 
 
 def _short_row(row: Difference, sides: Sides) -> list[str | Cell]:
@@ -334,17 +334,21 @@ def _row(number: str, row: Difference) -> list[str | Cell]:
     values = [_with_unit(value, row.unit) for value in (row.first, row.second)]
     sizes = Cell(size_text(row), judged), effect_text(row)
     about = ", ".join(row.elements or (row.element,))
-    return [number, Cell(element, about=about), row.quantity.value, *values, *sizes]
+    return [number, Cell(element, about=about), _quantity(row), *values, *sizes]
 
 
 def what_differs(row: Difference) -> str:
     """Name the quantity and the element of a difference, and the number of others with the same cause."""
-    if row.is_geometry:
-        is_whole = row.quantity in (Quantity.PRESENCE, Quantity.SHAPE)
-        what = f"{row.element_kind} of" if is_whole else f"{row.quantity.value} of {row.element_kind} of"
-    else:
-        what = row.element_kind if row.quantity is Quantity.PRESENCE else f"{row.quantity.value} of"
-    return f"{what} {_element(row)}"
+    is_element = row.quantity is Quantity.PRESENCE and not row.is_geometry
+    return f"{_quantity(row)} {'' if is_element else 'of '}{_element(row)}"
+
+
+def _quantity(row: Difference) -> str:
+    """Name the quantity of a difference, or the kind of the element if the element itself is in question."""
+    is_whole = row.quantity is Quantity.PRESENCE or (row.is_geometry and row.quantity is Quantity.SHAPE)
+    if is_whole:
+        return row.element_kind
+    return f"{row.quantity.value} of {row.element_kind}" if row.is_geometry else row.quantity.value
 
 
 def _element(row: Difference) -> str:

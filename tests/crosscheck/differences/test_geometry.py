@@ -16,6 +16,7 @@ from crosscheck.loading.convert import scene_report, write_as
 from crosscheck.loading.load import load_scene
 from crosscheck.report.diff import GEOMETRY, report, verdict
 from crosscheck.report.render import terminal
+from crosscheck.report.table import Table
 from crosscheck.support.errors import CrosscheckError
 
 ARM = """
@@ -130,6 +131,9 @@ def test_rows_of_shapes_stand_in_their_own_table(tmp_path):
     text = " ".join(terminal(report(found.comparison).summary).split())
     assert GEOMETRY in text
     assert "size of collision box of fore: 0.2 0.1 0.04 against 0.2 0.1 0.06 m" in text
+    (table,) = (table for table in report(found.comparison).parts if isinstance(table, Table))
+    heading, (number, element, what, *_) = next(iter(table.sections()))
+    assert (heading, number.text, element.text, what.text) == (GEOMETRY, "1", "fore", "size of collision box")
     (row,) = found.comparison.summary()["differences"][:1]
     assert (row["element"], row["quantity"], row["effect"]) == ("fore", "size", 0.0)
     with_mass = (tmp_path / "second.xml").read_text().replace('mass="0.5"', 'mass="0.6"')
