@@ -99,6 +99,7 @@ def test_the_notebook_runs(tmp_path):
     assert WIDGET in shown
 
 
+@pytest.mark.slow  # three engines, and a diagnosis; tests/test_snapshots.py has the words
 def test_the_disagreement(tmp_path, monkeypatch):
     monkeypatch.setitem(ENGINES, "mujoco", wrong_engine())
     content = digest(words(printed(tmp_path, WRONG[0], monkeypatch, status=1)))

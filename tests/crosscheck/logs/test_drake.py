@@ -112,7 +112,14 @@ def test_the_loop_opening_of_a_log_is_the_distance_of_the_ends_of_the_loop(log):
     assert found.loop_error.opening == pytest.approx(max(gaps), abs=1e-15)
 
 
-@pytest.mark.parametrize("joints", [("motor",), ("motor", "elbow"), ("motor", "pivot")])
+@pytest.mark.parametrize(
+    "joints",
+    [
+        pytest.param(("motor",), marks=pytest.mark.slow),
+        ("motor", "elbow"),
+        pytest.param(("motor", "pivot"), marks=pytest.mark.slow),
+    ],
+)
 def test_a_log_without_a_body_of_a_loop_has_no_loop_opening(log, joints):
     # the loop has the crank, the coupler and the rocker: each selection of joints lacks one or two of them
     columns = {f"linkage_{joint}_q" for joint in joints}
@@ -201,7 +208,13 @@ DAMAGE = {
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
+# 8 to 12 s each; tests/crosscheck/logs/test_logs.py has both kinds at other logs
+LONG = ("offset", "names of two bodies")
+
+
+@pytest.mark.parametrize(
+    "damage", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in DAMAGE]
+)
 def test_a_damaged_log_of_drake_gets_one_line_that_names_it(log, motions, damage):
     change, words, option = DAMAGE[damage]
     try:

@@ -281,7 +281,13 @@ DAMAGE = {
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
+# 5 to 10 s each: as many readings of the log are compared
+LONG = ("millimeters of one body", "order of one body")
+
+
+@pytest.mark.parametrize(
+    "damage", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in DAMAGE]
+)
 def test_a_log_that_is_read_wrongly_names_the_column_and_the_option(four_bar, damage):
     change, words, option = DAMAGE[damage]
     try:

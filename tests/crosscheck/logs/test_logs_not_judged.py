@@ -19,6 +19,7 @@ BALL_PENDULUM = """<mujoco><option timestep="0.0005"/><worldbody>
       <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/></body></body></worldbody></mujoco>"""
 
 
+@pytest.mark.slow  # 20 s: the rows are read in other units, over 5 s and 5000 s
 def test_a_log_without_a_row_before_chaos_is_not_judged(tmp_path):
     """In s, the rows in ms are 5 s apart, and the motion is chaotic from about 2 s on; the geoms touch."""
     path = tmp_path / "chaotic.xml"

@@ -31,6 +31,13 @@ from newton_euler.runs.simulate import run as run_system
 from newton_euler.runs.variation import start
 
 FORMULATIONS = ("relative", "cartesian")
+# in Cartesian form, most take 7 to 9 s to compile
+QUICK = ("bennett",)
+CASES = [
+    *((name, "relative") for name in LOOPS),
+    *((name, "cartesian") for name in QUICK),
+    *(pytest.param(name, "cartesian", marks=pytest.mark.slow) for name in LOOPS if name not in QUICK),
+]
 POSES = frozenset[str]()
 
 
@@ -55,8 +62,7 @@ def test_every_choice_of_rows_degenerates_within_a_revolution(name):
     assert min(values) < 0.1 * max(values)
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize(("name", "formulation"), CASES)
 def test_adaptive_methods_keep_their_tolerance(name, formulation):
     """Ten tolerances of 20 to 1200 steps; without projection joints open, which grows over the run."""
     scene = replace(linkage(name), outputs=POSES)
@@ -124,8 +130,7 @@ def test_equations_that_python_evaluates_keep_their_tolerance(name, engine):
         assert error(run_system(system, engine.name, Options.of("DOP853", {}), {}), name) < 1e-9
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize(("name", "formulation"), CASES)
 def test_rk4_keeps_its_order(name, formulation):
     scene = replace(linkage(name), outputs=POSES)
     coarse, fine = (
@@ -161,8 +166,15 @@ def test_runs_side_by_side_exchange_rows_each_by_itself(integrator, formulation)
         assert np.array_equal(run.position, alone.position)
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("name", ["bennett", "schatz"])
+@pytest.mark.parametrize(
+    ("name", "formulation"),
+    [
+        ("bennett", "relative"),
+        ("bennett", "cartesian"),
+        ("schatz", "relative"),
+        pytest.param("schatz", "cartesian", marks=pytest.mark.slow),
+    ],
+)
 def test_sensitivities_are_those_of_difference_quotients(name, formulation):
     scene = replace(linkage(name), outputs=POSES)
     found = newton_euler.sensitivities(scene, ["b1.mass"], formulation=formulation)
@@ -194,8 +206,7 @@ def test_knots_do_not_forget_the_rows_in_use():
     assert error(newton_euler.simulate(scene), "goldberg") < 1e-9
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize(("name", "formulation"), CASES)
 def test_control_laws_that_know_the_mechanism_exchange_rows_too(name, formulation):
     """Where gravity is compensated, kinetic energy stays: to ten tolerances."""
     law = newton_euler.PD("h0", 0.0, 0.0, 0.0, gravity_compensation=True)
