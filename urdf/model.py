@@ -19,7 +19,7 @@ from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import REVOLUTE, UNIVERSAL, Loops
-from urdf.reading.planes import axes_of_plane, turned_planes
+from urdf.reading.planes import axes_of_plane, axis_vector, turned_planes
 from urdf.reading.vocabulary import BaseName
 
 HINGE_MODELS = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
@@ -166,13 +166,11 @@ def _rounded_axes(urdf: str) -> dict[str, Array]:
     """Return axes (3,) of a URDF that Pinocchio's parser may round, by joint name."""
     axes = {}
     for joint in xml_tree(urdf).findall("joint"):
-        element = joint.find("axis")
-        if element is not None:
-            axis = np.array([float(x) for x in element.get("xyz", "").split()])
-            small = np.abs(axis) < MAX_ROUNDED_COMPONENT
-            # nearly, but not exactly, along a coordinate axis
-            if np.sum(small) == 2 and np.any(axis[small]):
-                axes[str(joint.get("name"))] = axis / np.linalg.norm(axis)
+        axis = axis_vector(joint)
+        small = np.abs(axis) < MAX_ROUNDED_COMPONENT
+        # nearly, but not exactly, along a coordinate axis
+        if np.sum(small) == 2 and np.any(axis[small]):
+            axes[str(joint.get("name"))] = axis / np.linalg.norm(axis)
     return axes
 
 
