@@ -1,13 +1,11 @@
-"""Irradiance on a solar tracker's panel, and on panels with common mountings, over a clear day.
+"""Irradiance on a solar tracker's panel, and on panels with common mountings.
 
-The models are pvlib's: clear sky of climatological turbidity (Ineichen and Perez, Solar Energy 73, 2002),
-diffuse light after Hay and Davies, ground of albedo 0.2. Losses by reflection, heat, dirt or shadows are not
-modeled.
+The irradiance of the sky is given (`Sky`) or that of a clear sky (`ClearSky`). The models are pvlib's: clear
+sky of climatological turbidity (Ineichen and Perez, Solar Energy 73, 2002), diffuse light after Hay and
+Davies, ground of albedo 0.2. Losses by reflection, heat, dirt or shadows are not modeled.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -26,21 +24,20 @@ FLAT, ONE_AXIS = "flat", f"one axis, {ROW_TILT:g} deg"
 """Names of the panels that are compared."""
 
 
-class ClearSky:
-    """Clear-sky irradiance over a place at n times.
+class Sky:
+    """Irradiance over a place at n times.
 
     Attributes:
         place: the place.
         sun: positions of the sun at the n times.
     """
 
-    def __init__(self, place: Place, sun: Sun) -> None:
-        """Compute the direct, diffuse and extraterrestrial irradiance at all times."""
+    def __init__(self, place: Place, sun: Sun, dni: Array, ghi: Array, dhi: Array) -> None:
+        """Keep the direct normal, global horizontal and diffuse horizontal irradiance (n,), W/m^2."""
         self.place, self.sun = place, sun
+        self.dni, self.ghi, self.dhi = dni, ghi, dhi
         self._pvlib = optional_package("pvlib", extra=SUN)
-        location = self._pvlib.location.Location(place.latitude, place.longitude, altitude=place.altitude)
-        self._light: Any = location.get_clearsky(sun.times, model="ineichen")
-        self._extraterrestrial = self._pvlib.irradiance.get_extra_radiation(sun.times)
+        self._extraterrestrial = self._pvlib.irradiance.get_extra_radiation(sun.times).to_numpy()
 
     def on(self, normals: Array) -> Array:
         """Compute the irradiance (n,), W/m^2, on a panel with the normals (n, 3): east, north, up."""
@@ -51,10 +48,10 @@ class ClearSky:
             azimuth,
             90.0 - np.degrees(self.sun.elevation),
             np.degrees(self.sun.azimuth),
-            self._light["dni"].to_numpy(),
-            self._light["ghi"].to_numpy(),
-            self._light["dhi"].to_numpy(),
-            dni_extra=self._extraterrestrial.to_numpy(),
+            self.dni,
+            self.ghi,
+            self.dhi,
+            dni_extra=self._extraterrestrial,
             albedo=ALBEDO,
             model="haydavies",
         )
@@ -80,6 +77,18 @@ class ClearSky:
             ONE_AXIS: tilted(row_tilt, row_azimuth),
             FACING: self.sun.direction,
         }
+
+
+class ClearSky(Sky):
+    """Irradiance of a clear sky over a place at n times."""
+
+    def __init__(self, place: Place, sun: Sun) -> None:
+        """Compute the direct, global and diffuse irradiance at all times."""
+        location = optional_package("pvlib", extra=SUN).location.Location(
+            place.latitude, place.longitude, altitude=place.altitude
+        )
+        light = location.get_clearsky(sun.times, model="ineichen")
+        super().__init__(place, sun, *(light[name].to_numpy() for name in ("dni", "ghi", "dhi")))
 
 
 def over_day(times: Array, power: Array) -> float:

@@ -74,15 +74,21 @@ class Tracking:
             raise CrosscheckError(
                 f"the sun does not rise on {sun.times[0].date()}; choose another date or place"
             )
-        # by day, towards the sun within the limits of shadow and tilt
-        tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.most_tilt))
-        wanted = tilted(tilt, sun.azimuth)
+        wanted = self.towards(sun)
         # at night, the direction of the next morning; after sunset that of this day's morning stands for it
         night, daytime = np.flatnonzero(~up), np.flatnonzero(up)
         next_risen = np.searchsorted(daytime, night)
         wanted[night] = wanted[daytime[next_risen % len(daytime)]]
         wanted[self.stows(wind, len(up))] = UP
-        return self._with_deadband(wanted)
+        return self.with_deadband(wanted)
+
+    def towards(self, sun: Sun) -> Array:
+        """Compute the directions (n, 3), east, north, up, as close to the sun as tilt and shadow allow.
+
+        The rules of night, wind and dead band are not applied.
+        """
+        tilt = np.minimum(self._without_shadow(sun.elevation), np.radians(self.most_tilt))
+        return tilted(tilt, sun.azimuth)
 
     def stows(self, wind: Array | None, count: int) -> Array:
         """Return an array (n,) that is True where the panel is to lie flat because of the wind.
@@ -121,7 +127,7 @@ class Tracking:
         sine = self.pitch * np.sin(np.maximum(elevation, 0.0))
         return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)) - elevation, facing)
 
-    def _with_deadband(self, wanted: Array) -> Array:
+    def with_deadband(self, wanted: Array) -> Array:
         """Keep a direction until the wanted one (n, 3) differs by more than the dead band; return (n, 3)."""
         if self.deadband == 0.0:
             return wanted
