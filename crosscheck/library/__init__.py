@@ -13,6 +13,7 @@ from crosscheck.library import (
     andrews,
     bricard,
     chain,
+    excavator,
     flyball_governor,
     four_bar,
     free_top,
@@ -51,6 +52,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "flyball_governor": flyball_governor.flyball_governor,
     "stewart": stewart.stewart,
     "chain": chain.chain,
+    "excavator": excavator.excavator,
 }
 """Functions that make the scenes of the library, by name. Their arguments are the options of the scene."""
 
