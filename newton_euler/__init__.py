@@ -61,9 +61,10 @@ if TYPE_CHECKING:
     from newton_euler.analysis.linear.linear_model import LinearModel, Modes
     from newton_euler.analysis.linear.linearization import linearize
     from newton_euler.analysis.linear.regulator import lqr
-    from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
+    from newton_euler.analysis.loads.envelope import LoadEnvelope, LoadRange, load_envelope
     from newton_euler.analysis.loads.equilibrium import equilibrium
     from newton_euler.analysis.loads.inverse_dynamics import Loads, inverse_dynamics
+    from newton_euler.analysis.loads.rest import rest_case
     from newton_euler.analysis.loads.statics import statics
     from newton_euler.analysis.sensitivity.sensitivities import Sensitivities, sensitivities
     from newton_euler.runs.assemble import assemble, initial_state
@@ -82,9 +83,10 @@ else:
         "analysis.linear.linear_model": ("LinearModel", "Modes"),
         "analysis.linear.linearization": ("linearize",),
         "analysis.linear.regulator": ("lqr",),
-        "analysis.loads.envelope": ("LoadEnvelope", "LoadRange", "load_envelope", "rest_case"),
+        "analysis.loads.envelope": ("LoadEnvelope", "LoadRange", "load_envelope"),
         "analysis.loads.equilibrium": ("equilibrium",),
         "analysis.loads.inverse_dynamics": ("Loads", "inverse_dynamics"),
+        "analysis.loads.rest": ("rest_case",),
         "analysis.loads.statics": ("statics",),
         "analysis.sensitivity.sensitivities": ("Sensitivities", "sensitivities"),
         "runs.assemble": ("assemble", "initial_state"),

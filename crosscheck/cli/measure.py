@@ -131,10 +131,12 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str
     "cases",
     multiple=True,
     metavar="NAME:OPTION=VALUE,...",
-    help="Load case and its options in addition to --set. Repeatable.  [default: one case without options]",
+    help="Load case and its options, which replace those of --set. Repeatable.  [default: one case]",
 )
 @click.option(
-    "--at-rest", is_flag=True, help="Compute static loads in the initial pose instead of loads over a run."
+    "--at-rest",
+    is_flag=True,
+    help="Compute static loads in the initial pose, at the largest wind speed of each run.",
 )
 @click.option(
     "--allow-reduced",
@@ -150,22 +152,28 @@ def loads_command(
     allow_reduced: bool,
     output: Path | None,
 ) -> int:
-    """Compute joint reactions and actuator loads, with their maxima over several load cases.
+    """Compute joint reactions and actuator loads of load cases, and their maxima over all cases.
 
     newton_euler computes the loads. `crosscheck run` compares the reactions of all engines.
 
     SCENE is the name of a library scene or a model file (see run).
     """
-    from crosscheck.design.loads import loads, parse_cases
+    from crosscheck.design.load_cases import check_distinct, parse_cases
+    from crosscheck.design.loads import LoadCase, loads
     from crosscheck.loading.load import load_scene
     from crosscheck.report.output import usual_folder
 
+    common = scene_options(settings)
+    options = {
+        name: common | scene_options(own, f"--case {name}:")
+        for name, own in parse_cases(cases, scene).items()
+    }
+    check_distinct(scene, options)
     models = {}
-    for name, own in parse_cases(cases).items():
-        options = scene_options(settings) | scene_options(own, f"--case {name}:")
-        loaded, import_report = models[name] = load_scene(scene, options)
+    for name, chosen in options.items():
+        models[name] = LoadCase(chosen, *load_scene(scene, chosen))
         if len(models) == 1:
-            warn_about_import(scene, import_report, loaded)
+            warn_about_import(scene, models[name].import_report, models[name].scene)
     folder = output or usual_folder(Path("output/loads"), scene, results="load table")
     with progress_shown() as progress:
         found, written, unsimulated = loads(scene, models, at_rest, folder, progress)

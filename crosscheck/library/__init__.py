@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from crosscheck.library import (
@@ -102,6 +102,22 @@ def load(name: str, /, **options: str | float) -> Scene:
     from crosscheck.library.scene_file import read_scene
 
     return read_scene(name)
+
+
+def option_values(name: str, given: Mapping[str, str | float]) -> dict[str, str | float]:
+    """Return the values of all options of a model, to compare two sets of options.
+
+    Args:
+        name: name of a library scene, or path of a file, whose options without a given value are left out.
+        given: options as the user set them.
+
+    Raises:
+        CrosscheckError: for an invalid option of a library scene.
+    """
+    if name not in SCENES:
+        return dict(given)
+    defaults = {option: each.default for option, each in options_of(SCENES[name]).items()}
+    return defaults | _read_options(name, dict(given))
 
 
 def _read_options(name: str, given: dict[str, str | float]) -> dict[str, str | float]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 ENGINE_COLORS = {"newton_euler": "#0072b2", "mujoco": "#d55e00", "pinocchio": "#009e73"}
 """Color of each engine, #rrggbb."""
 
-OTHER_COLORS = ("#cc79a7", "#e69f00", "#56b4e9", "#f0e442")
+OTHER_COLORS = ("#cc79a7", "#e69f00", "#56b4e9", "#999999", "#f0e442")
 """Colors of everything that is not an engine, such as compared models and baselines, in the order of use."""
 
 

@@ -17,6 +17,12 @@ def ranges(folder: Path) -> dict[tuple[str, str], dict[str, str]]:
         return {(row["element"], row["quantity"]): row for row in csv.DictReader(file)}
 
 
+def lines_of(out: str, title: str) -> dict[str, list[str]]:
+    """Cells of the table below a title, by the first cell of each row."""
+    rows = out.split(f"{title}\n", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
+    return {row.split()[0]: row.split()[1:] for row in rows}
+
+
 def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "80")
     cases = ("--case", "calm:speed=0", "--case", "windy:speed=15,direction=90")
@@ -25,19 +31,67 @@ def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
     )
     assert (status, err) == (0, "")
     assert out.startswith("tracker_wind: loads over cases calm, windy\nlargest force ")
-    assert max(map(len, out.splitlines())) <= 80 + len(str(tmp_path)) * 4
+    assert "case windy: wind=steady, speed=15, direction=90" in out
+    assert max(map(len, out.splitlines())) <= 80 + len(str(tmp_path)) * 5
     found = ranges(tmp_path)
     assert {row["most_case"] for row in found.values()} == {"calm", "windy"}
     row = found["universal_47", "force"]
-    (line,) = [line for line in out.splitlines() if line.startswith("universal_47") and "N" not in line][:1]
-    assert line.split()[1] == f"{float(row['most']):.3g}"
-    assert f"{row['most_case']} at {float(row['most_time']):.4g} s" in line
+    peak, *_, case, _, time, _ = lines_of(out, "Envelope: forces of joints")["universal_47"]
+    assert peak == f"{float(row['most']):.3g}"
+    assert (case, float(time)) == (row["most_case"], pytest.approx(float(row["most_time"]), rel=1e-3))
     assert (tmp_path / "loads.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "loads.rrd").stat().st_size > 10_000
     assert run(capsys, "report", tmp_path)[0] == 0
     page = (tmp_path / "report.html").read_text()
     assert "largest force" in page
+    assert "Peak torque of every case" in page
     assert "data:image/png" in page
+
+
+def test_every_case_is_in_all_results(capsys, tmp_path):
+    """Rest is quick: cases of 5 and 10 m/s; their static wind forces differ by a factor of 4."""
+    cases = ("--case", "weak:speed=5", "--case", "calm:speed=0", "--case", "strong:speed=10")
+    arguments = ("--at-rest", "--set", "wind=steady", *cases, "--output", tmp_path)
+    status, out, _ = run(capsys, "loads", "tracker_wind", *arguments)
+    assert status == 0
+    with (tmp_path / "cases.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    envelope = ranges(tmp_path)
+    assert len(rows) == 3 * len(envelope)
+    assert {row["case"] for row in rows} == {"weak", "calm", "strong"}
+    content = json.loads((tmp_path / "loads.json").read_text())
+    assert content["options"]["weak"] == {"wind": "steady", "speed": "5"}
+    assert len(content["envelope"]) == len(envelope)
+    in_table = lines_of(out, "Peak force of every case")
+    for joint, texts in in_table.items():
+        of_joint = [row for row in rows if (row["element"], row["quantity"]) == (joint, "force")]
+        peaks = {row["case"]: float(row["most"]) for row in of_joint}
+        in_json = {
+            case: each["most"]
+            for case, loads in content["loads_of_cases"].items()
+            for each in loads
+            if (each["element"], each["quantity"]) == (joint, "force")
+        }
+        assert in_json == peaks
+        governing = max(peaks, key=lambda case: peaks[case])
+        assert [row["case"] for row in of_joint if row["governs"] == "1"] == [governing]
+        assert texts == [f"{'*' if case == governing else ''}{peak:.3g}" for case, peak in peaks.items()]
+        assert float(envelope[joint, "force"]["most"]) == peaks[governing]
+
+
+def test_wind_at_rest_has_the_largest_speed_of_its_run(capsys, tmp_path):
+    """The gust of 10 m/s peaks at 10 + 0.74 * 5 m/s: the loads are those of a steady wind with this speed."""
+    arguments = ("--case", "gust:wind=gust", "--case", "steady:wind=steady,speed=13.7", "--output", tmp_path)
+    status, out, _ = run(capsys, "loads", "tracker_wind", "--at-rest", *arguments)
+    assert status == 0
+    assert "at rest: actuators hold the initial pose" in out
+    content = json.loads((tmp_path / "loads.json").read_text())
+    (held,) = content["held_winds"]["gust"]
+    assert held["speed"] == pytest.approx(13.7, rel=1e-6)
+    assert held["time"] == pytest.approx(2.5, abs=0.01)
+    assert content["held_winds"]["steady"] == []
+    for each, other in zip(*content["loads_of_cases"].values(), strict=True):
+        assert each["most"] == pytest.approx(other["most"], rel=1e-5, abs=1e-12)
 
 
 def test_round_off_is_no_load_and_rest_is_told(capsys, tmp_path):
@@ -109,6 +163,14 @@ def test_elements_that_act_and_are_not_simulated_are_named(capsys, tmp_path):
     [
         (("--case", "a b:speed=3"), "--case 'a b:speed=3' is not of the form NAME:OPTION=VALUE"),
         (("--case", "a", "--case", "a"), "--case a is given twice"),
+        (
+            ("--case", "gust"),
+            "--case gust has no options; needed: gust:OPTION=VALUE,... with the options wind=",
+        ),
+        (
+            ("--case", "a:speed=10", "--case", "b:wind=turbulent,seed=1"),
+            "--case b has the same options as a; needed: b:OPTION=VALUE,... with the options wind=",
+        ),
         (("--case", "a:speed"), "--case a: 'speed' is not of the form OPTION=VALUE"),
         (("--case", "a:sped=1"), "unknown option 'sped' of scene 'tracker_wind'; did you mean 'speed'?"),
         (

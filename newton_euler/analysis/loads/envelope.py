@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.analysis.loads.statics import statics
 from newton_euler.arguments import checked
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.euler_parameters import rotations
@@ -24,7 +23,6 @@ from newton_euler.model.joint_parts import are_parallel
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Floats
 
 REQUIRED_ARRAYS = ("linear_velocity", "angular_velocity", "reaction_force", "reaction_torque")
@@ -180,45 +178,6 @@ def load_envelope(scene: Scene, runs: Trajectory | Mapping[str, Trajectory]) -> 
     joints = tuple(_range(load, cases, loads_of_joints) for load in loads_of_joints[0])
     actuators = tuple(_range(load, cases, loads_of_actuators) for load in loads_of_actuators[0])
     return LoadEnvelope(tuple(cases), joints, actuators)
-
-
-@checked
-def rest_case(scene: Scene) -> Trajectory:
-    """Hold a scene at rest in its initial pose by its actuators: a trajectory with one output.
-
-    Wind and prescribed motions have their values at time 0. `newton_euler.statics` takes other poses, too.
-
-    Raises:
-        NewtonEulerError: see `statics`.
-
-    Examples:
-        >>> scene = load("tracker_gravity")
-        >>> envelope = load_envelope(scene, {"weight": rest_case(scene)})
-        >>> up = [envelope.of(name, "actuator force").most for name in ("slide_12", "slide_13")]
-        >>> weight = sum(up) + envelope.of("hinge_14", "force z").most  # what actuators and hinge hold
-        >>> round(weight / 9.81, 3)  # kg
-        1.482
-    """
-    loads, state = statics(scene), initial_state(scene)
-    zero_velocities = np.zeros_like(state.position)[None]
-    return Trajectory(
-        engine="newton_euler",
-        settings={},
-        wall_time=0.0,
-        time=np.zeros(1),
-        body_names=scene.mechanism.body_names,
-        joint_names=scene.mechanism.joint_names,
-        position=state.position[None],
-        quaternion=state.quaternion[None],
-        linear_velocity=zero_velocities,
-        angular_velocity=zero_velocities,
-        reaction_force=loads.reaction_force[None],
-        reaction_torque=loads.reaction_torque[None],
-        actuator_force=loads.actuator_force[None],
-        angle_names=tuple(scene.mechanism.coordinate_labels[key] for key in state.angles),
-        joint_angle=np.array([[*state.angles.values()]]) if state.angles else None,
-        mechanism=scene.mechanism,
-    )
 
 
 def _check_run(scene: Scene, case: str, run: Trajectory) -> None:

@@ -42,7 +42,8 @@ def statics(
 ) -> Loads:
     """Compute the forces of actuators that hold a mechanism at rest, and all reactions of joints.
 
-    Gravity, springs and wrenches act; prescribed motions hold their coordinates; control laws do not act.
+    Gravity, springs, wrenches and wind act; prescribed motions hold their coordinates; control laws do not
+    act. Prescribed motions and wind have their values at time 0; in `rest_case` wind has its largest speed.
 
     Args:
         scene: the mechanism with its forces.

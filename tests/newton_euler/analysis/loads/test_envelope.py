@@ -13,8 +13,22 @@ import newton_euler
 import urdf
 from crosscheck.library import SCENES, load
 from mjcf.rigid import RigidMuJoCo
-from newton_euler import PD, Compound, Mechanism, load_envelope, rest_case, statics
+from newton_euler import (
+    PD,
+    Compound,
+    Mechanism,
+    Polynomial,
+    Sine,
+    Spline,
+    Steps,
+    Sum,
+    WindLoad,
+    load_envelope,
+    rest_case,
+    statics,
+)
 from newton_euler.analysis.loads.envelope import Load, joint_loads
+from newton_euler.analysis.loads.rest import wind_at_peak
 from newton_euler.equations.system import at_time
 from newton_euler.equations.undetermined import determined, undetermined
 from newton_euler.errors import MechanismError, UnknownNameError
@@ -223,3 +237,23 @@ def test_unknown_loads_are_named():
         envelope.of("pivoo", "force")
     with pytest.raises(UnknownNameError, match="unknown load 'shear'"):
         envelope.of("pivot", "shear")
+
+
+@pytest.mark.parametrize(
+    ("speed", "held", "mean"),
+    [
+        (Steps([0.0, 0.3, 0.4], [3.0, -12.0, 4.0]), -12.0, 0.3 * 3.0 - 0.1 * 12.0 + 0.6 * 4.0),
+        (Spline([0.0, 0.5, 1.0], [0.0, 9.0, 0.0]), 9.0, 6.0),  # the parabola 36 t (1 - t)
+        (Sum((Polynomial((5.0,)), Sine(2.0, 40.0 * np.pi))), 7.0, 5.0),
+    ],
+)
+def test_wind_at_rest_is_the_largest_of_the_run(speed, held, mean):
+    """Largest in magnitude, within 0.4 % of the amplitude of the fastest sine."""
+    x, y, z = np.eye(3)
+    wind = WindLoad("wind", "mass", np.zeros(3), first_side=x, second_side=y, direction=z, speed=speed)
+    scene = replace(mass_on_rail(), duration=1.0, forces=(wind,))
+    constant, (found,) = wind_at_peak(scene)
+    assert constant.forces[0].speed == found.speed == pytest.approx(held, rel=2e-3)
+    assert speed.value(found.time) == pytest.approx(held, rel=2e-3)
+    assert found.mean == pytest.approx(mean, abs=0.02)
+    assert wind_at_peak(constant) == (constant, [])
