@@ -46,7 +46,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.model.splines import Spline, Steps
+from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
@@ -140,6 +140,7 @@ __all__ = [
     "Mechanism",
     "Mesh",
     "Modes",
+    "Moves",
     "NearlyRedundantWarning",
     "NewtonEulerError",
     "ParallelHinges",

@@ -59,6 +59,20 @@ from crosscheck.support.errors import CrosscheckError
     metavar="SPEED|CSV",
     help="Wind speed, m/s, or a CSV file of time (s) and speed; needs --stow.",
 )
+@click.option(
+    "--speed",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="Largest speed of the set-points, m/s at slides, rad/s at hinges.",
+)
+@click.option(
+    "--acceleration",
+    type=float,
+    default=0.02,
+    show_default=True,
+    help="Largest acceleration of the set-points, m/s^2 or rad/s^2.",
+)
 @folder_option("output/sun")
 @verbose_option
 def sun_command(
@@ -89,10 +103,11 @@ def sun_command(
         given, other = ("--wind", "--stow SPEED") if stow is None else ("--stow", "--wind SPEED|CSV")
         raise CrosscheckError(f"{given} has an effect with {other} alone; give both or none")
     stow_speed = float("inf") if stow is None else stow  # without --stow, no wind is too fast
-    tracking = Tracking(numbers["deadband"], numbers["most_tilt"], numbers["pitch"], stow_speed)
+    longitude, altitude = numbers.pop("longitude"), numbers.pop("altitude")
+    tracking = Tracking(stow=stow_speed, **numbers)  # the other options are rules of tracking
     check_period(period)
     speeds = None if wind is None else wind_over_day(wind, seconds_of_day(period))
-    places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
+    places = [Place(latitude, longitude, altitude) for latitude in latitudes]
     pairs = list(product(places, dates))
     # raises if pvlib, one of the optional dependencies `SUN`, is missing, before folders are created
     optional_package("pvlib", SUN)

@@ -39,7 +39,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.model.splines import Spline, Steps
+from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.state import State
 
 MAX_MAGNITUDE = 1e100
@@ -198,6 +198,7 @@ FUNCTION = _one_of(
     [
         _declare_entry(Polynomial, "polynomial"),
         _declare_entry(Sine, "sine"),
+        _declare_entry(Moves, "moves", ramps=list[Number], **SAMPLES_FIELDS),
         _declare_entry(Spline, "spline", **SAMPLES_FIELDS),
         _declare_entry(Steps, "steps", **SAMPLES_FIELDS),
         SUM,

@@ -22,7 +22,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.model.splines import Spline, Steps
+from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.variable import functions_of
 
 MIN_DURATION = 1e-6
@@ -124,7 +124,7 @@ def _count_terms(function: TimeFunction) -> int:
         return sum(map(_count_terms, function.terms))
     if isinstance(function, Polynomial):
         return len(function.coefficients)
-    if isinstance(function, Sine | Spline | Steps):
+    if isinstance(function, Moves | Sine | Spline | Steps):
         # `piece_size`: numbers of one piece, its start and coefficients; 0 for a sine
         return max(1, function.piece_size)
     assert_never(function)
@@ -149,6 +149,6 @@ def _max_cycles(function: TimeFunction, duration: float, per_cycle: float) -> fl
         return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle
     if isinstance(function, Sum):
         return sum(_max_cycles(term, duration, per_cycle) for term in function.terms)
-    if isinstance(function, Spline | Steps):
+    if isinstance(function, Moves | Spline | Steps):
         return float(np.sum(np.abs(np.diff(function.values)))) / per_cycle
     assert_never(function)

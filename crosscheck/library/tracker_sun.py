@@ -27,6 +27,9 @@ DATES = {"march": "2026-03-21", "june": "2026-06-21", "september": "2026-09-23",
 SPEED_UP = 300.0
 """Speed of the scene relative to the real sun: an hour takes 12 s, which all engines can simulate."""
 
+PACE_SPEED, PACE_ACCELERATION = 0.1, 0.2
+"""Largest speed, m/s, and acceleration, m/s^2, of the set-points of the accelerated scene."""
+
 SET_POINTS = 13
 """Number of set-points (targets) of the sliders in the run of 12 s, one per second."""
 
@@ -48,7 +51,8 @@ def tracker_sun_day(
 ) -> Scene:
     """Return the tracker in the hour before noon of a day, 300 times as fast as the real sun, 12 s.
 
-    The set-points change in steps, and the actuator forces that balance the weight are fed forward.
+    The sliders move from set-point to set-point with trapezoidal speed. The forces that balance the weight
+    are fed forward.
 
     Args:
         place: location of the tracker.
@@ -68,6 +72,7 @@ def tracker_sun_day(
     # set-points at which the panel faces the sun, up to its largest tilt. The default rules of tracking are
     # for a panel that stands alone, without a wind limit. Only the scene is needed here
     wanted = Tracking().normals(sun)
-    scene, _poses, _loads = following(sun_tracker(), PANEL_NORMAL, wanted, period=1.0)
+    tracking = Tracking(speed=PACE_SPEED, acceleration=PACE_ACCELERATION)
+    scene = following(sun_tracker(), PANEL_NORMAL, wanted, 1.0, tracking).scene
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)

@@ -1,8 +1,9 @@
 """A day of a solar tracker: set-points by inverse kinematics, simulated motion, pointing error and energy.
 
 A solar tracker is a mechanism that moves a panel so that the panel's normal points at the sun. Its PD
-controllers follow set-points, targets of joint coordinates that change in steps. `tracker_day` computes the
-set-points of a day and simulates the motion.
+controllers follow set-points, positions of the actuators. From one set-point to the next the actuators move
+with limited speed and acceleration (`crosscheck.solar.moves`). `tracker_day` computes the set-points of a day
+and simulates the motion.
 """
 
 from __future__ import annotations
@@ -10,20 +11,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from crosscheck.solar.energy import THIS, ClearSky, over_day
+from crosscheck.solar.moves import Plan, plan_moves
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
 from crosscheck.support.errors import CrosscheckError
-from newton_euler import Axis, Loads, Poses, simulate, solve_poses, statics
+from newton_euler import Axis, Loads, Poses, compile_scene, solve_poses, statics
 from newton_euler.analysis.kinematics.configurations import smallest_turns
-from newton_euler.analysis.loads.envelope import work_and_energy
+from newton_euler.analysis.loads.envelope import Load, actuator_loads, work_and_energy
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.scene import Scene
-from newton_euler.model.splines import Steps
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
@@ -33,6 +36,57 @@ skips to the next set-point."""
 
 DEFAULT_TRACKING = Tracking()
 """Rules of tracking of `tracker_day` if the caller gives none."""
+
+
+def angles(one: Array, other: Array) -> Array:
+    """Compute the angles (n,) between unit vectors (n, 3), rad."""
+    return np.asarray(np.linalg.norm(smallest_turns(one, other), axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class ActuatorMotion:
+    """Force and speed of an actuator over a day with n set-points and k outputs.
+
+    Attributes:
+        unit: unit of the force: N, or N m about a hinge.
+        force: (k,) N or N m.
+        speed: (k,) m/s or rad/s.
+        power: (k,) W.
+        energy: J, positive mechanical work over the day; negative work is not recovered.
+        holding: (n,) force at the time of each set-point, just before its move: the force that holds the
+            previous set-point. NaN while a move lasts.
+        moving: (n,) force with the largest magnitude from each set-point to the next, in the move and after
+            it; NaN at the last set-point.
+    """
+
+    unit: str
+    force: Array
+    speed: Array
+    power: Array
+    energy: float
+    holding: Array
+    moving: Array
+
+    @classmethod
+    def of(cls, name: str, loads: Mapping[Load, Array], day: Day) -> ActuatorMotion:
+        """Take the loads of the actuator with this name from those of all actuators."""
+        ((unit, force),) = [
+            (load.unit, values)
+            for load, values in loads.items()
+            if (load.element, load.quantity) == (name, "actuator force")
+        ]
+        speed, power, energy = (
+            next(v for load, v in loads.items() if (load.element, load.quantity) == (name, quantity))
+            for quantity in ("speed", "power", "energy")
+        )
+        rows = day.rows
+        holding = np.where(day.plan.is_moving(day.seconds), np.nan, force[rows])
+        moving = np.full(len(rows), np.nan)
+        for k, (begin, end) in enumerate(pairwise(rows)):
+            if end > begin + 1:
+                part = force[begin + 1 : end]
+                moving[k] = part[np.argmax(np.abs(part))]
+        return cls(unit, force, speed, power, float(energy[-1]), holding, moving)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +100,10 @@ class Day:
         poses: poses of the mechanism whose normal is as close to `wanted` as the mechanism allows.
         loads: static loads of actuators and joints at these poses, under weight only.
         tracking: rules of tracking: dead band, limits of tilt and shadow, and stowing in wind.
-        scene: the tracker with these set-points as targets of its controllers.
-        run: simulated motion, with an output at the time of each set-point. The pose of an output is that
-            which the mechanism reached for the previous set-point.
+        plan: moves of the actuators between set-points.
+        scene: the tracker with these moves as targets of its controllers.
+        motion: simulated motion, with outputs at the times of the set-points, and during and after each move.
+            The pose at the time of a set-point is that which the mechanism reached for the previous one.
         axis: the panel's normal as an axis of a body.
         wind: (n,) m/s, wind speed at the times of the set-points; None for calm.
     """
@@ -59,15 +114,40 @@ class Day:
     poses: Poses
     loads: Loads
     tracking: Tracking
+    plan: Plan
     scene: Scene
-    run: Trajectory
+    motion: Trajectory
     axis: Axis
     wind: Array | None = None
 
     @cached_property
     def seconds(self) -> Array:
         """(n,) times of the set-points, s since midnight."""
-        return self.run.time
+        return self.scene.times
+
+    @cached_property
+    def rows(self) -> Array:
+        """(n,) indices of the outputs of `motion` at the times of the set-points."""
+        return np.searchsorted(self.motion.time, self.seconds)
+
+    @cached_property
+    def run(self) -> Trajectory:
+        """The simulated motion at the times of the set-points."""
+        arrays: dict[str, Any] = {
+            name: values[self.rows]
+            for name, values in self.motion.arrays().items()
+            if values.dtype.kind == "f"
+        }
+        return replace(self.motion, **arrays)
+
+    @cached_property
+    def actuators(self) -> dict[str, ActuatorMotion]:
+        """Forces and speeds of the actuators over the day, by the label of their joint coordinate."""
+        loads = actuator_loads(self.scene, self.motion)
+        labels = self.scene.mechanism.coordinate_labels
+        return {
+            labels[law.key]: ActuatorMotion.of(labels[law.key], loads, self) for law in self.scene.control
+        }
 
     @property
     def period(self) -> float:
@@ -96,8 +176,32 @@ class Day:
 
     @cached_property
     def errors(self) -> Array:
-        """(n,) pointing errors: angles between the panel's normal and the direction of the sun, rad."""
-        return np.asarray(np.linalg.norm(smallest_turns(self.normals, self.sun.direction), axis=1))
+        """(n,) pointing errors: angles between the panel's normal and the direction of the sun, rad.
+
+        They are those at the times of the set-points, just before the panel moves on.
+        """
+        return angles(self.normals, self.sun.direction)
+
+    @cached_property
+    def error_parts(self) -> dict[str, Array]:
+        """(n,) parts of the pointing error, rad, by cause. Their sum is the error or more.
+
+        The panel at the time of a set-point has followed the previous one. The rules are those of `Tracking`.
+        """
+        # directions at each time: wanted now, and those of the previous set-point: wanted without and with
+        # the dead band, and reached by its pose
+        free_now = self.tracking.normals(self.sun, self.wind, held=False)
+        previous = np.maximum(np.arange(len(self.seconds)) - 1, 0)
+        free, held = free_now[previous], self.wanted[previous]
+        assert self.poses.direction is not None
+        reached = self.poses.direction[previous]
+        return {
+            "limits of tilt, shadow and wind": angles(free_now, self.sun.direction),
+            "the sun's way in a period": angles(free, free_now),
+            "dead band": angles(held, free),
+            "reach of the mechanism": angles(reached, held),
+            "motion and control": angles(self.normals, reached),
+        }
 
     @property
     def stowed(self) -> Array:
@@ -106,8 +210,12 @@ class Day:
 
     @property
     def faces(self) -> Array:
-        """(n,) True where the panel faces the sun: no limit of tilt, shadow, reach or wind prevents it."""
-        return self.tracking.can_face(self.sun) & self.poses.reached & ~self.stowed
+        """(n,) True where the panel faces the sun: no limit of tilt, shadow, reach or wind prevents it.
+
+        This holds at the time of the set-point and of the previous one, which the panel has followed.
+        """
+        may_face = self.tracking.can_face(self.sun) & self.poses.reached & ~self.stowed
+        return may_face & np.append(may_face[0], may_face[:-1])
 
     @property
     def sun_seen(self) -> Array:
@@ -131,7 +239,7 @@ class Day:
     def work(self) -> float:
         """Positive work of the actuators against weight over the day, W h, for quasi-static motion.
 
-        Negative work is not recovered. The steps of PD controllers need more energy than this work.
+        Negative work is not recovered. `actuators` has the energy of the simulated motion.
         """
         works = []
         for force, x in zip(self.loads.actuator_force.T, self.set_points.values(), strict=True):
@@ -140,20 +248,34 @@ class Day:
         return sum(works) / 3600.0
 
 
-def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[Scene, Poses, Loads]:
+class Followed(NamedTuple):
+    """A tracker with set-points.
+
+    Attributes:
+        scene: the tracker, whose controllers follow the moves between set-points.
+        poses: poses of the set-points.
+        loads: static loads at these poses, without wind.
+        plan: moves between the set-points.
+    """
+
+    scene: Scene
+    poses: Poses
+    loads: Loads
+    plan: Plan
+
+
+def following(scene: Scene, axis: Axis, wanted: Array, period: float, tracking: Tracking) -> Followed:
     """Give a tracker set-points that make its panel face given directions.
 
     The feedforward of each PD controller is the static force of its set-point (`newton_euler.statics`), so
-    that weight causes no steady-state error.
+    that weight causes no steady-state error. In a move it changes in proportion to the position.
 
     Args:
         scene: the tracker; all its controllers are `PD`.
         axis: the panel's normal as an axis of a body.
         wanted: (n, 3) wanted directions of the normal, world frame.
         period: time between set-points, s.
-
-    Returns:
-        The scene with these set-points, the poses of the set-points, and the static loads at these poses.
+        tracking: gives the largest speed and acceleration of the set-points.
 
     Raises:
         CrosscheckError: if a controller of the scene is not `PD`.
@@ -164,20 +286,20 @@ def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[S
             f"scene {scene.name!r}: set-points need PD controllers; found none, or other controllers too"
         )
     # inverse kinematics; `coordinates` of the poses are the measured joint coordinates
-    poses = solve_poses(scene, axis=axis, towards=wanted, measure=[law.key for law in laws])
+    keys = [law.key for law in laws]
+    poses = solve_poses(scene, axis=axis, towards=wanted, measure=keys)
+    loads = statics(scene, poses, keys)
+    # moves from set-point to set-point
     times = period * np.arange(len(wanted))
-    loads = statics(scene, poses, [law.joint for law in laws])
+    positions = np.stack([poses.coordinates[key] for key in keys], axis=1)
+    plan = plan_moves(times, positions, tracking.speed, tracking.acceleration)
     control = tuple(
-        replace(
-            law,
-            target=Steps(times, poses.coordinates[law.key]),
-            feedforward=Steps(times, loads.actuator_force[:, k]),
-        )
-        for k, law in enumerate(laws)
+        replace(law, target=plan.function(position), feedforward=plan.function(force))
+        for law, position, force in zip(laws, positions.T, loads.actuator_force.T, strict=True)
     )
     start, end = poses.state(0), float(times[-1])
     driven = replace(scene, control=control, initial_state=start, duration=end, output_period=period)
-    return driven, poses, loads
+    return Followed(driven, poses, loads, plan)
 
 
 def check_period(period: float) -> None:
@@ -219,9 +341,9 @@ def tracker_day(
     check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
     wanted = tracking.normals(sun, wind)
-    driven, poses, loads = following(scene, axis, wanted, period)
-    driven = replace(driven, outputs=frozenset({"velocities", "actuation"}))
-    run = simulate(driven, rest=REST_RATE)
+    scene, poses, loads, plan = following(scene, axis, wanted, period, tracking)
+    scene = replace(scene, outputs=frozenset({"velocities", "actuation"}))
+    motion = compile_scene(scene).simulate(times=plan.samples(scene.times), rest=REST_RATE)
     return Day(
         place=place,
         sun=sun,
@@ -229,8 +351,9 @@ def tracker_day(
         poses=poses,
         loads=loads,
         tracking=tracking,
-        scene=driven,
-        run=run,
+        plan=plan,
+        scene=scene,
+        motion=motion,
         axis=axis,
         wind=wind,
     )

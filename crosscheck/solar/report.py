@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 MAX_PRINTED_HOURS = 9
 """Largest number of rows of the table of a day in the terminal, so that the report has about 25 lines."""
 
+NEGLIGIBLE_ERROR = 5e-5
+"""Largest pointing error, degrees, that is printed as 0.0000: causes below it have no row."""
+
 SURVEY_HEADINGS = (
     "on sun\nh",
     "off\ndeg",
@@ -47,12 +50,12 @@ SURVEY_HEADINGS = (
     "this\n%",
     "1 axis\n%",
     "facing\n%",
-    "work\nmWh",
+    "energy\nmWh",
 )
 """Headings of the columns of a survey, the table of several days.
 
 They are: hours in which the panel faces the sun, largest pointing error in these hours, irradiation of a
-fixed panel, gains of this tracker and of other panels over the fixed one, and work of the actuators.
+fixed panel, gains of this tracker and of other panels over the fixed one, and energy of the actuators.
 """
 
 DAY_FILES = ("commands.csv", "day.png", "day.rrd")  # commands are the set-points
@@ -82,7 +85,7 @@ def hours(day: Day) -> Iterator[list[str | Cell]]:
 
 
 def day_report(day: Day) -> Report:
-    """Report on one day: positions of the sun, set-points, pointing error, irradiation and loads."""
+    """Report on one day: sun, set-points, irradiation, forces of actuators, and pointing error."""
     # Table of the hours: all hours, or (in the terminal) every second or third one. A set-point is named
     # after its joint
     units = {"azimuth": "deg", "elevation": "deg"}
@@ -106,29 +109,81 @@ def day_report(day: Day) -> Report:
             for name, value in day.light.items()
         ],
     )
-    assumption_lines = Lines("assumptions", list(assumptions(day)))
-    parts: list[Part] = [hours_table, irradiation_table, loads_table(day), assumption_lines]
-    summary: list[Part] = [short_table, irradiation_table]
+    parts: list[Part] = [
+        hours_table,
+        irradiation_table,
+        actuators_table(day),
+        error_table(day),
+        joints_table(day),
+        Lines("assumptions", list(assumptions(day))),
+    ]
+    summary: list[Part] = [short_table, irradiation_table, actuators_table(day), error_table(day)]
     title = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
     judged = Cell("followed", verdict="holds")
     return Report(title, verdict(day), judged, parts, day.run.wall_time, summary)
 
 
-def loads_table(day: Day) -> Table:
-    """Tabulate the largest static forces of actuators and joints over the day, and when they occur."""
-    # Names, and magnitudes (n,) of forces at the set-points
-    forces = np.abs(day.loads.actuator_force)
-    named = [(f"actuator {name}", force) for name, force in zip(day.loads.actuators, forces.T, strict=True)]
-    reactions = np.linalg.norm(day.loads.reaction_force, axis=2)
-    named += [
-        (f"joint {name}", force) for name, force in zip(day.loads.joint_names, reactions.T, strict=True)
-    ]
+def actuators_table(day: Day) -> Table:
+    """Tabulate forces of actuators at rest and in motion with their times, largest speeds and powers, and
+    energies."""
     rows: Rows = []
-    for name, force in named:
+    for name, actuator in day.actuators.items():
+        row: list[str | Cell] = [name]
+        for forces in (actuator.holding, actuator.moving):
+            k = largest_at(forces)
+            row += ["", ""] if k is None else [f"{abs(forces[k]):.4g}", f"{day.sun.times[k]:%H:%M}"]
+        speed, power = (float(np.max(np.abs(values))) for values in (actuator.speed, actuator.power))
+        rows.append(
+            [*row, actuator.unit, f"{1e3 * speed:.3g}", f"{1e3 * power:.3g}", f"{actuator.energy:.3g}"]
+        )
+    columns = [
+        *text_columns("actuator"),
+        *number_columns("holding"),
+        *text_columns("at"),
+        *number_columns("moving"),
+        *text_columns("at", "unit"),
+        *number_columns("speed\n" + " or ".join(speed_units(day)), "power\nmW", "energy\nJ"),
+    ]
+    return Table("largest forces of actuators at rest and in motion", columns, rows)
+
+
+def speed_units(day: Day) -> list[str]:
+    """Return the units of the speeds of actuators: mm/s for slides, mrad/s for hinges."""
+    units = {"mm/s" if day.scene.mechanism.is_slide(*law.key) else "mrad/s" for law in day.scene.control}
+    return sorted(units)
+
+
+def largest_at(forces: Array) -> int | None:
+    """Return the index of the largest magnitude of forces (n,), some of which are NaN; None if all are."""
+    return None if np.isnan(forces).all() else int(np.nanargmax(np.abs(forces)))
+
+
+def error_table(day: Day) -> Table:
+    """Tabulate the pointing error while the panel faces the sun, and its parts by cause."""
+    rows: Rows = []
+    for name, part in {"all together": day.errors, **day.error_parts}.items():
+        values = np.degrees(part[day.faces])
+        if len(values) and (not rows or values.max() > NEGLIGIBLE_ERROR):
+            k = np.flatnonzero(day.faces)[np.argmax(values)]
+            rows.append([name, f"{values.max():.4f}", f"{day.sun.times[k]:%H:%M}", f"{values.mean():.4f}"])
+    columns = [
+        *text_columns("cause"),
+        *number_columns("largest, deg"),
+        *text_columns("at"),
+        *number_columns("mean, deg"),
+    ]
+    return Table("pointing error just before each set-point, while the panel may face the sun", columns, rows)
+
+
+def joints_table(day: Day) -> Table:
+    """Tabulate the largest static reaction forces of joints over the day, and when they occur."""
+    reactions = np.linalg.norm(day.loads.reaction_force, axis=2)  # (n, joints) at the set-points
+    rows: Rows = []
+    for name, force in zip(day.loads.joint_names, reactions.T, strict=True):
         k = int(np.argmax(force))
         rows.append([name, f"{force[k]:.3f}", f"{np.min(force):.3f}", f"{day.sun.times[k]:%H:%M}"])
-    columns = [*text_columns("where"), *number_columns("largest, N", "least, N"), Column("largest at")]
-    return Table("forces at rest over the day, weight alone", columns, rows)
+    columns = [*text_columns("joint"), *number_columns("largest, N", "least, N"), Column("largest at")]
+    return Table("forces of joints at rest, weight alone", columns, rows)
 
 
 def verdict(day: Day) -> str:
@@ -148,8 +203,21 @@ def verdict(day: Day) -> str:
     if missed:
         largest_miss = np.degrees(np.max(day.poses.angle))
         text += f"; {missed} set-points are out of reach, by up to {largest_miss:.2f} deg"
-    largest_force = np.abs(day.loads.actuator_force).max()
-    return f"{text}; actuators hold {largest_force:.3g} N at most and do {1e3 * day.work:.3g} mWh of work"
+    return f"{text}; {forces_text(day)}"
+
+
+def forces_text(day: Day) -> str:
+    """Report in a clause the largest forces of actuators at rest and in motion."""
+    clauses = []
+    for unit in sorted({actuator.unit for actuator in day.actuators.values()}):
+        chosen = [actuator for actuator in day.actuators.values() if actuator.unit == unit]
+        holding, moving = (
+            max((abs(each[k]) for each in forces if (k := largest_at(each)) is not None), default=0.0)
+            for forces in ([each.holding for each in chosen], [each.moving for each in chosen])
+        )
+        clauses.append(f"{holding:.4g} {unit} at rest and {moving:.4g} {unit} in motion")
+    energy = sum(actuator.energy for actuator in day.actuators.values())
+    return f"actuators need up to {', '.join(clauses)}, and {energy / 3.6:.3g} mWh"
 
 
 def assumptions(day: Day) -> Iterator[str]:
@@ -159,10 +227,14 @@ def assumptions(day: Day) -> Iterator[str]:
         f"set-points every {day.period:g} s, held by PD laws with the weight fed forward; tilt at most "
         f"{day.tracking.most_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"
     )
+    yield (
+        f"between set-points the speed is a trapezoid of at most {day.tracking.speed:g} m/s or rad/s and "
+        f"{day.tracking.acceleration:g} m/s^2 or rad/s^2, the same start and end for all actuators"
+    )
     wind = "no wind" if day.wind is None else "wind makes the panel lie flat and has no other effect"
     yield f"at night the panel waits in the position of the next morning; the base is fixed; {wind}"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
-    yield "actuator work is positive work against weight in quasi-static motion; no recuperation, no friction"
+    yield "energy of actuators is their positive mechanical work; no recuperation, no friction"
 
 
 def survey_report(days: Sequence[Day]) -> Report:
@@ -180,7 +252,7 @@ def survey_report(days: Sequence[Day]) -> Report:
             f"{np.degrees(np.max(day.errors[day.faces], initial=0.0)):.2f}",
             f"{1e-3 * day.light[FIXED]:.2f}",
             *(f"{100.0 * day.light[name] / day.light[FIXED] - 100.0:+.1f}" for name in names),
-            f"{1e3 * day.work:.2g}",
+            f"{sum(actuator.energy for actuator in day.actuators.values()) / 3.6:.2g}",
         ]
         for day in days
     ]

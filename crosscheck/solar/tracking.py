@@ -18,6 +18,10 @@ from newton_euler.scalars import Array
 UP = np.array([0.0, 0.0, 1.0])
 """Normal of a panel that lies flat: east, north, up."""
 
+MIN_RATE, MAX_RATE = 1e-5, 1e3
+"""Allowed range of speeds and accelerations of set-points, SI. At the least speed, a move of 0.1 m takes
+three hours."""
+
 
 @dataclass(frozen=True)
 class Tracking:
@@ -33,6 +37,8 @@ class Tracking:
             azimuth, the next row is assumed at this distance along the shadow. Infinite for a panel that
             stands alone.
         stow: wind speed from which the panel is to lie flat, m/s.
+        speed: largest speed of the set-points, m/s at slides and rad/s at hinges.
+        acceleration: largest acceleration of the set-points, m/s^2 or rad/s^2.
 
     Raises:
         CrosscheckError: naming a value that is out of range.
@@ -42,6 +48,8 @@ class Tracking:
     most_tilt: float = 30.0
     pitch: float = np.inf
     stow: float = np.inf
+    speed: float = 0.01
+    acceleration: float = 0.02
 
     def __post_init__(self) -> None:
         limits = {
@@ -49,6 +57,8 @@ class Tracking:
             "most_tilt": (0.0, 90.0),
             "pitch": (1.0, np.inf),
             "stow": (0.0, np.inf),
+            "speed": (MIN_RATE, MAX_RATE),
+            "acceleration": (MIN_RATE, MAX_RATE),
         }
         for field in fields(self):
             value, (low, high) = getattr(self, field.name), limits[field.name]
@@ -58,12 +68,13 @@ class Tracking:
                     f"{field.name} is {value!r:.100}; needed: a number from {low:g} to {high:g}"
                 )
 
-    def normals(self, sun: Sun, wind: Array | None = None) -> Array:
-        """Compute the directions (n, 3) of the panel's normal, with the dead band: east, north, up.
+    def normals(self, sun: Sun, wind: Array | None = None, held: bool = True) -> Array:
+        """Compute the wanted directions (n, 3) of the panel's normal: east, north, up.
 
         Args:
             sun: n positions of the sun over one day, in the order of time.
             wind: (n,) m/s, wind speed; None for calm.
+            held: True to keep a direction until the wanted one has left the dead band.
 
         Raises:
             CrosscheckError: if the sun does not rise on that day, and for wind speeds that are not finite or
@@ -80,7 +91,7 @@ class Tracking:
         next_risen = np.searchsorted(daytime, night)
         wanted[night] = wanted[daytime[next_risen % len(daytime)]]
         wanted[self.stows(wind, len(up))] = UP
-        return self.with_deadband(wanted)
+        return self.with_deadband(wanted) if held else wanted
 
     def towards(self, sun: Sun) -> Array:
         """Compute the directions (n, 3), east, north, up, as close to the sun as tilt and shadow allow.

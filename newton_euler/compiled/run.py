@@ -115,6 +115,15 @@ class Fallback(DenseCallbacks):
         vector_at(y, self._code.size + 1)[-1] = -1.0
 
 
+def check_rest(code: CompiledEquations, options: Options) -> None:
+    """Raise `OptionError` if the option `rest` ends runs at rest although functions of time always move the
+    scene."""
+    functions = (f for of_element in code.scene.functions.values() for f in of_element)
+    if options.rest and not all(f.rests for f in functions):
+        needed = "0 for a scene with functions of time other than Steps and Moves"
+        raise OptionError("rest", options.rest, needed)
+
+
 class Integrator:
     """A native integrator bound to a compiled scene and its output times, to run from many initial states.
 
@@ -149,11 +158,9 @@ class Integrator:
             room: number of steps to keep in `steps`.
 
         Raises:
-            OptionError: if the option `rest` ends runs at rest although functions of time may move the scene.
+            OptionError: see `check_rest`.
         """
-        functions = (f for of_element in code.scene.functions.values() for f in of_element)
-        if options.rest and not all(f.is_constant for f in functions):
-            raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
+        check_rest(code, options)
         self._code, self._options, self._stopped = code, options, stopped
         self.times, self.x, self.counts = times.copy(), np.zeros(code.inputs), np.zeros(COUNTS)
         self._python = Fallback(code, self.counts, stopped)

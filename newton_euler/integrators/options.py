@@ -103,7 +103,8 @@ class Options:
             integrators (fewer if Python evaluates the equations) and `MAX_FIXED_STEPS` for fixed steps.
         rest: threshold of the rates of all coordinates and velocities, SI. If all are below, the mechanism
             counts as at rest. It is not integrated until the next controller sample, or the next jump in a
-            derivative of a function of time. The default 0 turns this off. If a motion decays with time
+            derivative of a function of time; while a function of time changes, it is integrated in any case.
+            The default 0 turns this off. If a motion decays with time
             constant T, bodies stop about `rest` T before their final positions. Unstable equilibria count as
             rest, too. Only DOP853 in native code uses this option.
         projection: True to project states onto the constraints after each step and at outputs.

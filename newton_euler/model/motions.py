@@ -1,8 +1,8 @@
 """Prescribed motions of joint coordinates, and sums of functions of time.
 
 `TimeFunction` is the type of all functions of time that motions, control laws and wind accept: polynomials,
-sines, splines, steps and sums of them. `PrescribedMotion` makes a joint coordinate follow such a function. A
-function is smooth between its knots: times at which a derivative jumps.
+sines, splines, steps, moves and sums of them. `PrescribedMotion` makes a joint coordinate follow such a
+function. A function is smooth between its knots: times at which a derivative jumps.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from newton_euler.errors import MechanismError, check_key, items_of, quoted
 from newton_euler.model.elements import OnCoordinate
 from newton_euler.model.fields import NumberField
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.model.splines import Piecewise, Spline, Steps
+from newton_euler.model.splines import Moves, Piecewise, Spline, Steps
 from newton_euler.model.variable import Change, Function
 from newton_euler.scalars import Array, Scalar
 
@@ -48,7 +48,9 @@ class Sum(Function):
         terms = items_of(self.terms) or ()
         if not terms or not all(isinstance(term, TimeFunction) for term in terms):
             problem = f"terms is {quoted(self.terms)}"
-            raise MechanismError("sum", problem, "one or more of Polynomial, Sine, Spline, Steps and Sum")
+            raise MechanismError(
+                "sum", problem, "one or more of Polynomial, Sine, Spline, Steps, Moves and Sum"
+            )
         object.__setattr__(self, "terms", terms)
 
     @property
@@ -69,8 +71,11 @@ class Sum(Function):
         return {name: reason for term in self.terms for name, reason in term.constant.items()}
 
     @property
-    def is_constant(self) -> bool:
-        return all(term.is_constant for term in self.terms)
+    def rests(self) -> bool:
+        return all(term.rests for term in self.terms)
+
+    def is_constant_at(self, time: float) -> bool:
+        return all(term.is_constant_at(time) for term in self.terms)
 
     def covers(self, begin: float, end: float) -> bool:
         return all(term.covers(begin, end) for term in self.terms)
@@ -106,11 +111,11 @@ class Sum(Function):
         return sum(term.acceleration(time) for term in self.terms)
 
 
-TimeFunction = Polynomial | Sine | Spline | Steps | Sum
+TimeFunction = Polynomial | Sine | Spline | Steps | Moves | Sum
 """Every kind of function of time that a user can give."""
 
 
-def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps]:
+def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps | Moves]:
     """Yield the functions that a function of time is a sum of; sums within sums are flattened."""
     if isinstance(function, Sum):
         for term in function.terms:
@@ -195,7 +200,7 @@ class PrescribedMotion(OnCoordinate):
     kind_of_parameters = ".motion"  # names of parameters in studies: `hinge.motion.function`
 
     def __post_init__(self) -> None:
-        where, needed = self.element, "a Polynomial, Sine, Spline or Sum"
+        where, needed = self.element, "a Polynomial, Sine, Spline, Moves or Sum"
         if not isinstance(self.function, TimeFunction):
             raise MechanismError(where, f"function is {quoted(self.function)}", needed)
         if self.function.jumps:

@@ -1,4 +1,4 @@
-"""Functions of time that are given by samples: interpolating splines and piecewise constant functions.
+"""Functions of time that are given by samples: interpolating splines, steps, and moves from rest to rest.
 
 They prescribe joint motions and serve as targets of control laws. Between two neighboring knots (times at
 which a derivative jumps) each function is one polynomial; integrators restart at the knots.
@@ -6,6 +6,7 @@ which a derivative jumps) each function is one polynomial; integrators restart a
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import cached_property
@@ -13,7 +14,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, quoted, real_array
+from newton_euler.errors import MechanismError, finite_array, quoted, real_array
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.smooth_functions import Piece
 from newton_euler.model.variable import Change, Function
@@ -183,7 +184,7 @@ class Steps(Piecewise):
 
     noun, min_samples = "steps", 1
     piece_size = 2  # per piece: a start, which does not matter, and the value
-    is_constant = True  # between two neighboring knots
+    rests = True
 
     @cached_property
     def knots(self) -> tuple[float, ...]:
@@ -194,5 +195,88 @@ class Steps(Piecewise):
     def jumps(self) -> tuple[float, ...]:
         return self.knots
 
+    def is_constant_at(self, time: float) -> bool:
+        return True
+
     def piece(self, time: float) -> tuple[float, ...]:
         return 0.0, float(self.values[bisect_right(self.knots, time + TIME_ROUND_OFF * abs(time))])
+
+
+@description
+class Moves(Piecewise):
+    """Motion from rest to rest through given values, with a trapezoidal speed profile between two of them.
+
+    At each time the function has the given value and a rate of zero. From one time to the next, the speed
+    rises linearly for the time r, is constant, and falls linearly to zero for the time r. Let D be the
+    difference of two values and T the time between them: the largest speed is D / (T - r) and the
+    acceleration D / (r (T - r)). Between two equal values the function is constant, as before the first time
+    and after the last one.
+
+    Attributes:
+        times: (n,) s, ascending, two or more.
+        values: (n,) m or rad, or N or N m.
+        ramps: (n - 1,) times r, s, above 0 and at most half of the time between two values.
+
+    Raises:
+        MechanismError: for fewer than two values, times that do not ascend, numbers that are not finite, and
+            ramps that are too long.
+
+    Examples:
+        >>> moves = Moves(times=(0.0, 4.0, 10.0), values=(0.0, 0.3, 0.3), ramps=(1.0, 1.0))
+        >>> moves.rate(2.0).round(9), moves.acceleration(0.5).round(9), moves.value(7.0)
+        (np.float64(0.1), np.float64(0.1), 0.3)
+    """
+
+    ramps: ArrayField
+
+    noun, min_samples = "moves", 2
+    piece_size = 4  # per piece: its start and three coefficients
+    constant: ClassVar = Piecewise.constant | {"ramps": "where runs are divided"}
+    rests = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        longest = 0.5 * np.diff(self.times)
+        ramps = finite_array(self.noun, "ramps", self.ramps, longest.shape)
+        slack = TIME_ROUND_OFF * np.abs(self.times[1:])
+        for k in np.flatnonzero((ramps <= 0.0) | (ramps > longest + slack))[:1]:
+            needed = f"above 0 s and at most {longest[k]:.9g} s, half of the time of its move"
+            raise MechanismError(self.noun, f"ramps[{k}] is {ramps[k]:.9g} s", needed)
+        ramps = np.minimum(ramps, longest)
+        ramps.flags.writeable = False
+        object.__setattr__(self, "ramps", ramps)
+
+    @cached_property
+    def knots(self) -> tuple[float, ...]:
+        """Times, s, at which the acceleration jumps."""
+        return tuple(start for start, *_ in self._pieces[1:])
+
+    def is_constant_at(self, time: float) -> bool:
+        return not any(self.piece(time)[2:])
+
+    @cached_property
+    def _pieces(self) -> list[tuple[float, ...]]:
+        """The numbers of all pieces, in order: start, s, then three coefficients in ascending powers."""
+        first, last = float(self.values[0]), float(self.values[-1])
+        pieces: list[tuple[float, ...]] = [(-math.inf, first, 0.0, 0.0)]
+        times, values = self.times.tolist(), self.values.tolist()
+        for k, ramp in enumerate(self.ramps.tolist()):
+            begin, end, change = times[k], times[k + 1], values[k + 1] - values[k]
+            speed = change / (end - begin - ramp)  # the largest one
+            half_acceleration = 0.5 * speed / ramp
+            if change == 0.0:
+                pieces.append((begin, values[k], 0.0, 0.0))
+                continue
+            pieces.append((begin, values[k], 0.0, half_acceleration))
+            if end - begin - 2.0 * ramp > TIME_ROUND_OFF * abs(end):
+                pieces.append((begin + ramp, values[k] + 0.5 * speed * ramp, speed, 0.0))
+            # the last part is a parabola around its end, which is moved to its start
+            rest = values[k + 1] - 0.5 * speed * ramp
+            pieces.append((end - ramp, rest, speed, -half_acceleration))
+        pieces.append((times[-1], last, 0.0, 0.0))
+        # a rest is one piece, from the end of a move to the beginning of the next one
+        return [piece for k, piece in enumerate(pieces) if k == 0 or any(piece[2:]) or any(pieces[k - 1][2:])]
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        start, *coefficients = self._pieces[bisect_right(self.knots, time + TIME_ROUND_OFF * abs(time))]
+        return max(start, 0.0), *coefficients

@@ -93,8 +93,12 @@ class Function:
         return 0
 
     @property
-    def is_constant(self) -> bool:
-        """True if the value is constant between two neighboring knots."""
+    def rests(self) -> bool:
+        """True if the value is constant between some neighboring knots, see `is_constant_at`."""
+        return False
+
+    def is_constant_at(self, time: float) -> bool:
+        """Return True if the value is constant between the two knots around a time in s."""
         return False
 
     def covers(self, begin: float, end: float) -> bool:

@@ -11,13 +11,14 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from newton_euler.compiled.equations import CompiledEquations
 from newton_euler.compiled.failures import singular_joint
-from newton_euler.compiled.run import Integrator
+from newton_euler.compiled.run import Integrator, check_rest
 from newton_euler.equations.parameters import pieces, with_values
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.singular import UNSAFE_PIVOT_RATIO
@@ -169,7 +170,11 @@ def integrate_intervals(
     scene = code.parametrized(x) if is_divided else code.scene
     controllers = Controllers(scene) if scene.sampled else None
     end = (code.scene.times if times is None else times)[-1]
-    integrators: dict[int, Integrator] = {}  # by number of output times
+    # by number of output times, and whether the mechanism may come to rest until the end of the interval
+    integrators: dict[tuple[int, bool], Integrator] = {}
+    check_rest(code, options)
+    functions = [f for of_element in scene.functions.values() for f in of_element] if options.rest else []
+    moving = replace(options, rest=0.0)
     parts: list[Array] = []
     total = np.zeros(COUNTS)
     error: IntegrationError | None = None
@@ -188,9 +193,12 @@ def integrate_intervals(
             place = code.place(name)
             x[place : place + np.size(value)] = value
         # 2. integrate to the end of the interval
-        if len(interval.times) not in integrators:
-            integrators[len(interval.times)] = Integrator(code, interval.times, options, stopped, room)
-        integrator = integrators[len(interval.times)]
+        may_rest = all(f.is_constant_at(interval.middle) for f in functions)
+        kind = len(interval.times), may_rest
+        if kind not in integrators:
+            own_options = options if may_rest else moving
+            integrators[kind] = Integrator(code, interval.times, own_options, stopped, room)
+        integrator = integrators[kind]
         integrator.times[:] = interval.times
         if not values:  # the only interval: start the clock after the construction of its integrator
             start = time.perf_counter()

@@ -166,11 +166,22 @@ class CompiledScene(CompiledEquations):
         other.__dict__.update(start=other._at(state))  # overwrite the cached property
         return other
 
-    def simulate(self, integrator: IntegratorName = "DOP853", **control: Unpack[StepControl]) -> Trajectory:
-        """Run the scene; see `newton_euler.simulate` for arguments and errors."""
+    def simulate(
+        self,
+        integrator: IntegratorName = "DOP853",
+        times: Array | None = None,
+        **control: Unpack[StepControl],
+    ) -> Trajectory:
+        """Run the scene; see `newton_euler.simulate` for errors and the other arguments.
+
+        Args:
+            integrator: name of the integrator.
+            times: (n,) s, output times, ascending from 0; those of the scene if None.
+            control: step control.
+        """
         options = Options.of(integrator, control)
         self.warn()
-        trajectory = self._run(options)
+        trajectory = self._run(options, times)
         warn_of_round_off(self.scene, options, [trajectory.settings])
         return trajectory
 
@@ -178,8 +189,8 @@ class CompiledScene(CompiledEquations):
         """Warn if constraints are almost redundant."""
         warn_of(self.scene, self.nearly_redundant)
 
-    def _run(self, options: Options) -> Trajectory:
-        """Run the scene without warnings; see `newton_euler.simulate` for errors."""
+    def _run(self, options: Options, times: Array | None = None) -> Trajectory:
+        """Run the scene without warnings; see `simulate` for arguments and errors."""
         options.check_steps(self.scene.duration)
         load_code(self, options.integrator)
         x = self.start.copy()
@@ -191,14 +202,14 @@ class CompiledScene(CompiledEquations):
                 "motion has its velocities: they lie between the branches; start with velocities of one "
                 "branch, or elsewhere",
             )
-        results, counts, stopped, wall_time = integrate_intervals(self, x, options)
+        results, counts, stopped, wall_time = integrate_intervals(self, x, options, times=times)
         arrays = named(self, results)
         settings = self.settings | options.as_settings() | reported_counts(counts)
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
         if stopped is None:
-            return native_trajectory(self.scene, settings, wall_time, arrays)
+            return native_trajectory(self.scene, settings, wall_time, arrays, times)
         if len(results):
-            stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
+            stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays, times)
         raise stopped
 
 
@@ -225,7 +236,11 @@ def warn_of_round_off(scene: Scene, options: Options, runs: Iterable[dict[str, A
 
 
 def native_trajectory(
-    scene: Scene, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
+    scene: Scene,
+    settings: dict[str, Any],
+    wall_time: float,
+    arrays: dict[str, Array],
+    times: Array | None = None,
 ) -> Trajectory:
     """Build the trajectory of a run in native code.
 
@@ -234,12 +249,13 @@ def native_trajectory(
         settings: settings of the run.
         wall_time: s.
         arrays: outputs by name, (n, ...) each; modified.
+        times: (n,) s, output times; those of the scene if None.
     """
     arrays.pop("pivot_ratio", None)  # shows singular states while outputs are computed
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])
     arrays.pop("phi", None)  # runs without projection have these residuals even if they are not asked for
-    return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
+    return _trajectory(scene, "newton_euler", settings, wall_time, arrays, times)
 
 
 def _by_joint(scene: Scene, phi: Array) -> Array:
@@ -403,9 +419,16 @@ def trajectory_from(
 
 
 def _trajectory(
-    scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
+    scene: Scene,
+    engine: str,
+    settings: dict[str, Any],
+    wall_time: float,
+    arrays: dict[str, Array],
+    times: Array | None = None,
 ) -> Trajectory:
     """Build a trajectory from arrays by name; make the signs of quaternions continuous in time.
+
+    The output times are those of the scene unless others are given.
 
     The array "joint_angle" holds the angles whose full revolutions forces or couplings depend on.
     """
@@ -415,7 +438,7 @@ def _trajectory(
         engine=engine,
         settings=settings,
         wall_time=wall_time,
-        time=scene.times[: len(arrays["position"])],
+        time=(scene.times if times is None else times)[: len(arrays["position"])],
         body_names=scene.mechanism.body_names,
         joint_names=scene.mechanism.joint_names,
         angle_names=tuple(labels[key] for key in counted_angles(scene)) if has_angles else (),

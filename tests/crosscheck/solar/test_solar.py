@@ -207,7 +207,7 @@ def test_storms_come_at_set_points():
 def test_what_is_out_of_reach_is_faced_as_nearly_as_can_be():
     tracking = Tracking(most_tilt=60.0)
     wanted = tracking.normals(sun_over(EQUATOR, day_times("2026-03-21", "UTC", 3600.0)))
-    _, poses, _ = following(sun_tracker(), PANEL_NORMAL, wanted, 60.0)
+    poses = following(sun_tracker(), PANEL_NORMAL, wanted, 60.0, tracking).poses
     assert not poses.reached.all()
     assert poses.closed.all()
     assert all("nearest pose" in line for line in poses.report())
@@ -264,7 +264,9 @@ def test_set_points_are_those_of_pd_laws():
     scene = load("tracker")
     laws = tuple(Sampled(law.joint, lambda time, x, x_rate: 0.0, 0.01) for law in scene.control)
     with pytest.raises(CrosscheckError, match=r"'tracker'.*PD"):
-        following(replace(scene, control=laws), PANEL_NORMAL, np.array([[0.0, 0.0, 1.0]] * 2), 60.0)
+        following(
+            replace(scene, control=laws), PANEL_NORMAL, np.array([[0.0, 0.0, 1.0]] * 2), 60.0, Tracking()
+        )
 
 
 def test_a_flat_panel_has_a_tilt_of_zero():

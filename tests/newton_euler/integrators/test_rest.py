@@ -37,10 +37,10 @@ def test_batches_skip_rests_too(stepped):
 def test_rests_are_skipped_only_where_nothing_depends_on_time(stepped):
     moving = tuple(replace(law, feedforward=Sine(1.0, 2.0)) for law in stepped.control)
     scene = replace(stepped, control=moving)
-    with pytest.raises(OptionError, match=r"rest is 1e-06.*other than Steps"):
+    with pytest.raises(OptionError, match=r"rest is 1e-06.*other than Steps and Moves"):
         simulate(scene, rest=1e-6)
     moving = tuple(replace(law, target=Sine(1.0, 2.0)) for law in load("tracker").control)
-    with pytest.raises(OptionError, match=r"rest is 1e-06.*other than Steps"):
+    with pytest.raises(OptionError, match=r"rest is 1e-06.*other than Steps and Moves"):
         simulate_batch(replace(scene, control=moving), parameters={"panel_7.mass": [0.07]}, rest=1e-6)
 
 

@@ -24,7 +24,7 @@ from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS, Prismatic
 from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.model.splines import Spline, Steps
+from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.variable import PART_UNITS, Variable
 
@@ -35,6 +35,7 @@ FUNCTION = Sum(
         Polynomial((0.1, 0.2)),
         Sine(0.3, 2.0, 0.4, 0.5),
         Spline((0.0, 1.0), (0.1, 0.2)),
+        Moves((0.0, 1.0), (0.1, 0.2), (0.3,)),
         Sum((Steps((0.0,), (0.3,)), Sine(0.1, 3.0))),
     )
 )
