@@ -70,6 +70,7 @@ with _interrupt_calls(_end):
         sweep,
         tune,
         view,
+        year,
     )
     from crosscheck.cli.shared import BAD_INPUT, cli
     from crosscheck.report.render import shorten_words, wrapped
@@ -101,6 +102,7 @@ __all__ = [
     "sweep",
     "tune",
     "view",
+    "year",
 ]
 
 

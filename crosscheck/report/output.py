@@ -41,6 +41,7 @@ MODEL_RECORDS = {
     "load table": ("loads.json",),
     "modal analysis": ("modes.json",),
     "workspace": ("workspace.json",),
+    "solar year": ("year.json",),
     "fault search": ("faults.json",),
     "fit": ("identify.json",),
     "tuning": ("tune.json",),

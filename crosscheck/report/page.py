@@ -51,6 +51,7 @@ RESULTS = (
     "sensitivities.json",
     "sweep.json",
     "loads.json",
+    "year.json",
     "identify.json",
     "tune.json",
     "diff.json",

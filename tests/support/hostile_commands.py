@@ -74,6 +74,10 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "tune": (("model.xml",), REFUSED_LATER),
     "view": (("new.rrd",), ()),
     "workspace": (("scene.json",), ("--vary", "motor=-0.1:0.1:3", "--output", "new")),
+    "year": (
+        ("scene.json",),
+        ("--axis", "crank=0,0,1", "--latitude", "11.5", "--year", "2026", *REFUSED_LATER),
+    ),
 }  # fmt: skip
 """Arguments and options of each command that are fine, and soon done or refused at the end."""
 

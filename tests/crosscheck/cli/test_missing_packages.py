@@ -49,6 +49,8 @@ SWEEP = ("sweep", "pendulum", "--vary", "dumbbell.mass=normal(1, 0.1)", "--runs"
     ("arguments", "extra"),
     [
         (SUN, "sun"),
+        (("year", "--latitude", "10", "--year", "2026"), "sun"),
+        (("year", "--weather", "none.csv"), "sun"),
         (("run", "tracker_sun_day"), "sun"),
         (("regress", "tracker_sun_day"), "sun"),
         ((*SWEEP, "--keep", "peak:reaction_force"), "sweep"),

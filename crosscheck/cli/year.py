@@ -1,0 +1,171 @@
+"""`crosscheck year`: energy of a solar tracker over a year, from a weather file or a clear sky."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import (
+    AGREE,
+    cli,
+    folder_option,
+    load_with_warnings,
+    next_step,
+    progress_shown,
+    refuse_excitation,
+    result_paths,
+    scene_options,
+    setting_options,
+    show,
+    verbose_option,
+)
+from crosscheck.support.errors import CrosscheckError
+
+LIBRARY_TRACKER = "tracker_sun"
+"""Name of the default scene, the tracker of the library with the controllers of `crosscheck sun`."""
+
+LIBRARY_TILT, ANY_TILT = 30.0, 90.0
+"""Default of `--most-tilt`, degrees, for the tracker of the library and for other scenes."""
+
+
+@cli.command("year")
+@click.argument("scene", required=False)
+@setting_options
+@click.option("--axis", metavar="BODY=X,Y,Z", help="Normal of the face, in the frame of its body.")
+@click.option(
+    "--weather",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Weather: TMY3, EPW, or a file of PVGIS.",
+)
+@click.option("--latitude", type=float, help="Latitude, degrees north; not with --weather.")
+@click.option("--longitude", type=float, help="Longitude, degrees east; not with --weather.")
+@click.option("--altitude", type=float, help="Altitude above sea level, m; not with --weather.")
+@click.option("--year", type=int, help="Year of the clear sky, or of a weather file with several.")
+@click.option(
+    "--zone",
+    metavar="ZONE",
+    help="Time zone, such as UTC+07:00.  [default: that of the file, or whole hours from the longitude]",
+)
+@click.option(
+    "--most-tilt",
+    type=float,
+    help="Largest tilt from the horizontal, degrees.  [default: 30 for the library's tracker, or 90]",
+)
+@click.option(
+    "--deadband",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Pointing error that makes the tracker move, degrees.",
+)
+@click.option(
+    "--pitch",
+    type=float,
+    default=float("inf"),
+    help="Distance between rows in panel lengths, for backtracking.",
+)
+@click.option(
+    "--stow",
+    type=float,
+    default=float("inf"),
+    help="Wind speed of the weather file above which the panel lies flat, m/s.",
+)
+@click.option(
+    "--base",
+    metavar="NAME=DEGREES,...",
+    help="Orientation of the base at rest: heading of its x axis, roll and pitch.",
+)
+@click.option("--area", type=float, help="Area of a photovoltaic module, m^2; needs --efficiency.")
+@click.option("--efficiency", type=float, help="Efficiency of the module at 25 degrees Celsius, such as 0.2.")
+@click.option(
+    "--temperature-coefficient", type=float, help="Change of the module's power, 1/K, such as -0.0035."
+)
+@folder_option("output/year/SCENE")
+@verbose_option
+def year_command(
+    scene: str | None,
+    settings: tuple[str, ...],
+    axis: str | None,
+    weather: Path | None,
+    latitude: float | None,
+    longitude: float | None,
+    altitude: float | None,
+    year: int | None,
+    zone: str | None,
+    most_tilt: float | None,
+    deadband: float,
+    pitch: float,
+    stow: float,
+    base: str | None,
+    area: float | None,
+    efficiency: float | None,
+    temperature_coefficient: float | None,
+    output: Path | None,
+) -> int:
+    """Compute a year of solar tracking: irradiation by month, lost energy, and electric energy.
+
+    SCENE is the name of a library scene or a model file (see run) with x to the east, y to the north and z
+    up; without it, the tracker of the library. Poses are at rest, one for each hour.
+    """
+    from crosscheck.design.workspace import axis_of
+    from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
+    from crosscheck.solar.base import base_of
+    from crosscheck.solar.place import SUN, Place
+    from crosscheck.solar.tracking import Tracking
+    from crosscheck.solar.weather import clear_sky
+    from crosscheck.solar.weather_files import read_weather
+    from crosscheck.solar.year import Module, tracker_year
+    from crosscheck.solar.year_report import YEAR_FILES, write_year, year_report
+    from newton_euler.optional_packages import optional_package
+
+    # the face, and the rules of tracking
+    if (scene is None) != (axis is None):
+        raise CrosscheckError("SCENE and --axis BODY=X,Y,Z belong together; give both or none")
+    options = refuse_excitation(scene_options(settings), why="poses are at rest")
+    if scene is None and options:
+        raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
+    default_tilt = LIBRARY_TILT if scene is None else ANY_TILT
+    tracking = Tracking(
+        deadband=deadband, most_tilt=default_tilt if most_tilt is None else most_tilt, pitch=pitch, stow=stow
+    )
+    normal = PANEL_NORMAL if axis is None else axis_of(axis)
+    orientation = None if base is None else base_of(base)
+    # the module
+    module = None
+    if area is not None and efficiency is not None:
+        module = Module(area, efficiency, temperature_coefficient or 0.0)
+    elif not (area is efficiency is temperature_coefficient is None):
+        raise CrosscheckError(
+            "--area, --efficiency and --temperature-coefficient: give the first two or none"
+        )
+    # the place; raises if pvlib, one of the optional dependencies `SUN`, is missing
+    place = None
+    if weather is None:
+        if latitude is None or year is None:
+            raise CrosscheckError(
+                "needed: --weather FILE, or --latitude, --longitude and --year for a clear sky"
+            )
+        place = Place(latitude, longitude or 0.0, altitude or 0.0)
+    elif not (latitude is longitude is altitude is None):
+        raise CrosscheckError("--weather has the place; leave out --latitude, --longitude and --altitude")
+    optional_package("pvlib", SUN)
+    source = scene or LIBRARY_TRACKER
+    sources: list[str | Path] = [source, *([] if weather is None else [weather])]
+    paths = result_paths(output, "output/year", kind="solar year", names=YEAR_FILES, sources=sources)
+    loaded = sun_tracker() if scene is None else load_with_warnings(scene, options)
+    with progress_shown() as progress:
+        progress("reading the weather" if weather else "light of the sky")
+        if place is not None and year is not None:
+            sky = clear_sky(place, year, zone)
+        else:
+            sky = read_weather(str(weather), year, zone)
+        progress("poses")
+        found = tracker_year(loaded, normal, sky, tracking, orientation, module)
+        progress("irradiation")
+        report = year_report(found)
+        written = write_year(found, report, paths[0].parent, source, options)
+    more = f"more  -v; {next_step('report', paths[0].parent)}"
+    show(report, "wrote " + ", ".join(str(path) for path in written), more)
+    return AGREE

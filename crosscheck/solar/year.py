@@ -1,0 +1,302 @@
+"""A year of a solar tracker: irradiation of its panel hour by hour, with quasi-static poses.
+
+For each interval of the weather, inverse kinematics gives the pose whose face points as close to the sun as
+the mechanism and the rules of tracking allow. Motion between the poses is not simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+
+from crosscheck.solar.base import Base
+from crosscheck.solar.energy import FACING, THIS
+from crosscheck.solar.place import SUN, Sun, sun_over
+from crosscheck.solar.tracking import UP, Tracking
+from crosscheck.solar.weather import Weather
+from crosscheck.support.errors import CrosscheckError
+from newton_euler import Axis, Poses, solve_poses
+from newton_euler.errors import is_finite_number
+from newton_euler.model.scene import Scene
+from newton_euler.optional_packages import optional_package
+from newton_euler.scalars import Array
+
+FLAT_ON_BASE = "flat on the base"
+"""Name of a panel that lies flat on a base that is not level."""
+
+DEADBAND_STEPS = 12
+"""Number of times in an interval at which the dead band is applied: every 5 minutes of an hour."""
+
+REFERENCE_IRRADIANCE = 1000.0
+"""W/m^2, irradiance at which the efficiency of a module is given (standard test conditions)."""
+
+USUAL_WIND = 1.0
+"""m/s, wind speed for the temperature of a module if it is unknown; pvlib's default."""
+
+
+class Limit(IntEnum):
+    """The cause that keeps the face from the sun in an interval."""
+
+    NONE = 0
+    """The face points at the sun, within the dead band."""
+    TILT = 1
+    """The largest tilt of the rules of tracking."""
+    SHADOW = 2
+    """The face is flatter, so that no shadow falls on the next row (backtracking)."""
+    REACH = 3
+    """The mechanism does not reach the wanted direction."""
+    WIND = 4
+    """The face lies flat because of the wind."""
+    DOWN = 5
+    """The sun is below the horizon."""
+
+
+@dataclass(frozen=True)
+class Module:
+    """A photovoltaic module, after PVWatts (Dobos, PVWatts Version 5 Manual, NREL/TP-6A20-62641, 2014).
+
+    Its temperature is that of Faiman's model (Progress in Photovoltaics 16, 2008) with pvlib's constants of
+    25 W/(m^2 K) and 6.84 W s/(m^3 K). Losses by reflection, spectrum, dirt, shading, wires and the inverter
+    are not modeled.
+
+    Attributes:
+        area: m^2.
+        efficiency: ratio of electric to solar power at 1000 W/m^2 and 25 degrees Celsius.
+        temperature_coefficient: relative change of the power, 1/K, negative for silicon; 0 for none.
+
+    Raises:
+        CrosscheckError: naming a value that is out of range.
+    """
+
+    area: float
+    efficiency: float
+    temperature_coefficient: float = 0.0
+
+    def __post_init__(self) -> None:
+        limits = {
+            "area": (1e-6, 1e6),
+            "efficiency": (1e-3, 1.0),
+            "temperature_coefficient": (-0.02, 0.02),
+        }
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if not is_finite_number(value) or not low <= value <= high:
+                raise CrosscheckError(f"{name} is {value!r:.100}; needed: a number from {low:g} to {high:g}")
+
+    def power(self, irradiance: Array, weather: Weather) -> Array:
+        """Compute the electric power (n,), W, for an irradiance (n,), W/m^2, on the module.
+
+        Raises:
+            CrosscheckError: if the weather lacks the temperature, and the coefficient is not 0.
+        """
+        pvlib, cell = optional_package("pvlib", SUN), np.full(len(irradiance), 25.0)
+        if self.temperature_coefficient != 0.0:
+            air = weather.complete("temperature", "--temperature-coefficient")
+            wind = USUAL_WIND if weather.wind is None else np.nan_to_num(weather.wind, nan=USUAL_WIND)
+            cell = pvlib.temperature.faiman(irradiance, air, wind)
+        rated = self.area * self.efficiency * REFERENCE_IRRADIANCE
+        return np.asarray(pvlib.pvsystem.pvwatts_dc(irradiance, cell, rated, self.temperature_coefficient))
+
+
+@dataclass(frozen=True, eq=False)
+class Year:
+    """Year of a tracker, in the n intervals of the weather.
+
+    Attributes:
+        scene: the tracker.
+        axis: the panel's normal as an axis of a body.
+        weather: the weather.
+        sun: positions of the sun.
+        tracking: rules of tracking.
+        base: motion of the base.
+        poses: different poses of the year, relative to the base.
+        pose: (n,) index of the pose of each interval, -1 in the dark.
+        normals: (n, 3) directions of the panel's normal (east, north, up); up in the dark.
+        limits: (n,) what keeps the panel from the sun, a `Limit`.
+        module: photovoltaic module on the panel, or None.
+    """
+
+    scene: Scene
+    axis: Axis
+    weather: Weather
+    sun: Sun
+    tracking: Tracking
+    base: Base
+    poses: Poses
+    pose: Array
+    normals: Array
+    limits: Array
+    module: Module | None = None
+
+    @cached_property
+    def irradiance(self) -> dict[str, Array]:
+        """(n,) W/m^2, irradiance on this tracker's panel (`THIS`, first) and on other panels, by name.
+
+        Other panels stand on level ground, `FLAT_ON_BASE` excepted.
+        """
+        sky = self.weather.sky(self.sun)
+        normals = {THIS: self.normals, **sky.alternatives()}
+        if self.base.motions:
+            seconds = _seconds(self.weather)
+            normals[FLAT_ON_BASE] = self.base.rotations(seconds) @ UP
+        return {name: sky.on(each) for name, each in normals.items()}
+
+    @cached_property
+    def light(self) -> dict[str, float]:
+        """kWh/m^2, irradiation of the year, by the names of `irradiance`."""
+        return {name: self.weather.irradiation(power) for name, power in self.irradiance.items()}
+
+    @cached_property
+    def by_month(self) -> dict[str, Array]:
+        """(12,) kWh/m^2, irradiation of each month, by the names of `irradiance`."""
+        return {name: self.monthly(power) for name, power in self.irradiance.items()}
+
+    @cached_property
+    def power(self) -> Array | None:
+        """(n,) W, electric power of the module on the panel; None without a module."""
+        return None if self.module is None else self.module.power(self.irradiance[THIS], self.weather)
+
+    def monthly(self, power: Array) -> Array:
+        """Sum a power (n,), W or W/m^2, over each month: (12,) kWh or kWh/m^2."""
+        sums = np.bincount(self.weather.months - 1, weights=power, minlength=12)
+        return np.asarray(sums * self.weather.step / 1000.0)
+
+    @cached_property
+    def lost(self) -> Array:
+        """(n,) W/m^2, irradiance on a panel that always faces the sun, minus that on this tracker's panel.
+
+        Negative under clouds, where a panel that lies flat receives more.
+        """
+        return self.irradiance[FACING] - self.irradiance[THIS]
+
+    def hours(self, limit: Limit) -> float:
+        """Return the time of the year, h, with a certain limit."""
+        return float(np.sum(self.limits == limit)) * self.weather.step
+
+    def lost_by(self, limit: Limit) -> float:
+        """Return the irradiation, kWh/m^2, that a panel that always faces the sun has more at this limit."""
+        return self.weather.irradiation(np.where(self.limits == limit, self.lost, 0.0))
+
+    @property
+    def off_sun(self) -> Array:
+        """(n,) angle between the panel's normal and the sun, rad."""
+        across = np.linalg.norm(np.cross(self.normals, self.sun.direction), axis=1)
+        return np.arctan2(across, np.sum(self.normals * self.sun.direction, axis=1))
+
+    @cached_property
+    def strokes(self) -> Mapping[str, tuple[float, float]]:
+        """Least and largest set-point of the year by joint, m or rad from the initial pose."""
+        return {
+            str(name): (float(values.min()), float(values.max()))
+            for name, values in self.poses.coordinates.items()
+        }
+
+
+def tracker_year(
+    scene: Scene,
+    axis: Axis,
+    weather: Weather,
+    tracking: Tracking,
+    base: Base | None = None,
+    module: Module | None = None,
+) -> Year:
+    """Compute the irradiation of a tracker over the intervals of the weather.
+
+    Args:
+        scene: the tracker on a level base at rest; x is east, y north, z up.
+        axis: the panel's normal as an axis of a body.
+        weather: the weather. `Tracking.stow` needs wind speeds.
+        tracking: rules of tracking. Tilt and rows are relative to the base.
+        base: motion of the base, with times since the beginning of the weather; level and at rest if None.
+        module: photovoltaic module on the panel, or None.
+
+    Raises:
+        CrosscheckError: if the weather lacks what the rules or the module need.
+        newton_euler.NewtonEulerError: for a scene whose poses cannot be solved.
+    """
+    base = base or Base()
+    sun, seconds = weather.sun(), _seconds(weather)
+    lit = sun.is_up | (weather.ghi > 0.0)
+    if not lit.any():
+        raise CrosscheckError(f"{weather.source}: the sun never rises")
+    wind = None if tracking.stow == np.inf else weather.complete("wind", "--stow")
+    stowed = tracking.stows(wind, len(lit))
+    wanted = _wanted(weather, tracking, base, stowed)[lit]
+    # poses of directions that differ from those before
+    changes = np.append(True, np.any(np.diff(wanted, axis=0) != 0.0, axis=1))
+    poses = solve_poses(scene, axis=axis, towards=wanted[changes])
+    pose = np.full(len(lit), -1)
+    pose[lit] = np.cumsum(changes) - 1
+    direction = np.tile(UP, (len(lit), 1))
+    assert poses.direction is not None  # there is an axis
+    rotations = base.rotations(seconds)
+    direction[lit] = np.einsum("nij,nj->ni", rotations[lit], poses.direction[pose[lit]])
+    return Year(
+        scene=scene,
+        axis=axis,
+        weather=weather,
+        sun=sun,
+        tracking=tracking,
+        base=base,
+        poses=poses,
+        pose=pose,
+        normals=direction,
+        limits=_limits(sun, base.sun(sun, seconds), tracking, stowed, lit, poses.reached[pose]),
+        module=module,
+    )
+
+
+def _seconds(weather: Weather) -> Array:
+    """Return the middles (n,) of the intervals, s since the beginning of the weather."""
+    return 3600.0 * weather.step * (np.arange(len(weather.times)) + 0.5)
+
+
+def _wanted(weather: Weather, tracking: Tracking, base: Base, stowed: Array) -> Array:
+    """Compute the wanted directions (n, 3) of the panel's normal in the axes of the base.
+
+    With a dead band, the panel moves several times in an interval, and waits at night.
+
+    Args:
+        weather: weather of n intervals.
+        tracking: rules of tracking.
+        base: motion of the base.
+        stowed: (n,) True where the panel lies flat because of the wind.
+    """
+    count = 1 if tracking.deadband == 0.0 else DEADBAND_STEPS
+    # times relative to the middle of an interval, h; one of them is 0
+    shifts = (np.arange(count) - count // 2) * weather.step / count
+    pd = optional_package("pandas", SUN)
+    repeated = weather.times.repeat(count) + pd.to_timedelta(np.tile(shifts, len(stowed)), unit="h")
+    seconds = (_seconds(weather)[:, None] + 3600.0 * shifts).ravel()
+    sun = sun_over(weather.place, repeated)
+    wanted = tracking.towards(base.sun(sun, seconds))
+    wanted[np.repeat(stowed, count)] = UP
+    lit = sun.is_up | np.repeat(weather.ghi > 0.0, count)
+    kept = wanted.copy()
+    kept[lit] = tracking.with_deadband(wanted[lit])
+    return kept[count // 2 :: count]
+
+
+def _limits(sun: Sun, from_base: Sun, tracking: Tracking, stowed: Array, lit: Array, reached: Array) -> Array:
+    """Find what keeps the panel from the sun: (n,) a `Limit` for each interval.
+
+    Args:
+        sun: n positions of the sun in the world.
+        from_base: the same in the axes of the base.
+        tracking: rules of tracking.
+        stowed, lit, reached: (n,) True where the panel lies flat in wind, where there is light, and where the
+            mechanism reaches the wanted direction.
+    """
+    tilt = np.degrees(np.arccos(np.clip(tracking.towards(from_base)[:, 2], -1.0, 1.0)))
+    flatter = tilt < tracking.most_tilt - 1e-9  # degrees; if not because of its limit, because of shadows
+    limits = np.full(len(lit), Limit.NONE)
+    limits[~tracking.can_face(from_base)] = Limit.TILT
+    limits[~tracking.can_face(from_base) & flatter] = Limit.SHADOW
+    limits[~reached] = Limit.REACH
+    limits[stowed] = Limit.WIND
+    limits[~sun.is_up] = Limit.DOWN
+    return limits
