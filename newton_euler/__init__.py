@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from newton_euler.errors import (
     ArgumentError,
+    BranchWarning,
     IdentificationWarning,
     NearlyRedundantWarning,
     NewtonEulerError,
@@ -118,6 +119,7 @@ __all__ = [
     "BallSpring",
     "Body",
     "Box",
+    "BranchWarning",
     "Branches",
     "Capsule",
     "Compound",

@@ -7,7 +7,7 @@ wrong, and what is needed. The values of the message are also attributes of the 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from itertools import accumulate
 from math import ceil, log10
@@ -100,6 +100,24 @@ class MechanismError(NewtonEulerError):
         self.problem = problem
         self.needed = needed
         super().__init__(f"{element}: {problem}; needed: {needed}")
+
+
+class NoEquilibriumError(MechanismError):
+    """A mechanism that never comes to rest, on the assembly branch that its search for a pose follows.
+
+    Attributes:
+        coordinate: name of the joint coordinate that still accelerates the most.
+
+    The other parameter is the name of the scene.
+    """
+
+    def __init__(self, scene: str, coordinate: object) -> None:
+        self.coordinate = coordinate
+        super().__init__(
+            f"scene {scene!r}",
+            f"has no equilibrium on the branch of its start: coordinate {coordinate!r} still accelerates",
+            "a spring or a control law that holds it",
+        )
 
 
 def is_finite_number(value: object) -> bool:
@@ -463,6 +481,28 @@ class RoundOffWarning(UserWarning):
             f"scene {scene!r}: rtol {rtol:.3g} is below the round-off of the equations: error estimates of "
             f"steps are up to {excess:.2g} times the tolerance, which shorter steps would not change; "
             f"use rtol={self.rtol:.0e}, atol={self.rtol * atol / rtol:.0e}, or formulation={other!r}"
+        )
+
+
+class BranchWarning(UserWarning):
+    """An equilibrium on another assembly branch than the start.
+
+    Attributes:
+        coordinates: names of the joint coordinates that do not determine the pose at the singular
+            configuration between the branches.
+
+    The other parameter is the name of the scene.
+
+    Examples:
+        >>> import warnings
+        >>> warnings.simplefilter("error", BranchWarning)  # to stop at such equilibria
+    """
+
+    def __init__(self, scene: str, coordinates: Sequence[object]) -> None:
+        self.coordinates = tuple(coordinates)
+        super().__init__(
+            f"scene {scene!r}: the equilibrium lies beyond a singular configuration of "
+            f"{listed(map(repr, coordinates))}, on another assembly branch than the start"
         )
 
 

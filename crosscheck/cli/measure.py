@@ -106,20 +106,31 @@ def bench_command(
 @click.argument("scene", default="tracker_computed_torque")
 @setting_options
 @engines_option
-def controllers_command(scene: str, settings: tuple[str, ...], engines: list[str] | None) -> int:
+@folder_option("output/controllers/SCENE")
+def controllers_command(
+    scene: str, settings: tuple[str, ...], engines: list[str] | None, output: Path | None
+) -> int:
     """Compare controllers: tracking error, effort and energy in all engines.
 
     SCENE is the name of a library scene or a model file (see run). A scene with the option `controller` is
     simulated with each value of the option. The default scene takes 12 runs and some minutes, or seconds with
     --engines newton_euler.
     """
-    from crosscheck.design.controllers import compared
+    from crosscheck.design.controllers import CONTROLLERS_FILES, compared, write
     from crosscheck.engines.engine import ENGINES
 
     options = refuse_excitation(scene_options(settings), why="controllers are those of the scene")
+    paths = result_paths(
+        output,
+        "output/controllers",
+        kind="comparison of controllers",
+        names=CONTROLLERS_FILES,
+        sources=[scene],
+    )
     with progress_shown() as progress:
-        tables = compared(scene, options, engines or list(ENGINES), progress)
-    click.echo(terminal(tables), nl=False)
+        report = write(compared(scene, options, engines or list(ENGINES), progress), paths, scene, options)
+    more = f"more  {next_step('report', paths[0].parent)}"
+    show(report, "wrote " + ", ".join(map(str, paths)), more)
     return AGREE
 
 
@@ -185,55 +196,58 @@ def loads_command(
 @cli.command("modes")
 @click.argument("scene", default="tracker")
 @setting_options
+@click.option("--at-start", is_flag=True, help="Linearize at the initial state instead of an equilibrium.")
 @click.option(
-    "--at-start", is_flag=True, help="Linearize at the initial state instead of the nearest equilibrium."
+    "--pose",
+    "given_pose",
+    multiple=True,
+    metavar="JOINT=VALUE",
+    help="Linearize in a pose that the control laws hold: a joint coordinate relative to the initial pose, m "
+    "or rad. Repeatable.  [default: the pose in which the run comes to rest]",
+)
+@click.option(
+    "--time",
+    type=float,
+    metavar="S",
+    help="Time at which set-points and other functions of time are held, s.  [default: the end of the run if "
+    "they are constant there, else 0]",
 )
 @click.option(
     "--open-loop",
     is_flag=True,
     help="Keep the forces of controllers constant instead of linearizing the control laws.",
 )
-@click.option(
-    "--save",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="File of the Rerun recording.  [default: output/modes/SCENE/modes.rrd]",
-)
+@folder_option("output/modes/SCENE")
 @verbose_option
 def modes_command(
-    scene: str, settings: tuple[str, ...], at_start: bool, open_loop: bool, save: Path | None
+    scene: str,
+    settings: tuple[str, ...],
+    at_start: bool,
+    given_pose: tuple[str, ...],
+    time: float | None,
+    open_loop: bool,
+    output: Path | None,
 ) -> int:
     """Modal analysis: natural frequencies, damping ratios and mode shapes at an equilibrium.
 
     SCENE is the name of a library scene or a model file (see run).
     """
-    from crosscheck.design.modes import report, table
-    from crosscheck.recording.modes import log_modes
-    from crosscheck.recording.stream import recorded
-    from crosscheck.report.output import record, usual_folder
-    from crosscheck.report.render import markdown_table
-    from crosscheck.support.files import check_no_source, check_writable, write_files
-    from newton_euler.analysis.linear.linearization import linearize
-    from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
+    from crosscheck.design.modes import MODES_FILES, analyze, pose_of, write
 
+    given = {"--at-start": at_start, "--pose": bool(given_pose), "--time": time is not None}
+    if len(names := [name for name, is_given in given.items() if is_given]) > 1:
+        raise CrosscheckError(f"{' and '.join(names)} choose different poses; give one of them")
     options = refuse_excitation(scene_options(settings), why="modes are those of the scene as it stands")
     loaded = load_with_warnings(scene, options)
-    path = save or usual_folder(Path("output/modes"), scene, results="modal analysis") / "modes.rrd"
-    # in the default folder, modes.json records which model the recording is of
-    origin = {} if save else {path.with_name("modes.json"): record(scene, options)}
-    check_no_source([path, *origin], [scene])
-    check_writable(path, *origin)
+    pose = pose_of(loaded, given_pose)
+    paths = result_paths(output, "output/modes", kind="modal analysis", names=MODES_FILES, sources=[scene])
     with progress_shown() as progress:
         progress("linearizing")
-        if not at_start:  # no initial velocities, prescribed motions held at their values at time 0
-            loaded = at_rest(loaded)
-        state = None if at_start else equilibrium(loaded)
-        model = linearize(loaded, state, closed_loop=not open_loop)
-        modes = model.modes()
+        found = analyze(loaded, at_start=at_start, pose=pose, time=time, open_loop=open_loop)
         progress("recording")
-        rows = "\n".join(markdown_table(table(loaded.mechanism, modes)))
-        write_files({**origin, path: recorded(log_modes, loaded, model, modes, rows)})
-    show(report(loaded, model, modes), f"wrote {path}", "more  -v")
+        report = write(found, paths, scene, options)
+    more = f"more  -v; {next_step('report', paths[0].parent)}"
+    show(report, "wrote " + ", ".join(map(str, paths)), more)
     return AGREE
 
 
@@ -381,8 +395,8 @@ def faults_command(
 def report_command(folder: Path) -> int:
     """Write the results of other commands in DIR as one HTML page, DIR/report.html.
 
-    DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, loads or identify, or a
-    folder of such folders, for example `output`.
+    DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, loads, modes,
+    controllers or identify, or a folder of such folders, for example `output`.
     """
     from crosscheck.report.page import write_report
     from crosscheck.sweeps.store import check_finished

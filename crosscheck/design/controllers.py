@@ -1,15 +1,18 @@
 """Compare the controllers of a scene: tracking error, actuator force and energy in each engine.
 
-`compared` runs a scene with each of its controllers in each engine (newton_euler, MuJoCo, Pinocchio) and
-returns tables of their performance. A controller is a set of control laws, one for each driven joint
+`compared` runs a scene with each of its controllers in each engine (newton_euler, MuJoCo, Pinocchio), and
+`write` writes tables of their performance. A controller is a set of control laws, one for each driven joint
 coordinate; a control law may follow a target, a number or a function of time.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +20,10 @@ import numpy as np
 from crosscheck.engines.engine import ENGINES
 from crosscheck.library import SCENES, load
 from crosscheck.library.options import options_of
-from crosscheck.report.table import Column, Rows, Table, number_columns, text_columns
+from crosscheck.report.render import as_json
+from crosscheck.report.table import Cell, Column, Report, Rows, Table, number_columns, text_columns
 from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import write_files
 from crosscheck.support.time_limits import with_progress
 from newton_euler.analysis.loads.envelope import work_and_energy
 from newton_euler.model.control import ComputedTorque, DeclaredLaw, reference
@@ -33,6 +38,13 @@ CONTROLLER_OPTION = "controller"
 
 MIN_OUTPUTS = 1000
 """Smallest number of outputs of a run, from which mean values and integrals over time are computed."""
+
+
+CONTROLLERS_FILES = "controllers.json", "controllers.csv"
+"""Names of the result files."""
+
+UNITS = {"slides": ("m", "N"), "hinges": ("rad", "N m")}
+"""Units of tracking errors and of forces, by kind of coordinate."""
 
 
 class Performance(NamedTuple):
@@ -127,9 +139,25 @@ def _follows(law: DeclaredLaw) -> bool:
     return isinstance(law, ComputedTorque) or any(k_p or (k_d and target_moves) for k_p, k_d in gains)
 
 
+class ControllerRun(NamedTuple):
+    """Performance of one controller in one engine, over the coordinates of one kind.
+
+    Attributes:
+        controller: name of the controller.
+        engine: name of the engine.
+        kind: "slides" or "hinges".
+        performance: the performance.
+    """
+
+    controller: str
+    engine: str
+    kind: str
+    performance: Performance
+
+
 def compared(
     scene: str, given: Mapping[str, str | float], engines: Sequence[str], progress: Callable[[str], None]
-) -> list[Table]:
+) -> list[ControllerRun]:
     """Run a scene with each of its controllers in each engine.
 
     Args:
@@ -139,9 +167,9 @@ def compared(
         progress: called with the name of each stage.
 
     Returns:
-        A table for slides if slides have targets, and one for hinges if hinges have targets.
+        A row for each controller, engine and kind of coordinate that has targets, in this order.
     """
-    rows_of_kinds: dict[str, Rows] = {}
+    rows = []
     pairs = list(product(controllers(scene, given), engines))
     for (name, loaded), engine in with_progress(pairs, progress, "run"):
         with_outputs = replace(
@@ -149,20 +177,66 @@ def compared(
             output_period=min(loaded.output_period, loaded.duration / MIN_OUTPUTS),
             outputs=frozenset({"actuation"}),
         )
-        for kind, found in performance(loaded, ENGINES[engine].simulate(with_outputs)).items():
-            rows = rows_of_kinds.setdefault(kind, [])
-            if name not in rows:  # a heading above the rows of the engines
-                rows.append(name)
-            rows.append([f"  {engine}", *(f"{value:.3g}" for value in found)])
-    return [
-        Table(kind if len(rows_of_kinds) > 1 else "", columns(kind), rows)
-        for kind, rows in rows_of_kinds.items()
+        found = performance(loaded, ENGINES[engine].simulate(with_outputs))
+        rows += [ControllerRun(name, engine, kind, each) for kind, each in found.items()]
+    return rows
+
+
+def report(source: str, rows: Sequence[ControllerRun]) -> Report:
+    """Make the report: a table for slides if slides have targets, and one for hinges if hinges have targets.
+
+    Args:
+        source: name or file of the scene.
+        rows: results of `compared`.
+    """
+    kinds, names = ({getattr(row, field): None for row in rows} for field in ("kind", "controller"))
+    tables = []
+    for kind in kinds:
+        cells: Rows = []
+        for row in (row for row in rows if row.kind == kind):
+            if row.controller not in cells:  # a heading above the rows of the engines
+                cells.append(row.controller)
+            cells.append([f"  {row.engine}", *(f"{value:.3g}" for value in row.performance)])
+        tables.append(Table(kind if len(kinds) > 1 else "", columns(kind), cells))
+    first = min(
+        (row for row in rows if row.kind == next(iter(kinds))), key=lambda row: row.performance.error_rms
+    )
+    count = f"{len(names)} controller{'s' * (len(names) != 1)}"
+    title = f"{Path(source).stem}: {count}, {', '.join(names)}"
+    length, _ = UNITS[first.kind]
+    verdict = f"smallest tracking error {first.performance.error_rms:.3g} {length}: {first.controller}"
+    return Report(title, verdict, Cell(""), [*tables], summary=[*tables])
+
+
+def write(
+    rows: Sequence[ControllerRun], paths: Sequence[Path], source: str, options: Mapping[str, str]
+) -> Report:
+    """Write the results of `compared`, and return the report.
+
+    Args:
+        rows: the results.
+        paths: paths of `CONTROLLERS_FILES`, in their order.
+        source: name or file of the scene.
+        options: options of the scene.
+    """
+    results, table = paths
+    made = report(source, rows)
+    runs = [
+        {"controller": row.controller, "engine": row.engine, "kind": row.kind, **row.performance._asdict()}
+        for row in rows
     ]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(runs[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(runs)
+    content = {"source": source, "options": dict(options), "units": UNITS, "runs": runs}
+    write_files({results: as_json(content, made), table: text.getvalue().encode()})
+    return made
 
 
 def columns(kind: str) -> list[Column]:
     """Return the columns of the table of slides or hinges."""
-    length, force = ("m", "N") if kind == "slides" else ("rad", "N m")
+    length, force = UNITS[kind]
     return [
         *text_columns("controller"),
         *number_columns(f"error, {length}", "peak error", f"force, {force}", "peak force", "energy, J"),

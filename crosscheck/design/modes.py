@@ -1,4 +1,4 @@
-"""Report of a modal analysis: pose, stability, eigenvalues and the table of vibration modes.
+"""Modal analysis: choose the pose, linearize, and write pose, stability, eigenvalues and vibration modes.
 
 A mode is an eigenvector of the equations of motion, linearized about a state, usually an equilibrium. A mode
 with eigenvalue s = a + i w moves like exp(a t) cos(w t). Its frequency is w / (2 pi), its damping ratio
@@ -7,16 +7,44 @@ with eigenvalue s = a + i w moves like exp(a t) cos(w t). Its frequency is w / (
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.report.table import Cell, Column, Part, Report, Rows, Table, number_columns, text_columns
+from crosscheck.report.render import as_json, markdown_table
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    number_columns,
+    text_columns,
+)
+from crosscheck.support.errors import CrosscheckError
+from crosscheck.support.files import write_files
+from newton_euler.analysis.kinematics.crossings import Passage, passage
+from newton_euler.analysis.kinematics.poses import solve_poses
 from newton_euler.analysis.linear.linear_model import LinearModel, Modes, label
+from newton_euler.analysis.linear.linearization import linearize
+from newton_euler.analysis.loads.equilibrium import at_rest, settle
+from newton_euler.analysis.loads.holding import hold
+from newton_euler.errors import MechanismError, NoEquilibriumError, listed, plain_number
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.runs.assemble import measured_coordinate
+from newton_euler.runs.assemble import initial_state, measured_coordinate
 from newton_euler.scalars import Array
+
+MODES_FILES = "modes.json", "modes.csv", "modes.rrd"
+"""Names of the result files."""
 
 DAMPING_ROUND_OFF = 1e-9
 """Damping ratio below which a mode counts as undamped; smaller ratios are round-off."""
@@ -37,8 +65,220 @@ MAX_COORDINATES = 4
 """Largest number of joint coordinates in the sentence about the pose."""
 
 
-def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
+class ModalAnalysis(NamedTuple):
+    """Modes of a scene about a pose.
+
+    Attributes:
+        scene: the scene that is linearized.
+        model: linear model about the pose, whose outputs are all joint coordinates.
+        modes: the modes of the model.
+        about: how the pose was chosen: "start" (the initial state), "pose" (as the user asked), "run" (where
+            the run comes to rest) or "slow motion" (where motion without inertia ends).
+        passage: singular configurations between the initial pose and this pose.
+        passing_times: times of the run, s, at which they have just been passed; NaN in slow motion.
+        time: s, at which functions of time are held; None if the scene has none.
+    """
+
+    scene: Scene
+    model: LinearModel
+    modes: Modes
+    about: str
+    passage: Passage
+    passing_times: tuple[float, ...]
+    time: float | None
+
+
+def pose_of(scene: Scene, given: Sequence[str]) -> dict[str | Key, float]:
+    """Parse texts JOINT=VALUE of a pose, m or rad from the initial pose; JOINT.K is coordinate K of a joint.
+
+    Raises:
+        CrosscheckError: for a text of another form, and for a coordinate that is given twice.
+    """
+    found: dict[str | Key, float] = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        joint, _, number = name.rpartition(".")
+        is_key = name not in scene.mechanism.joint_names and number.isdecimal()
+        coordinate = (joint, int(number)) if is_key else name
+        try:
+            x = plain_number(value)
+        except ValueError:
+            raise CrosscheckError(f"--pose {text!r} is not of the form JOINT=VALUE, in m or rad") from None
+        if coordinate in found:
+            raise CrosscheckError(f"--pose {name} is given twice")
+        found[coordinate] = x
+    return found
+
+
+def analyze(
+    scene: Scene,
+    *,
+    at_start: bool = False,
+    pose: Mapping[str | Key, float] | None = None,
+    time: float | None = None,
+    open_loop: bool = False,
+) -> ModalAnalysis:
+    """Compute the modes of a scene about the pose in which its run comes to rest, or about another pose.
+
+    Args:
+        scene: the scene.
+        at_start: True for the initial state, moving or not.
+        pose: joint coordinates of a pose, m or rad; the control laws hold the mechanism there.
+        time: s, at which functions of time are held; see `newton_euler.analysis.loads.equilibrium.settle`.
+        open_loop: True to keep the forces of control laws constant.
+
+    Raises:
+        CrosscheckError: if the mechanism does not come to rest, or does not reach the pose on the branch of
+            the initial pose.
+        NewtonEulerError: see `linearize`.
+    """
+    functions = any(scene.functions.values())
+    start = initial_state(scene)
+    passing_times: tuple[float, ...] = ()
+    if at_start:
+        state, about, passed, held_at = start, "start", Passage((), ()), 0.0
+    elif pose:
+        poses = solve_poses(at_rest(scene), pose)
+        if not poses.reached[0]:
+            raise CrosscheckError(f"--pose: {poses.report()[0]}; crosscheck workspace maps what it reaches")
+        state, about, held_at = poses.state(0), "pose", 0.0
+        try:
+            scene = hold(scene, state)
+        except MechanismError:  # nothing holds the mechanism there, as the title reports
+            scene = replace(at_rest(scene), initial_state=state)
+        passed = Passage(passage(scene, [state]).coordinates, ())
+    else:
+        try:
+            rest = settle(scene, time)
+        except NoEquilibriumError as error:
+            raise CrosscheckError(f"{error}, or another pose: --pose JOINT=VALUE or --at-start") from None
+        scene, state, held_at = rest.scene, rest.state, rest.time
+        about, passed, passing_times = (
+            "run" if rest.settles else "slow motion",
+            rest.passage,
+            rest.passing_times,
+        )
+    names = list(map(scene.mechanism.coordinate_name, scene.mechanism.coordinate_labels))
+    model = linearize(scene, state, outputs=names, closed_loop=not open_loop)
+    return ModalAnalysis(
+        scene, model, model.modes(), about, passed, passing_times, held_at if functions else None
+    )
+
+
+def write(found: ModalAnalysis, paths: Sequence[Path], source: str, options: Mapping[str, str]) -> Report:
+    """Write the results of a modal analysis, and return the report.
+
+    Args:
+        found: the modal analysis.
+        paths: paths of `MODES_FILES`, in their order.
+        source: name or file of the model.
+        options: options of the model.
+    """
+    from crosscheck.recording.modes import log_modes
+    from crosscheck.recording.stream import recorded
+
+    results, table_path, recording = paths
+    made = report(found)
+    rows = "\n".join(markdown_table(table(found.scene.mechanism, found.modes)))
+    recorded_modes = recorded(log_modes, found.scene, found.model, found.modes, rows)
+    content = data(found) | {"source": source, "options": dict(options)}
+    write_files(
+        {
+            results: as_json(content, made, {recording: recorded_modes}),
+            table_path: to_csv(found).encode(),
+            recording: recorded_modes,
+        }
+    )
+    return made
+
+
+def joint_shapes(found: ModalAnalysis) -> dict[str, Array]:
+    """Return the amplitudes (m,) of all joint coordinates in the m modes, complex, by name.
+
+    Independent coordinates that are no joint coordinates, such as rotations of a ball joint, come last. The
+    scale is that of `Modes.twists`: the largest movement of a body is 1 rad or one size of the mechanism.
+    """
+    model, shapes = found.model, found.modes.shapes
+    by_name = {
+        label(name): shapes @ row
+        for name, row in zip(model.outputs, model.C[:, : shapes.shape[1]], strict=True)
+    }
+    others = {label(name): column for name, column in zip(model.coordinates, shapes.T, strict=True)}
+    return by_name | {name: column for name, column in others.items() if name not in by_name}
+
+
+def data(found: ModalAnalysis) -> dict[str, object]:
+    """Return all numbers of a modal analysis for the result file."""
+    scene, model, modes = found.scene, found.model, found.modes
+    shapes = joint_shapes(found)
+    return {
+        "scene": scene.name,
+        "about": found.about,
+        "is_equilibrium": model.is_equilibrium,
+        "time": found.time,
+        "branch": {
+            "coordinates": list(map(label, found.passage.coordinates)),
+            "passed": len(found.passage.rows),
+            "passing_times": list(found.passing_times),
+            "beyond": found.passage.beyond,
+        },
+        "pose": {
+            "coordinates": {
+                label(scene.mechanism.coordinate_name(key)): measured_coordinate(scene, model.state, key)[0]
+                for key in scene.mechanism.coordinate_labels
+            },
+            "bodies": list(scene.mechanism.body_names),
+            "position": model.state.position.tolist(),
+            "quaternion": model.state.quaternion.tolist(),
+        },
+        "coordinates": list(map(label, model.coordinates)),
+        "size": model.size,
+        "modes": [
+            {
+                "frequency": float(modes.frequencies[k]),
+                "damping_ratio": float(modes.damping_ratios[k]),
+                "eigenvalue": [float(value.real), float(value.imag)],
+                "shape": {name: [float(x[k].real), float(x[k].imag)] for name, x in shapes.items()},
+                "moves_most": largest_movement(scene.mechanism, modes.twists[k]),
+            }
+            for k, value in enumerate(modes.eigenvalues)
+        ],
+    }
+
+
+def to_csv(found: ModalAnalysis) -> str:
+    """Return the CSV: one row for each mode, with the amplitude and phase of each joint coordinate."""
+    modes, shapes = found.modes, joint_shapes(found)
+    units = {label(name): unit for name, unit in _units(found.scene.mechanism).items()}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = [
+        "mode",
+        "frequency, Hz",
+        "damping ratio",
+        "eigenvalue real, 1/s",
+        "eigenvalue imaginary, rad/s",
+    ]
+    for name in shapes:
+        columns += [f"{name} amplitude, {units.get(name, 'rad')}", f"{name} phase, rad"]
+    writer.writerow(columns)
+    for k, value in enumerate(modes.eigenvalues):
+        numbers = [modes.frequencies[k], modes.damping_ratios[k], value.real, value.imag]
+        for x in shapes.values():
+            numbers += [np.abs(x[k]), np.angle(x[k])]
+        writer.writerow([k + 1, *(f"{number + 0.0:.9g}" for number in numbers)])
+    return text.getvalue()
+
+
+def _units(mechanism: Mechanism) -> dict[str | Key, str]:
+    """Return the units of all joint coordinates."""
+    keys = mechanism.coordinate_labels
+    return {mechanism.coordinate_name(key): "m" if mechanism.is_slide(*key) else "rad" for key in keys}
+
+
+def report(found: ModalAnalysis) -> Report:
     """Make the report of a modal analysis: pose, stability, eigenvalues and the table of modes."""
+    scene, model, modes = found.scene, found.model, found.modes
     about = "an equilibrium" if model.is_equilibrium else "a state that is no equilibrium"
     count = len(model.coordinates)
     title = f"{scene.name} about {about}: {count} degree{'s' * (count != 1)} of freedom"
@@ -51,7 +291,34 @@ def report(scene: Scene, model: LinearModel, modes: Modes) -> Report:
     parts: list[Part] = [pose_table, _eigenvalues(modes)]
     no_judgment = Cell("")  # other reports have a colored word here, such as AGREE
     # the terminal shows `parts` with --verbose only, and always the summary
-    return Report(title, verdict, no_judgment, parts, summary=[table(scene.mechanism, modes)])
+    is_doubtful = found.passage.beyond or (found.about == "pose" and not model.is_equilibrium)
+    lines = Lines("", pose_lines(found), verdict="doubtful" if is_doubtful else "")
+    summary: list[Part] = [table(scene.mechanism, modes), lines]
+    return Report(title, verdict, no_judgment, parts, summary=summary)
+
+
+def pose_lines(found: ModalAnalysis) -> list[str]:
+    """Report in sentences how the pose was chosen, and on which assembly branch it lies."""
+    text = {
+        "start": "the pose is the initial one",
+        "pose": "the control laws hold the pose that was asked for",
+        "run": "the run comes to rest in this pose",
+        "slow motion": "the run does not come to rest: slow motion from the start ends in this pose",
+    }[found.about]
+    if found.about == "pose" and not found.model.is_equilibrium:
+        text = "nothing holds the pose that was asked for"
+    if found.passage.coordinates and found.about != "start":
+        names = listed(map(label, found.passage.coordinates))
+        if found.passage.beyond:
+            times = [f"{time:.3g} s" for time in found.passing_times if np.isfinite(time)]
+            when = f", passed at {', '.join(times)}" if times else ""
+            text += f", beyond a singular configuration of {names}{when}"
+        else:
+            text += ", on the branch of the initial pose"
+    lines = [text]
+    if found.time is not None:
+        lines.append(f"set-points and other functions of time have their values at {found.time:.4g} s")
+    return lines
 
 
 def pose(scene: Scene, model: LinearModel) -> list[tuple[str, str, str]]:

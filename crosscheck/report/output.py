@@ -40,6 +40,7 @@ MODEL_RECORDS = {
     "benchmark": ("bench.json", "rhs.json", "batch.json", "sensitivities.json"),
     "load table": ("loads.json",),
     "modal analysis": ("modes.json",),
+    "comparison of controllers": ("controllers.json",),
     "workspace": ("workspace.json",),
     "solar year": ("year.json",),
     "fault search": ("faults.json",),
@@ -176,8 +177,7 @@ def check_no_other_results(folder: Path, sources: Sequence[str], results: str = 
         sources: names or files of the models, in their order; paths are relative to the current folder.
         results: kind of the results, a key of `MODEL_RECORDS`.
     """
-    option = "--save" if results == "modal analysis" else "--output"
-    elsewhere = f"name another folder ({option}), or this one to overwrite it"
+    elsewhere = "name another folder (--output), or this one to overwrite it"
     earlier = [models for name in MODEL_RECORDS[results] if (models := _sources(folder / name))]
     # files whose names begin with a dot are unfinished
     runs = [path for path in folder.glob("*.npz") if not path.name.startswith(".")]

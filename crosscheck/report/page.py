@@ -52,6 +52,8 @@ RESULTS = (
     "sweep.json",
     "loads.json",
     "year.json",
+    "modes.json",
+    "controllers.json",
     "identify.json",
     "tune.json",
     "diff.json",
@@ -171,8 +173,8 @@ def write_report(folder: Path, progress: Progress) -> Path:
     if not (in_folder or in_subfolders):
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
-            f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads and identify "
-            "write them"
+            f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads, modes, "
+            "controllers and identify write them"
         )
     check_writable(path)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,22 +44,41 @@ def test_figures_of_a_mass_that_follows_a_sine():
     assert found == pytest.approx(expected, rel=1e-4)  # the trapezoidal rule at a thousand outputs
 
 
-def test_the_table_has_a_row_per_controller_and_engine(capsys):
-    status, out, err = run(capsys, "controllers", "--engines", "newton_euler")
+def test_the_table_has_a_row_per_controller_and_engine(capsys, tmp_path):
+    arguments = ("--engines", "newton_euler", "--output", tmp_path)
+    status, out, err = run(capsys, "controllers", *arguments)
     assert (status, err) == (0, "")
-    assert max(map(len, out.splitlines())) <= 80
-    rows = [line.split() for line in out.splitlines()[1:] if line]
+    assert max(len(line) for line in out.splitlines() if str(tmp_path) not in line) <= 80
+    table = out[out.index("controller  ") :].split("wrote")[0]
+    rows = [line.split() for line in table.splitlines()[1:] if line]
     assert [row[0] for row in rows[::2]] == ["computed_torque", "pd", "pd_gravity", "lqr"]
     errors = dict(zip([row[0] for row in rows[::2]], [float(row[1]) for row in rows[1::2]], strict=True))
     assert errors["computed_torque"] < 1e-12 < errors["pd_gravity"] < errors["lqr"] < errors["pd"]
+    assert f"smallest tracking error {errors['computed_torque']:.3g} m: computed_torque" in out
+    # the same numbers in both files, with all digits
+    content = json.loads((tmp_path / "controllers.json").read_text())
+    assert (content["source"], content["options"]) == ("tracker_computed_torque", {})
+    written = list(csv.DictReader((tmp_path / "controllers.csv").open()))
+    assert [{name: str(value) for name, value in row.items()} for row in content["runs"]] == written
+    assert {row["controller"]: f"{float(row['error_rms']):.3g}" for row in written} == {
+        name: f"{error:.3g}" for name, error in errors.items()
+    }
+    # the page has the table
+    status, out, err = run(capsys, "report", tmp_path)
+    assert (status, err) == (0, "")
+    page = (tmp_path / "report.html").read_text()
+    assert all(f"{error:.3g}" in page for error in errors.values())
 
 
-def test_hinges_have_their_units(capsys):
+def test_hinges_have_their_units(capsys, tmp_path):
     example = Path(__file__).parents[2] / "examples" / "linkage.xml"
-    status, out, _ = run(capsys, "controllers", example, "--engines", "newton_euler")
+    arguments = ("--engines", "newton_euler", "--output", tmp_path)
+    status, out, _ = run(capsys, "controllers", example, *arguments)
     assert status == 0
     assert "error, rad" in out
     assert "force, N m" in out
+    (only,) = json.loads((tmp_path / "controllers.json").read_text())["runs"]
+    assert (only["controller"], only["kind"]) == ("as declared", "hinges")
 
 
 def test_motors_without_gains_follow_nothing():

@@ -51,7 +51,7 @@ REFUSED_LATER = ("--output", "model.xml/out")
 
 WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "bench": (("scene.json",), REFUSED_LATER),
-    "controllers": (("scene.json",), ("--engines", "newton_euler")),
+    "controllers": (("scene.json",), ("--engines", "newton_euler", "--output", "new")),
     "convert": (("scene.json", "out.yaml"), ()),
     "diff": (("model.xml", "model.xml"), REFUSED_LATER),
     "faults": (("scene.json",), REFUSED_LATER),
@@ -60,7 +60,7 @@ WHOLE: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "importers": (("model.xml",), REFUSED_LATER),
     "list": (("scene.json",), ()),
     "loads": (("scene.json",), ("--output", "new")),
-    "modes": (("scene.json",), ("--save", "new.rrd")),
+    "modes": (("scene.json",), ("--output", "new")),
     "regress": (("scene.json",), ("--output", "new")),
     "report": (("new",), ()),
     "run": (("scene.json",), ("--engines", "newton_euler", "--output", "new")),

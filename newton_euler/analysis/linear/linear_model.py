@@ -135,6 +135,9 @@ class LinearModel:
         d, size = len(self.units), np.tile(self.units, 2)
         matrix = self.A * size / size[:, None]
         values, vectors = np.linalg.eig(matrix)
+        values = values.astype(complex)
+        # round-off makes a pair of double real eigenvalues, such as those of critical damping
+        values.imag[np.abs(values.imag) < RIGID_MODE * np.abs(values)] = 0.0
         fastest = np.abs(values).max(initial=0.0)
         is_mode = (np.abs(values) > RIGID_MODE * fastest) & (values.imag >= 0.0)
         order = np.flatnonzero(is_mode)[np.argsort(np.abs(values[is_mode]), kind="stable")]

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from finite_difference import derivative
-from mechanisms import bar
+from mechanisms import bar, carts
 
 from crosscheck.library import load
-from newton_euler import start
+from newton_euler import BranchWarning, start
 from newton_euler.analysis.linear.linear_model import LinearModel, Modes
 from newton_euler.analysis.linear.linearization import linearize
 from newton_euler.analysis.loads.equilibrium import at_rest, equilibrium
@@ -32,7 +32,7 @@ from newton_euler.model.splines import Spline
 from newton_euler.model.state import State
 from newton_euler.reading.excitation import random_states
 from newton_euler.runs.assemble import initial_state
-from newton_euler.runs.simulate import compile_scene
+from newton_euler.runs.simulate import compile_scene, simulate
 from urdf.dynamics import PinocchioSystem
 
 G = 9.81
@@ -310,6 +310,31 @@ def test_modes_are_those_of_simulated_small_motions(scene_of, names, span, ampli
         assert np.abs(found - each).min() < 1e-7 * abs(each)  # errors of runs over the amplitude
 
 
+def test_modes_of_the_tracker_are_those_of_small_motions_where_its_run_ends():
+    """The weight pulls the sliders far down. The pose is the end of a run of 20 s, without any search."""
+    scene, names = load("tracker_gravity"), ("slide_12", "slide_13")
+    run = simulate(replace(scene, duration=20.0, output_period=1.0, outputs=frozenset({"velocities"})))
+    first, second = (transition(scene, run.state(-1), names, 0.05, amplitude) for amplitude in (2e-5, 1e-5))
+    found = np.log(np.linalg.eigvals((4.0 * second - first) / 3.0).astype(complex)) / 0.05
+    pair = found[found.imag > 1.0]
+    assert pair.imag / (2.0 * np.pi) == pytest.approx([2.303], abs=5e-4)
+    assert -pair.real / np.abs(pair) == pytest.approx([0.747], abs=6e-4)
+    with pytest.warns(BranchWarning):
+        modes = linearize(scene, equilibrium(scene)).modes()
+    assert len(modes.eigenvalues) == 3
+    for each in modes.eigenvalues:
+        assert np.abs(found - each).min() < 1e-6 * abs(each)  # errors of runs over the amplitude
+
+
+def test_critical_damping_has_real_double_eigenvalues():
+    """m x'' + c x' + k x = 0 with c^2 = 4 m k, twice: round-off makes pairs of the eigenvalues -c / (2 m)."""
+    laws = tuple(PD(joint, stiffness=200.0, damping=40.0, target=0.0) for joint in ("rail_0", "rail_1"))
+    modes = linearize(carts(*laws)).modes()
+    assert not modes.frequencies.any()
+    assert modes.damping_ratios.tolist() == [1.0] * 4
+    assert modes.eigenvalues == pytest.approx([-10.0] * 4, rel=1e-6)
+
+
 def test_accelerations_by_coordinates_and_rates_are_pinocchios():
     scene = replace(load("chain", N=5), forces=(), control=())
     (state,) = random_states(scene, 1)
@@ -371,7 +396,8 @@ def test_equilibrium_of_a_mass_on_a_spring_is_where_it_hangs():
     mechanism = Mechanism([Body.ground(), Body("cart", MASS, np.zeros(3), np.eye(3))], [rail])
     scene = Scene("hanging", mechanism, 1.0, 0.1, gravity=-G * Z)
     with pytest.raises(
-        NewtonEulerError, match="scene 'hanging': has no equilibrium nearby: coordinate 'rail'"
+        NewtonEulerError,
+        match="scene 'hanging': has no equilibrium on the branch of its start: coordinate 'rail'",
     ):
         equilibrium(scene)
     state = equilibrium(replace(scene, forces=(JointSpring("rail", STIFFNESS),)))
