@@ -50,7 +50,8 @@ def compiled(scene: Scene) -> SoftMuJoCo:
     """Compile a scene without the features of MuJoCo that the scene does not need.
 
     Raises:
-        MjcfError: for a prescribed motion, wind, or a control law other than PD, which need a callback.
+        MjcfError: for a prescribed motion, wind, dry friction, a stop, or a control law other than PD, which
+            need a callback.
     """
     # the first element that MuJoCo cannot simulate without Python
     for motion in scene.motions:
@@ -60,7 +61,7 @@ def compiled(scene: Scene) -> SoftMuJoCo:
         )
     system = SoftMuJoCo(scene)
     # `evaluated`: control laws that no actuator of MuJoCo is equivalent to
-    for law_or_load in (*system.evaluated.values(), *wind_loads(scene)):
+    for law_or_load in (*system.evaluated.values(), *wind_loads(scene), *scene.switched_forces):
         raise MjcfError(
             f"{law_or_load.element}: MuJoCo has no such actuator, and benchmark kernels call no Python"
         )

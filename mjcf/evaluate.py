@@ -28,7 +28,7 @@ def mass_and_force(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, A
     mujoco.mj_fwdActuation(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    return mass, data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
+    return mass, data.qfrc_passive + data.qfrc_actuator + data.qfrc_applied - data.qfrc_bias
 
 
 def constraint_jacobian(model: Any, data: Any) -> Array:

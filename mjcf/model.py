@@ -28,7 +28,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name, weld_loops
 from newton_euler.model.state import State
-from newton_euler.reading.wrenches import wind_on_plate
+from newton_euler.reading.wrenches import SwitchedLoad, switched_load, wind_on_plate
 from newton_euler.scalars import Array, Scalar
 
 MIN_MUJOCO_MASS = 1e-14
@@ -106,6 +106,14 @@ class MujocoScene:
         self._winds = [
             (site, slice(first, first + motor_count)) for site, first in zip(sites, first_motors, strict=True)
         ]
+        # indices in MuJoCo's qpos and qvel of the coordinates of dry friction and stops
+        switched = [
+            self.model.joint(coordinate_name(self.mechanism.joint(force.joint), force.coordinate)).id
+            for force in scene.switched_forces
+        ]
+        switched_joints = np.array(switched, dtype=int)
+        self._switched_q = self.model.jnt_qposadr[switched_joints]
+        self._switched_v = self.model.jnt_dofadr[switched_joints]
         # inverse dynamics, if a control law uses a model of the mechanism (`roles` lists such laws)
         self._model_control = self.engine_control(scene) if roles(scene) else None
         self.set_controls()
@@ -208,6 +216,17 @@ class MujocoScene:
             # normal force, N, and two moments, N m, of the wind relative to the plate's center
             data.ctrl[motors] = wind_on_plate(load, axes.T @ load.velocity(data.time) - velocity[3:])
 
+    def switched_loads(self, data: Any) -> list[SwitchedLoad]:
+        """Return the loads of dry friction and stops, in the order of `Scene.switched_forces`."""
+        x, rate = data.qpos[self._switched_q].tolist(), data.qvel[self._switched_v].tolist()
+        return [switched_load(*each) for each in zip(self.scene.switched_forces, x, rate, strict=True)]
+
+    def set_switched_forces(self, data: Any) -> None:
+        """Apply dry friction and stops to MuJoCo's joints, for the coordinates and rates in `data`."""
+        if len(self._switched_v):
+            data.qfrc_applied[:] = 0.0
+            np.add.at(data.qfrc_applied, self._switched_v, [load.force for load in self.switched_loads(data)])
+
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Return value, m or rad, and rate of each coordinate that control laws measure (`Scene.sensed`)."""
         self.set_state(q, v)
@@ -227,6 +246,7 @@ class MujocoScene:
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_fwdVelocity(self.model, self.data)
         self.set_wind(self.data)
+        self.set_switched_forces(self.data)
 
     def state(self, q: Array, v: Array) -> State:
         """Return body poses and velocities by MuJoCo's kinematics."""
@@ -247,8 +267,11 @@ class MujocoScene:
         mujoco.mj_energyPos(self.model, self.data)
         mujoco.mj_energyVel(self.model, self.data)
         potential, kinetic = self.data.energy
+        of_stops = sum(load.energy for load in self.switched_loads(self.data))
         return Observation(
-            state=self.read_state(), kinetic_energy=float(kinetic), potential_energy=float(potential)
+            state=self.read_state(),
+            kinetic_energy=float(kinetic),
+            potential_energy=float(potential) + of_stops,
         )
 
     def read_state(self) -> State:

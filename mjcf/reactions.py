@@ -107,7 +107,9 @@ class Reactions:
         return np.asarray(data.xpos[self._second_ids] + arms[:, :, 0])
 
     def _drive_wrenches(self, points: Array) -> Array:
-        """Return the wrench (nbody, 6) of actuators, springs, dampers and rotors on the child of each joint.
+        """Return the wrench (nbody, 6) of all forces along a joint's motions on the child of each joint.
+
+        These are the forces of actuators, springs, dampers, rotors, dry friction and stops.
 
         Wrenches are about the joint point, in the world frame. By newton_euler's definition of reactions, the
         drive of one of several hinges or slides does no work on the others: its torque or force is along a
@@ -124,6 +126,7 @@ class Reactions:
         forces = -model.jnt_stiffness * stretch - model.dof_damping[v_index] * data.qvel[v_index]
         # inertia forces of the rotors (armatures)
         forces -= model.dof_armature[v_index] * data.qacc[v_index]
+        forces += data.qfrc_applied[v_index]  # dry friction and stops
         # actuators of control laws come first; later ones apply external wrenches and wind, no drives
         count = self._law_count
         np.add.at(forces, model.actuator_trnid[:count, 0], data.actuator_force[:count])

@@ -4,7 +4,7 @@ MuJoCo's equality constraints are soft, so that its own accelerations differ fro
 for any model. This module takes the mass matrix, bias forces, applied forces and constraint Jacobian of the
 compiled MJCF, and solves
 
-    M qacc = qfrc_passive + qfrc_actuator - qfrc_bias + J^T lambda
+    M qacc = qfrc_passive + qfrc_actuator + qfrc_applied - qfrc_bias + J^T lambda
     J qacc = -Jdot qvel + f''(t)                 (f: functions of prescribed motions)
 
 If these accelerations differ from those of another engine, the compiled model is wrong: softness cannot be

@@ -101,7 +101,7 @@ class SoftMuJoCo(EvaluatedScene):
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Return a context in which MuJoCo follows the scene's control laws, wind and prescribed motions.
+        """Return a context in which MuJoCo follows control laws, wind, dry friction, stops and motions.
 
         Each evaluation of MuJoCo, including each stage of RK4, uses the controls of its time. With controls
         that stay constant during a step, the integration would be of second order at best.
@@ -117,9 +117,9 @@ class SoftMuJoCo(EvaluatedScene):
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not (
-            len(self.prescribed) or len(self.driven.law_indices) or self.evaluated or wind_loads(self.scene)
-        ):
+        scene = self.scene
+        evaluated = self.evaluated or wind_loads(scene) or scene.switched_forces
+        if not (len(self.prescribed) or len(self.driven.law_indices) or evaluated):
             yield
             return
         previous_callback = mujoco.get_mjcb_control()
@@ -130,7 +130,7 @@ class SoftMuJoCo(EvaluatedScene):
             mujoco.set_mjcb_control(previous_callback)
 
     def _control_callback(self, model: Any, data: Any) -> None:
-        """Set time-dependent controls, wind and motions; MuJoCo calls this method in each evaluation."""
+        """Set all that depends on time or on Python; MuJoCo calls this method in each evaluation."""
         if len(self.driven.law_indices):  # controls of other PD laws are constant
             data.ctrl[self.driven.law_indices] = self.driven.forces_at(self.scene.control, data.time)
         if self.evaluated:
@@ -140,6 +140,7 @@ class SoftMuJoCo(EvaluatedScene):
                 # not `evaluated[k]`: the scene of a copy for an interval may have other set-points
                 data.ctrl[k] = control(self.scene.control[k], data.time, readings, model_forces)
         self.set_wind(data)
+        self.set_switched_forces(data)
         if len(self.prescribed):
             self._follow_motions(data)
 
@@ -222,9 +223,17 @@ class SoftMuJoCo(EvaluatedScene):
         return power
 
     def _power(self) -> float:
-        """Return the power, W, of actuators and dampers at the state in `data`."""
+        """Return the power, W, of forces without potential at the state in `data`."""
         data = self.data
-        return float(data.actuator_force @ data.actuator_velocity + data.qfrc_damper @ data.qvel)
+        of_joints = data.qfrc_damper + self._switched_without_potential()
+        return float(data.actuator_force @ data.actuator_velocity + of_joints @ data.qvel)
+
+    def _switched_without_potential(self) -> Array:
+        """Return the generalized forces (nv,) of dry friction and of the damping of stops."""
+        forces = np.array(self.data.qfrc_applied)
+        elastic = [load.elastic for load in self.switched_loads(self.data)]
+        np.subtract.at(forces, self._switched_v, elastic)
+        return forces
 
     def _applied_forces(self, v0: Array) -> Array:
         """Return the generalized forces (nv,) of actuators and dampers that the last implicit step applied.
@@ -234,11 +243,12 @@ class SoftMuJoCo(EvaluatedScene):
         model, data = self.model, self.data
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:  # only dampers of joints are implicit
             damper_change = -model.dof_damping * (data.qvel - v0)
-            return np.asarray(data.qfrc_actuator + data.qfrc_damper + damper_change)
+            of_switched = self._switched_without_potential()
+            return np.asarray(data.qfrc_actuator + data.qfrc_damper + damper_change + of_switched)
         # `data` has the quantities that depend on positions from before the step, and velocities after it
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
-        return np.asarray(data.qfrc_actuator + data.qfrc_damper)
+        return np.asarray(data.qfrc_actuator + data.qfrc_damper + self._switched_without_potential())
 
 
 def simpson(values: Array, step: float) -> float:

@@ -189,6 +189,11 @@ def minimum(x: Scalar, y: Scalar) -> Scalar:
     return y.minimum(x) if isinstance(x, float) else x.minimum(y)
 
 
+def positive_part(x: Scalar) -> Scalar:
+    """Return x if it is positive, else 0; for floats, or generic scalars with a method `minimum`."""
+    return x - minimum(x, 0.0)
+
+
 def cross(a: Array, b: Array) -> Array:
     """Return the cross product of two vectors (3,); much faster than `numpy.cross` for one pair."""
     return np.array(cross_of(a.tolist(), b.tolist()))

@@ -229,8 +229,7 @@ class PinocchioSystem:
 
     def power(self, q: Array, v: Array) -> float:
         """Compute the power of forces without potential, W."""
-        _, rates = self._measured(q, v)
-        power = self._laws.power(self.actuation(q, v), rates)
+        power = self._laws.power(self.actuation(q, v), *self._measured(q, v))
         if self._balls:
             power += self._balls.power(v)
         if self._forces:

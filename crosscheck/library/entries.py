@@ -90,6 +90,7 @@ FIELD_TYPES: dict[str, Any] = {
     "tuple[float, ...]": list[Number],
     "tuple[tuple[str, int, float], ...]": list[tuple[str, Index, Number]],
     "Literal['world', 'body']": Literal["world", "body"],
+    "Literal['low', 'high']": Literal["low", "high"],
 }
 """Types of the fields of entries, by annotation of the attribute in `newton_euler`."""
 

@@ -12,6 +12,7 @@ from crosscheck.support.errors import CrosscheckError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.scene import Scene
+from newton_euler.model.switched_forces import SwitchedForce
 from newton_euler.model.wind import WindLoad
 from newton_euler.reading.import_report import CONTROL, FORCE, ROTOR, ImportReport
 from urdf.write import loops_path
@@ -85,6 +86,8 @@ def _leave_out_of_mjcf(scene: Scene, report: ImportReport) -> None:
     for force in scene.forces:
         if isinstance(force, WindLoad):
             report.left_out(force.element, "MJCF has none; motors hold that of the start")
+        elif isinstance(force, SwitchedForce):
+            report.left_out(force.element, "MJCF has dry friction and limits as constraints only")
     report.left_out("duration and outputs", "an MJCF has none")
 
 

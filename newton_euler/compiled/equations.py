@@ -11,7 +11,8 @@ joint points, that vary from run to run without a new compilation.
 A constraint row is one scalar constraint equation, a row of the constraint Jacobian Phi_q. Redundant rows
 follow from the other rows and are left out; the others are the rows in use. In a few scenes a redundant row
 and a row in use are exchangeable: a run may leave out either (`newton_euler.equations.row_choice`). x has a
-flag for each exchangeable row: 1 if the row is left out, else 0.
+flag for each exchangeable row: 1 if the row is left out, else 0. Flags of switching functions follow, see
+`newton_euler.integrators.switches`.
 `newton_euler.integrators.stepper.Equations` lists the functions for integrators.
 """
 
@@ -137,7 +138,8 @@ class CompiledEquations:
             The coefficients of its current piece are a parameter.
         size: length of a state (q, v).
         programs: programs traced so far, by name: derivative, position, velocity, rate, jacobian, output,
-            measured, retract, surface, shares, ratio. The method `_trace_NAME` describes the results.
+            measured, retract, surface, shares, ratio, switching. The method `_trace_NAME` describes the
+            results.
         functions: native functions compiled or loaded so far, by name; "NAME in lanes" for several runs.
         trace_time: s spent on tracing so far.
         compile_time: s spent so far on compiling and on loading from the cache.
@@ -198,9 +200,20 @@ class CompiledEquations:
         return self.flags.stop + sum(int(np.prod(self.parameters[name])) for name in parameters)
 
     @property
-    def flags(self) -> slice:
-        """Slice of x with the flags: 1 for an exchangeable constraint row that is left out, else 0."""
+    def row_flags(self) -> slice:
+        """Slice of x with flags of exchangeable constraint rows: 1 for a row that is left out, else 0."""
         return slice(self.size + 1, self.size + 1 + len(self.exchangeable.numbers))
+
+    @property
+    def branch_flags(self) -> slice:
+        """Slice of x with flags of switching functions: 1 for a positive one, else 0."""
+        first = self.row_flags.stop
+        return slice(first, first + sum(force.switch_count for force in self.scene.switched_forces))
+
+    @property
+    def flags(self) -> slice:
+        """Slice of x with all flags."""
+        return slice(self.row_flags.start, self.branch_flags.stop)
 
     @property
     def operations(self) -> dict[str, int]:
@@ -401,8 +414,12 @@ class CompiledEquations:
         """
         own_values = values_at(self.scene, self._scene_places)
         by_name = own_values | pieces(self.scene, time) | (values or {})
-        flags = self.exchangeable.left_out
-        return np.concatenate([q, v, [time], flags, *(np.ravel(by_name[name]) for name in self.parameters)])
+        flags = np.zeros(self.flags.stop - self.flags.start)
+        flags[: len(self.exchangeable.numbers)] = self.exchangeable.left_out
+        x = np.concatenate([q, v, [time], flags, *(np.ravel(by_name[name]) for name in self.parameters)])
+        if self.scene.switched_forces:
+            x[self.branch_flags] = np.array(self.float_system(x).switching(q, v)) > 0.0
+        return x
 
     def float_system(self, x: Array) -> Formulation:
         """Return the equations over floats at the time and the parameters in x (inputs,)."""
@@ -459,21 +476,33 @@ class CompiledEquations:
         graph = Graph()
         names = self._kinematic if name in KINEMATIC_PROGRAMS else tuple(self.parameters)
         x = graph.variables(self._length(names))
-        return graph.prune(self._scalars(name, self._system_of(x, names), x))
+        system = self._system_of(x, names)
+        if name == "output":  # the flags in x are those of the end of the run, not those of each output
+            system.branches = {}
+        return graph.prune(self._scalars(name, system, x))
 
     def _system_of(self, x: Array, names: Iterable[str]) -> Formulation:
         """Return the equations of the scene over symbolic scalars x, which end with the named parameters."""
         scene = with_values(self.scene, self.values(x, names))
         system = at_time(self._formulated(scene), x[self.size])
         system.in_use = self.rows_at(x)
+        system.branches = self.branches_at(x)
         return system
+
+    def branches_at(self, x: Array) -> dict[str, Array]:
+        """Return the flags in x (inputs,) of switched forces, by identity of the force."""
+        flags, first = {}, self.branch_flags.start
+        for force in self.scene.switched_forces:
+            flags[force.identity] = x[first : first + force.switch_count]
+            first += force.switch_count
+        return flags
 
     def rows_at(self, x: Array) -> RowsInUse:
         """Return the constraint rows `rows`, with the flags in x (inputs,) of the exchangeable ones."""
         numbers = self.exchangeable.numbers
         if not numbers:
             return self.rows
-        return self.rows._replace(flags=dict(zip(numbers, x[self.flags], strict=True)))
+        return self.rows._replace(flags=dict(zip(numbers, x[self.row_flags], strict=True)))
 
     def _scalars(self, name: str, system: Formulation, x: Array) -> list[Scalar]:
         """Evaluate the results of a program by name over symbolic scalars x (inputs,)."""
@@ -498,6 +527,10 @@ class CompiledEquations:
         acceleration, _ = system.sparse_acceleration(q, v, used_by(system))
         rates = [*system.rate(q, v), *acceleration]
         return list(differentiate(q[0].graph, rates, [*q, *v]).ravel())
+
+    def _trace_switching(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Trace the switching functions of all switched forces, in the order of their flags."""
+        return system.switching(q, v)
 
     def _trace_rate(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace dq/dt."""

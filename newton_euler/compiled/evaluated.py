@@ -44,6 +44,7 @@ from newton_euler.integrators.stepper import (
     Equations,
     Table,
 )
+from newton_euler.integrators.switches import no_switches
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
@@ -162,6 +163,7 @@ class EvaluatedSystem(Callbacks):
             n=n,
             nq=nq,
             inputs=n + 1,
+            flags=0,
             derivative=derivative,
             dense=derivative,  # there is no second form to fall back to
             loses_rank=int(watches),
@@ -184,6 +186,7 @@ class EvaluatedSystem(Callbacks):
                 ),
             ),
             exchange=no_exchange(n + 1),
+            switches=no_switches(),
             projection_work=np.zeros(2 * n + 4),
             pause=self.pause,
             marks=marks,

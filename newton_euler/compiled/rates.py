@@ -19,6 +19,7 @@ from newton_euler.integrators.dop853 import integrate_dop853
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.stepper import COUNTS, Count, Equations, Table
+from newton_euler.integrators.switches import no_switches
 from newton_euler.scalars import Array
 
 
@@ -61,6 +62,7 @@ def integrate_rates(
         n=n,
         nq=n,
         inputs=n + 1,
+        flags=0,
         derivative=derivative,
         dense=derivative,
         loses_rank=0,
@@ -73,6 +75,7 @@ def integrate_rates(
         velocity=None,
         closing=closing_of(n, np.zeros(0), n + 1, no_rows, 0, (None, None)),
         exchange=no_exchange(n + 1),
+        switches=no_switches(),
         projection_work=np.zeros(2 * n + 4),
         pause=callbacks.pause,
         marks=np.zeros(n),

@@ -29,6 +29,7 @@ from newton_euler.integrators.options import FIXED, Options, max_adaptive_steps
 from newton_euler.integrators.radau import Radau
 from newton_euler.integrators.row_exchange import EXCHANGED, RowExchange, no_exchange
 from newton_euler.integrators.stepper import ANGLE, QUATERNION, QUATERNION_WITH_RATES, Equations, Table
+from newton_euler.integrators.switches import SAMPLES, Search, Switches, no_switches
 from newton_euler.scalars import Array
 
 COMPILATION_LOCK = threading.Lock()
@@ -90,6 +91,7 @@ def equations(
         n=code.size,
         nq=code.system.nq,
         inputs=code.inputs,
+        flags=code.flags.stop - code.flags.start,
         derivative=derivative,
         dense=python.derivative,
         loses_rank=int(code.loses_rank),
@@ -102,6 +104,7 @@ def equations(
         velocity=velocity,
         closing=closing_on_demand(code, python, in_lanes),
         exchange=exchange_of(code, python, in_lanes),
+        switches=switches_of(code, in_lanes),
         # x, projected state, squared residual, pivot ratio, and squared residual of the step before
         projection_work=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
@@ -191,7 +194,7 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
     """
     rows = code.exchangeable
     if not rows.numbers:
-        return no_exchange(code.flags.start)
+        return no_exchange(code.row_flags.start)
     shares, units = code.function("shares", in_lanes), np.array(rows.units)
     places = [code.rows.numbers.index(number) for number in rows.numbers]  # indices into the Jacobian
     lanes = shares.lanes if in_lanes else 1
@@ -205,19 +208,41 @@ def exchange_of(code: CompiledEquations, python: DenseCallbacks, in_lanes: bool)
                 # the constraint Jacobian from its nonzeros, which follow the largest share
                 jacobian = np.zeros(len(code.rows.numbers) * code.system.nv)
                 jacobian[shares.layout] = results[1:, lane]
-                flags = inputs[code.flags, lane]
+                flags = inputs[code.row_flags, lane]
                 matrix = jacobian.reshape(-1, code.system.nv)
                 better = exchanged(matrix, places, units, flags)
                 if not np.array_equal(better, flags):
-                    inputs[code.flags, lane] = better
+                    inputs[code.row_flags, lane] = better
                     results[0, lane] = EXCHANGED
 
     return RowExchange(
         count=len(rows.numbers),
-        first=code.flags.start,
+        first=code.row_flags.start,
         shares=shares,
         exchange=python.guarded(exchange),
         results=np.zeros((shares.outputs, lanes)),
+    )
+
+
+def switches_of(code: CompiledEquations, in_lanes: bool) -> Switches:
+    """Return the record by which a run ends steps where branches of dry friction and stops are left.
+
+    Args:
+        code: compiled equations of the scene.
+        in_lanes: True for functions that evaluate one state for each lane.
+    """
+    count = code.branch_flags.stop - code.branch_flags.start
+    if count == 0:
+        return no_switches()
+    function = code.function("switching", in_lanes)
+    scratch = scratch_for(function.lanes if in_lanes else 1)
+    return Switches(
+        count=count,
+        first=code.branch_flags.start,
+        evaluate=function,
+        values=scratch(count),
+        samples=scratch(SAMPLES + 1, count),
+        search=scratch(len(Search)),
     )
 
 

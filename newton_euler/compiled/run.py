@@ -77,6 +77,8 @@ def needed(code: CompiledEquations, integrator: str) -> list[str]:
         names += ["position", "velocity"]
     if code.exchangeable.numbers:
         names += ["shares"]  # whether to exchange redundant constraint rows, see `exchange_of`
+    if code.scene.switched_forces:
+        names += ["switching"]  # where branches of dry friction and stops are left
     names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
     if code.scene.sampled:
         names += ["measured"]  # the joint coordinates that digital controllers read

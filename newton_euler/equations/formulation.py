@@ -12,7 +12,7 @@ are called Phi, their Jacobian Phi_q; gamma is the right side of Phi_q dv/dt = g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -98,6 +98,8 @@ class Formulation(System):
             follow from them. None over floats.
         omitted: numbers of the rows of `phi` that solvers omit as redundant; None for the rows that
             `newton_euler.equations.redundancy.rows_left_out` selects.
+        branches: flags of switched forces (dry friction, stops of joints) by identity, which integrators hold
+            during a step; without flags the state decides.
         phi_units: (k,) divisors that make the rows of `phi` dimensionless: the mechanism's size, m, for a row
             in meters, else 1.
         row_owners: (k,) name of the joint, coupling or body that each row of `phi` belongs to.
@@ -144,6 +146,7 @@ class Formulation(System):
         self.time: Scalar = 0.0
         self.in_use: RowsInUse | None = None
         self.omitted: list[int] | None = None
+        self.branches: Mapping[str, Iterable[Scalar]] = {}
         self.couplings = couplings(scene)
         self.rows = sum(e.count for e in constrained) + len(self.couplings)
         self.phi_units = row_units(constrained, self.couplings, self.mechanism.size)
@@ -450,7 +453,13 @@ class Formulation(System):
     def surroundings(self, q: Array, v: Array) -> Surroundings:
         """Compute the quantities that forces depend on: frames, joint coordinates, time."""
         frames, measured, model = self.frames(q, v), self.measured(q, v), partial(self.model_forces, q, v)
-        return Surroundings(self.mechanism, self.poses, frames, measured, self.time, model)
+        return Surroundings(self.mechanism, self.poses, frames, measured, self.time, model, self.branches)
+
+    def switching(self, q: Array, v: Array) -> list[Scalar]:
+        """Compute the switching functions of all switched forces, see
+        `newton_euler.model.switched_forces`."""
+        at = self.surroundings(q, v)
+        return [value for f in self.scene.switched_forces for value in f.switching(*f.measure(at))]
 
     def energies(self, at: Surroundings) -> tuple[Scalar, Scalar]:
         """Compute the kinetic energy, J, and the potential energy, J; armatures and springs included."""

@@ -27,6 +27,10 @@ value of the same shape as in the scene:
   law, in addition to the parameters of the law that the computer executes;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for the joint's second coordinate;
+- `JOINT.friction.coulomb`, `JOINT.friction.stribeck`, `JOINT.friction.stribeck_speed` and
+  `JOINT.friction.transition_speed` of the dry friction at a joint;
+- `JOINT.low_stop.limit`, `JOINT.low_stop.stiffness` and `JOINT.low_stop.dissipation` of the stop at the low
+  end of a joint coordinate; high_stop in place of low_stop for the other end;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points, and displacements
   `NAME.point_on_first`, `NAME.point_on_second` of the two points;

@@ -8,7 +8,8 @@ of singular configurations (`newton_euler.integrators.singular`), and a check fo
 
 A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
 time and parameters* is one vector (inputs,): the state, the time, flags of redundant constraint rows (1 for a
-row that is left out), and parameters of the scene (`newton_euler.integrators.stepper`). Each evaluation of
+row that is left out) and of branches of forces (`newton_euler.integrators.switches`), and parameters of the
+scene (`newton_euler.integrators.stepper`). Each evaluation of
 the rates also gives the *pivot ratio*: the distance to a singular configuration, where constraints become
 dependent; 1 far away, 0 in it.
 
@@ -49,7 +50,7 @@ from newton_euler.integrators.round_off import (
     STEPS_TO_NEXT_MEASUREMENT,
     measure_round_off,
 )
-from newton_euler.integrators.row_exchange import RowExchange, copy_flags, exchange_rows
+from newton_euler.integrators.row_exchange import exchange_rows
 from newton_euler.integrators.singular import (
     MAX_PLACEMENT_TRIES,
     NEAR_PIVOT_RATIO,
@@ -67,10 +68,27 @@ from newton_euler.integrators.stepper import (
     Equations,
     Table,
     before_step,
+    copy_flags,
     finish_run,
     normalize_quaternions,
     start_run,
     write_row,
+)
+from newton_euler.integrators.switches import (
+    MAX_ROOT_STEPS,
+    NO_SWITCH,
+    SAMPLES,
+    Search,
+    Switches,
+    begin_search,
+    change_branch,
+    excess,
+    first_positive_sample,
+    locate_maximum,
+    may_switch,
+    narrow_search,
+    next_fraction,
+    take_sample,
 )
 
 MIN_FIRST_STEP_ULPS = 1e3
@@ -171,15 +189,14 @@ class Dop853(Record):
 
 
 @native
-def store_step(rows: RowExchange, h: float, method: Dop853, number: int) -> None:
+def store_step(system: Equations, h: float, method: Dop853, number: int) -> None:
     """Store the start and the size of step number `number`, if there is room for it.
 
     Args:
-        rows: redundant constraint rows that a run may exchange; their flags follow the state and the time.
         h: size of the step, s.
         number: number of the step in the run, from 0.
     """
-    count = rows.first + rows.count  # length of a state with time and flags
+    count = system.n + 1 + system.flags  # length of a state with time and flags
     if number < method.room:
         stored = method.steps[(count + 1) * number :]
         for i in range(count):
@@ -431,29 +448,123 @@ def error_on_constraints(n: int, h: float, closing: Closing, method: Dop853) -> 
 
 
 @native
-def write_outputs(system: Equations, table: Table, states: Vector, method: Dop853, near: int) -> Status:
+def evaluate_dense(system: Equations, method: Dop853) -> Status:
+    """Evaluate the three additional stages of the dense output of a step and its terms; return a status."""
+    n = system.n
+    h = method.control[Control.STEP]
+    for s in range(STAGES + 1, 16):
+        status = evaluate_stage(system, method, s, h, method.at)
+        if status != Status.DONE:
+            return status
+    prepare_dense(h, n, n + 1, n, method.now, method.end, method.k, method.terms)
+    return Status.DONE
+
+
+@native
+def excess_within(system: Equations, method: Dop853, fraction: float) -> float:
+    """Return the excess (`newton_euler.integrators.switches`) at a fraction of the step, by dense output."""
+    n = system.n
+    interpolate(n, n, fraction, method, method.at)
+    method.at[n] = method.now[n] + fraction * method.control[Control.STEP]
+    return excess(system.switches, method.at, method.now)
+
+
+@native
+def sample_step(system: Equations, switches: Switches, method: Dop853) -> int:
+    """Sample the signed switching functions over a step; return 1 if some branch may be left, else 0.
+
+    Between its ends the step is interpolated by the cubic Hermite polynomial, which needs no other rates than
+    those at the ends.
+    """
+    n = system.n
+    now = method.now
+    end = method.end
+    at = method.at
+    rates_at_end = method.k[(n + 1) * STAGES :]
+    h = method.control[Control.STEP]
+    if switches.count == 0:
+        return 0
+    take_sample(switches, 0, now, now)
+    for number in range(1, SAMPLES):
+        x = float(number) / SAMPLES
+        for i in range(n):
+            # change minus the linear one, at the start and at the end
+            bend = h * method.k[i] - (end[i] - now[i])
+            other = h * rates_at_end[i] - (end[i] - now[i])
+            at[i] = now[i] + x * (end[i] - now[i]) + x * (1.0 - x) * ((1.0 - x) * bend - x * other)
+        at[n] = now[n] + x * h
+        take_sample(switches, number, at, now)
+    take_sample(switches, SAMPLES, end, now)
+    if first_positive_sample(switches) <= 1.0:
+        return 1
+    for i in range(switches.count):
+        for number in range(1, SAMPLES):
+            if locate_maximum(switches, i, number) <= 1.0:
+                return 1
+    return 0
+
+
+@native
+def locate_switch(system: Equations, switches: Switches, method: Dop853) -> float:
+    """Return the fraction of an accepted step at which a branch of a force is first left, or `NO_SWITCH`.
+
+    The additional stages of the dense output must have been evaluated.
+    """
+    # the first fraction known to be beyond a switch, and its excess
+    high = NO_SWITCH
+    high_value = 0.0
+    low = 0.0
+    for number in range(1, SAMPLES + 1):
+        if high > 1.0:
+            value = excess_within(system, method, float(number) / SAMPLES)
+            if value > 0.0:
+                high = float(number) / SAMPLES
+                high_value = value
+                low = (float(number) - 1.0) / SAMPLES
+    for i in range(switches.count):
+        for number in range(1, SAMPLES):
+            fraction = locate_maximum(switches, i, number)
+            if fraction < high:
+                value = excess_within(system, method, fraction)
+                if value > 0.0:
+                    high = fraction
+                    high_value = value
+                    low = 0.0
+    if high > 1.0:
+        return NO_SWITCH
+    begin_search(switches, low, high, high_value)
+    located = 0
+    tries = 0
+    while located == 0 and tries < MAX_ROOT_STEPS:
+        fraction = next_fraction(switches)
+        located = narrow_search(switches, fraction, excess_within(system, method, fraction))
+        tries += 1
+    return switches.search[Search.HIGH] if may_switch(switches) == 1 else NO_SWITCH
+
+
+@native
+def write_outputs(
+    system: Equations, table: Table, states: Vector, method: Dop853, near: int, reach: float
+) -> Status:
     """Write the states at the output times that an accepted step has reached; return a status.
+
+    The additional stages of the dense output must have been evaluated.
 
     Args:
         states: (count, n) states of the run at the output times.
         near: 1 for a step near a singular configuration, whose outputs are projected by
             `newton_euler.integrators.dense_projection` (with full matrices, not sparse ones); else 0.
+        reach: part of the step that counts, s, from its start.
     """
     n = system.n
     now = method.now
     times = table.times
     h = method.control[Control.STEP]
-    # the three additional stages of the dense output
-    for s in range(STAGES + 1, 16):
-        status = evaluate_stage(system, method, s, h, method.at)
-        if status != Status.DONE:
-            return status
-    prepare_dense(h, n, n + 1, n, now, method.end, method.k, method.terms)
     # interpolate all output times within the step, then project these states together; projection with
     # full matrices and the state at the end of the run need velocities, too
     first_row = int(method.control[Control.NEXT_ROW])
     row = first_row
-    while row < table.count and times[row] <= now[n] + h:
+    while row < table.count and times[row] <= now[n] + reach:
         state = states[n * row :]
         count = n if near == 1 or method.control[Control.OVERSHOOTS_END] == 1.0 else table.output_state_size
         interpolate(count, n, (times[row] - now[n]) / h, method, state)
@@ -498,9 +609,9 @@ def begin_dop853(system: Equations, table: Table, states: Vector, method: Dop853
     status = begin_adaptive(system, table, states, now, method.k)
     if status != Status.DONE:
         return status
-    copy_flags(system.exchange, now, method.at)
-    copy_flags(system.exchange, now, method.end)
-    copy_flags(system.exchange, now, method.projected)
+    copy_flags(system, now, method.at)
+    copy_flags(system, now, method.end)
+    copy_flags(system, now, method.projected)
     for i in range(system.n):
         method.round_off[i] = 0.0
     method.control[Control.NEXT_ROW] = 1.0
@@ -652,20 +763,40 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
     # accept the step: record, count and write the outputs that the step has passed
     control[Control.PROJECTION_CHANGE] = HUGE
     control[Control.PROJECTION_NOISE] = projection_change if projection_change >= 1.0 else 0.0
-    store_step(system.exchange, h, method, int(counts[Count.STEPS]))
+    # end the step where a branch of a force is left; `reach` is the part of the step that counts
+    reach = h
+    fraction = NO_SWITCH
+    dense = 0
+    if near == 0 and sample_step(system, system.switches, method) == 1:
+        status = evaluate_dense(system, method)
+        if status != Status.DONE:
+            return status
+        dense = 1
+        fraction = locate_switch(system, system.switches, method)
+        if fraction <= 1.0:
+            reach = fraction * h
+    store_step(system, reach, method, int(counts[Count.STEPS]))
     counts[Count.STEPS] += 1.0
     if near == 0 and excess >= 1.0:
         counts[Count.ROUND_OFF_EXCESS] = max(counts[Count.ROUND_OFF_EXCESS], excess)
     control[Control.PLACEMENT_TRIES] = 0.0
-    if table.times[int(control[Control.NEXT_ROW])] <= now[n] + h:
-        status = write_outputs(system, table, states, method, near)
+    if table.times[int(control[Control.NEXT_ROW])] <= now[n] + reach:
+        if dense == 0:
+            status = evaluate_dense(system, method)
+        if status == Status.DONE:
+            status = write_outputs(system, table, states, method, near, reach)
         if status != Status.DONE:
             return status
     # move to the end of the step, or of the run if the step went beyond it: the interpolated last output,
     # which `finish_step` normalizes and projects
+    if fraction <= 1.0:
+        interpolate(n, n, fraction, method, method.projected)
     for i in range(n):
         now[i] = method.projected[i]
-    now[n] = now[n] + h
+    now[n] = now[n] + reach
+    if fraction <= 1.0:
+        status = finish_step(system, 0, now, end)
+        change_branch(system.switches, now)
     if control[Control.OVERSHOOTS_END] == 1.0 and now[n] > stop:
         for i in range(n):
             now[i] = states[n * (table.count - 1) + i]
@@ -673,10 +804,12 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         status = finish_step(system, near, now, end)
     # exchange constraint rows, and evaluate the rates if the state or the rows have changed
     changed = exchange_rows(system.exchange, now)
+    if fraction <= 1.0:
+        changed = 1
     if changed == 1:
-        copy_flags(system.exchange, now, method.at)
-        copy_flags(system.exchange, now, end)
-        copy_flags(system.exchange, now, method.projected)
+        copy_flags(system, now, method.at)
+        copy_flags(system, now, end)
+        copy_flags(system, now, method.projected)
     if status == Status.DONE and (system.projecting == 1 or changed == 1):
         status = evaluate(system, now, k)
     if status != Status.DONE:
@@ -689,6 +822,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
         MAX_STEP_FACTOR if error == 0.0 else min(control[Control.MAX_GROWTH], SAFETY * error**ERROR_EXPONENT)
     )
     control[Control.STEP] = h * max(MIN_STEP_FACTOR, factor)
+    if fraction <= 1.0 and stop > now[n]:
+        control[Control.STEP] = first_step(system, method, stop - now[n])
     control[Control.MAX_GROWTH] = MAX_STEP_FACTOR
     finish_at_rest(system, table, states, method)
     return Status.DONE

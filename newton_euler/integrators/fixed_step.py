@@ -24,7 +24,7 @@ from enum import IntEnum
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.integrators.options import FIXED
 from newton_euler.integrators.projection import begin_run, finish_step, project
-from newton_euler.integrators.row_exchange import copy_flags, exchange_rows
+from newton_euler.integrators.row_exchange import exchange_rows
 from newton_euler.integrators.singular import (
     DENSE_PIVOT_RATIO,
     MAX_CONTRADICTION,
@@ -39,6 +39,7 @@ from newton_euler.integrators.stepper import (
     Count,
     Equations,
     Table,
+    copy_flags,
     finish_run,
     normalize_quaternions,
     start_run,
@@ -46,6 +47,7 @@ from newton_euler.integrators.stepper import (
     unwind_angles,
     write_row,
 )
+from newton_euler.integrators.switches import choose_branches
 
 RK4 = FIXED.index("RK4")
 """Value of `FixedStep.number` for RK4."""
@@ -127,6 +129,7 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
     # four stages: `change` sums up their rates, `at` becomes the state of the next stage
     pivot_ratio = NEAR_PIVOT_RATIO  # larger values do not matter
     for s in range(4):
+        choose_branches(system.switches, at)
         status = evaluate(system, at, k[row * s :])
         if status != Status.DONE:
             return status
@@ -173,6 +176,7 @@ def step_euler(system: Equations, method: FixedStep, h: float, end: float, span:
     now = method.now
     k = method.k
     start = method.change
+    choose_branches(system.switches, now)
     status = evaluate(system, now, k)
     if status == Status.DONE and system.counts[Count.STEPS] == 0.0 and not k[n] > DENSE_PIVOT_RATIO:
         # as for a run with projection: this method does not refuse a singular start without projection
@@ -203,7 +207,7 @@ def begin_fixed(system: Equations, states: Vector, method: FixedStep) -> Status:
     method.control[Progress.NEXT_ROW] = 1.0
     method.control[Progress.STEPS_TAKEN] = 0.0
     status = begin_run(system, states, method.now)
-    copy_flags(system.exchange, method.now, method.at)
+    copy_flags(system, method.now, method.at)
     return status
 
 
@@ -237,7 +241,7 @@ def step_fixed(system: Equations, table: Table, states: Vector, method: FixedSte
     # exchange a constraint row that is left out for one in use if necessary; write the output after the last
     # of the equal steps
     if exchange_rows(system.exchange, now) == 1:
-        copy_flags(system.exchange, now, method.at)
+        copy_flags(system, now, method.at)
     counts[Count.STEPS] += 1.0
     method.control[Progress.STEPS_TAKEN] = float(taken + 1)
     if taken + 1 == count:

@@ -45,6 +45,7 @@ from newton_euler.integrators.stepper import (
     unwind_angles,
     write_row,
 )
+from newton_euler.integrators.switches import choose_branches
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -313,6 +314,7 @@ def begin_adaptive(system: Equations, table: Table, states: Vector, now: Vector,
     """
     status = begin_run(system, states, now)
     if status == Status.DONE:
+        choose_branches(system.switches, now)
         status = evaluate(system, now, rates)
     if status == Status.DONE and not rates[system.n] > DENSE_PIVOT_RATIO:
         span = table.times[table.count - 1] - now[system.n]

@@ -9,8 +9,9 @@ enough. `integrate_radau` makes all runs of a `Table`.
 
 A state consists of the coordinates q and the velocities v; its rates are the time derivatives. A *state with
 time and parameters* is one vector of length `system.inputs`: the state, the time, flags of constraint rows (1
-for a redundant row that is left out), and parameters of the scene. During a run, rows that are left out may
-be exchanged for rows in use (`newton_euler.integrators.row_exchange`). Each evaluation of the rates also
+for a redundant row that is left out) and of branches of forces, and parameters of the scene. During a run,
+rows that are left out may be exchanged for rows in use (`newton_euler.integrators.row_exchange`), and forces
+may change to another branch (`newton_euler.integrators.switches`). Each evaluation of the rates also
 gives the *pivot ratio*: the distance to a singular configuration, where constraints become dependent; 1 far
 away, 0 in it.
 
@@ -34,7 +35,7 @@ from newton_euler.integrators.projection import (
     project_end,
     project_rows,
 )
-from newton_euler.integrators.row_exchange import copy_flags, exchange_rows
+from newton_euler.integrators.row_exchange import exchange_rows
 from newton_euler.integrators.singular import UNSAFE_PIVOT_RATIO, UNSAFE_STEP_FACTOR, evaluate
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import (
@@ -45,9 +46,26 @@ from newton_euler.integrators.stepper import (
     Equations,
     Table,
     before_step,
+    copy_flags,
     finish_run,
     normalize_quaternions,
     start_run,
+)
+from newton_euler.integrators.switches import (
+    MAX_ROOT_STEPS,
+    NO_SWITCH,
+    SAMPLES,
+    Search,
+    Switches,
+    begin_search,
+    change_branch,
+    excess,
+    first_positive_sample,
+    locate_maximum,
+    may_switch,
+    narrow_search,
+    next_fraction,
+    take_sample,
 )
 from newton_euler.scalars import Array
 
@@ -113,6 +131,16 @@ MAX_NEWTON_STEPS = 6
 ROUND_OFF_CORRECTION = 1e-2
 """Norm of a Newton correction, in units of the tolerance, below which it may be round-off. Such a correction
 need not converge any further: stiff forces magnify round-off, and shorter steps do not reduce it."""
+
+SWITCH_TOLERANCE = 1e-7
+"""Part of a step that may lie beyond a switch of a force. The branch of the step is smooth there, too, and
+the error of the velocities is proportional to the square of this part."""
+
+SHORTEST_STEP_ULPS = 20.0
+"""Shortest step that ends at a switch, in units of the spacing of double-precision numbers near the time."""
+
+MAX_SWITCH_PLACEMENTS = 8
+"""Largest number of times that a step is shortened to end at a switch of a force."""
 
 MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.2, 10.0
 """Smallest and largest ratio of a step size to the one before it."""
@@ -374,6 +402,68 @@ def error_within(n: int, h: float, before_h: float, method: Radau) -> float:
 
 
 @native
+def first_step(n: int, method: Radau) -> float:
+    """Choose the size, s, of a step at the state `now` with the rates `slope` (volume I, section II.4)."""
+    d0 = scaled_norm(n, method.now, method.now, method.rtol, method.atol)
+    d1 = scaled_norm(n, method.slope, method.now, method.rtol, method.atol)
+    return 1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1
+
+
+@native
+def excess_within(system: Equations, method: Radau, h: float, fraction: float) -> float:
+    """Return the excess (`newton_euler.integrators.switches`) at a fraction of a step of size h, s."""
+    n = system.n
+    interpolate_radau(n, n, fraction, method.now, method.terms, method.at)
+    method.at[n] = method.now[n] + fraction * h
+    return excess(system.switches, method.at, method.now)
+
+
+@native
+def locate_switch(system: Equations, switches: Switches, method: Radau, h: float) -> float:
+    """Return the fraction of a step at which a branch of a force is first left, or `NO_SWITCH`.
+
+    Args:
+        method: record whose `terms` are those of the step.
+        h: size of the step, s.
+    """
+    if switches.count == 0:
+        return NO_SWITCH
+    # sample the step: the first fraction known to be beyond a switch, and its excess
+    n = system.n
+    at = method.at
+    low = 0.0
+    high = NO_SWITCH
+    high_value = 0.0
+    for number in range(SAMPLES + 1):
+        interpolate_radau(n, n, float(number) / SAMPLES, method.now, method.terms, at)
+        at[n] = method.now[n] + float(number) / SAMPLES * h
+        take_sample(switches, number, at, method.now)
+    high = first_positive_sample(switches)
+    if high <= 1.0:
+        low = high - 1.0 / SAMPLES
+        high_value = excess_within(system, method, h, high)
+    for i in range(switches.count):
+        for number in range(1, SAMPLES):
+            fraction = locate_maximum(switches, i, number)
+            if fraction < high:
+                value = excess_within(system, method, h, fraction)
+                if value > 0.0:
+                    high = fraction
+                    high_value = value
+                    low = 0.0
+    if high > 1.0:
+        return NO_SWITCH
+    begin_search(switches, low, high, high_value)
+    located = 0
+    tries = 0
+    while located == 0 and tries < MAX_ROOT_STEPS:
+        fraction = next_fraction(switches)
+        located = narrow_search(switches, fraction, excess_within(system, method, h, fraction))
+        tries += 1
+    return switches.search[Search.HIGH] if may_switch(switches) == 1 else NO_SWITCH
+
+
+@native
 def run_radau(system: Equations, table: Table, states: Vector, method: Radau) -> Status:
     """Integrate one run, and write its states at all output times; return a status.
 
@@ -405,12 +495,10 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     status = begin_adaptive(system, table, states, now, slope)
     if status != Status.DONE:
         return status
-    copy_flags(system.exchange, now, at)
-    copy_flags(system.exchange, now, projected)
+    copy_flags(system, now, at)
+    copy_flags(system, now, projected)
     stop = times[table.count - 1]
-    d0 = scaled_norm(n, now, now, rtol, atol)
-    d1 = scaled_norm(n, slope, now, rtol, atol)
-    h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, stop - now[n])
+    h = min(first_step(n, method), stop - now[n])
     method.jacobian(now, method.matrix)
     next_row = 1  # index of the next output time
     is_jacobian_current = 1  # 1 if the Jacobian is that of the present state
@@ -423,6 +511,7 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
     change_noise = 0.0  # change in the step before if it was 1 or more, so round-off; else 0
     rejected = 0  # 1 if the last try of this step was rejected for its error
     m = 0  # size of the leading block of zeros of the Jacobian: rates of q that are elements of v
+    placements = 0  # number of times that this step was shortened to end at a switch of a force
     for i in range(3 * n):
         z[i] = 0.0
     while next_row < table.count:
@@ -518,13 +607,36 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
             is_factored = 0
             rejected = 1
             continue
+        # repeat a step in which a branch of a force is left, so that the step ends there: its end is more
+        # accurate than the interpolation within
+        prepare_dense(n, z, terms)
+        fraction = locate_switch(system, system.switches, method, h)
+        if fraction < 1.0 - SWITCH_TOLERANCE and placements < MAX_SWITCH_PLACEMENTS:
+            counts[Count.REJECTED] += 1.0
+            placements += 1
+            is_factored = 0
+            before_h = 0.0  # `terms` are no longer those of the step before
+            if fraction * h > SHORTEST_STEP_ULPS * EPS * max(abs(now[n]), h):
+                h = fraction * h
+                continue
+            # the switch is at the start of the step
+            change_branch(system.switches, now)
+            copy_flags(system, now, at)
+            copy_flags(system, now, projected)
+            status = evaluate(system, now, slope)
+            if status != Status.DONE:
+                return status
+            method.jacobian(now, method.matrix)
+            is_jacobian_current = 1
+            h = min(first_step(n, method), h)
+            continue
+        placements = 0
         # accept the step, and interpolate and project (again in the sparse form, 0) the outputs within it
         change_before = HUGE
         change_noise = projection_change if projection_change >= 1.0 else 0.0
         counts[Count.STEPS] += 1.0
         rejected = 0
         factor = min(MAX_STEP_FACTOR, max(MIN_STEP_FACTOR, safety * factor))
-        prepare_dense(n, z, terms)
         first_row = next_row
         while next_row < table.count and times[next_row] <= now[n] + h:
             state = states[n * next_row :]
@@ -543,6 +655,9 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         now[n] = now[n] + h
         # exchange constraint rows, and evaluate the rates
         changed = exchange_rows(system.exchange, now)
+        if fraction <= 1.0:
+            change_branch(system.switches, now)
+            changed = 1
         if status == Status.DONE:
             status = evaluate(system, now, slope)
         if status != Status.DONE:
@@ -553,8 +668,8 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         before_error = max(error, 1e-2)  # the lower limit is that of the authors' code
         is_jacobian_current = 0
         if changed == 1:
-            copy_flags(system.exchange, now, at)
-            copy_flags(system.exchange, now, projected)
+            copy_flags(system, now, at)
+            copy_flags(system, now, projected)
         if changed == 1 or (newton_steps > 2 and convergence > 1e-3):
             method.jacobian(now, method.matrix)
             is_jacobian_current = 1
@@ -562,6 +677,11 @@ def run_radau(system: Equations, table: Table, states: Vector, method: Radau) ->
         if is_jacobian_current == 1 or factor > 1.2 or factor < 1.0:
             h = h * factor
             is_factored = 0
+        # restart behind a switch
+        if fraction <= 1.0:
+            h = min(first_step(n, method), h)
+            before_h = 0.0
+            before_error = 0.0
     return Status.DONE
 
 

@@ -69,10 +69,3 @@ def exchange_rows(rows: RowExchange, x: Vector) -> int:
     if rows.results[0] > MAX_SHARE * MAX_SHARE:
         rows.exchange(x, rows.results)
     return 1 if rows.results[0] == EXCHANGED else 0
-
-
-@native
-def copy_flags(rows: RowExchange, source: Vector, x: Vector) -> None:
-    """Copy the flags of constraint rows from `source` to x, both states with time, flags and parameters."""
-    for i in range(rows.first, rows.first + rows.count):
-        x[i] = source[i]

@@ -2,8 +2,9 @@
 
 An integrator gets two records: `Equations` has the functions of a scene, `Table` has the runs and the output
 times. The input of every function is one vector, a *state with time and parameters*: the n numbers (q, v),
-the time, flags of constraint rows, and the parameters of the scene. A flag is 1 if a redundant constraint row
-is left out; flags may change between steps. Parameters stay constant.
+the time, flags, and the parameters of the scene. A flag is 1 if a redundant constraint row is left out, or
+if a switching function of a force is positive (`newton_euler.integrators.switches`). Flags may change between
+steps. Parameters stay constant.
 
 A derivative function writes the n rates (time derivatives of q and v) and, as element n, the *pivot ratio* of
 its elimination. The pivot ratio measures the distance to a singular configuration, where constraints become
@@ -28,6 +29,7 @@ from newton_euler.integrators.constraint_ratio import ConstraintRatio
 from newton_euler.integrators.dense_projection import Closing
 from newton_euler.integrators.row_exchange import RowExchange
 from newton_euler.integrators.status import Status
+from newton_euler.integrators.switches import Switches
 from newton_euler.scalars import Array
 
 
@@ -98,6 +100,7 @@ class Equations(Record):
         n: length of a state (q, v).
         nq: length of the coordinates q.
         inputs: length of a state with time and parameters.
+        flags: number of flags, which follow the time.
         derivative: writes the rates (n,) and the pivot ratio by the compiled sparse elimination.
         dense: writes rates and pivot ratio by a dense form, which determines ranks by singular values. It is
             slower and works in singular configurations.
@@ -115,6 +118,7 @@ class Equations(Record):
         closing: projection by the dense form, for states at which `position` or `velocity` have too small
             pivot ratios.
         exchange: redundant constraint rows, which a run may exchange for each other.
+        switches: switching functions of forces.
         projection_work: (inputs + n + 3, lanes) scratch of the projection.
         pause: reads the counts, and writes a value of `Count.STOP_REQUEST` if the user wants to stop.
         marks: (n,) `ANGLE`, `QUATERNION` or `QUATERNION_WITH_RATES`, and 0 for other elements of a state.
@@ -128,6 +132,7 @@ class Equations(Record):
     n: int
     nq: int
     inputs: int
+    flags: int
     derivative: Callback
     dense: Callback
     loses_rank: int
@@ -140,6 +145,7 @@ class Equations(Record):
     velocity: Callback
     closing: Closing
     exchange: RowExchange
+    switches: Switches
     projection_work: Vector
     pause: Callback
     marks: Shared
@@ -265,6 +271,13 @@ def finish_run(system: Equations, table: Table, run: int, status: int, now: Vect
     for i in range(COUNTS):
         tally[i] = counts[i]
     return table.runs if counts[Count.STOP_REQUEST] == STOP_ALL_RUNS else run + table.stride
+
+
+@native
+def copy_flags(system: Equations, source: Vector, x: Vector) -> None:
+    """Copy the flags from `source` to x, both states with time and parameters."""
+    for i in range(system.n + 1, system.n + 1 + system.flags):
+        x[i] = source[i]
 
 
 @native

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -40,6 +41,8 @@ class Surroundings(NamedTuple):
         time: s.
         model: function without arguments that computes, by joint coordinate, the forces (N or N m) of control
             laws that use a model of the mechanism. The default, `dict`, returns no forces.
+        branches: flags of switched forces by their `Element.identity`, see
+            `newton_euler.model.switched_forces`. The state decides the branches of forces without an entry.
     """
 
     mechanism: Mechanism
@@ -48,6 +51,7 @@ class Surroundings(NamedTuple):
     measured: Mapping[Key, Sequence[Any]]
     time: Scalar
     model: Callable[[], Mapping[Key, Scalar]] = dict
+    branches: Mapping[str, Iterable[Scalar]] = MappingProxyType({})
 
 
 class Move(NamedTuple):

@@ -47,8 +47,8 @@ class NumberField:
             a run is then the displacement of the point.
         allowed: rule for the values in a run, see `AllowedValues`.
         strength: name of the physical effect that is proportional to the attribute: "spring", "damper",
-            "rotor", "wind", "wrench" or "actuator"; empty if no effect is proportional to it. Scaling the
-            attributes of one effect shows whether a motion depends on the effect.
+            "friction", "stop", "rotor", "wind", "wrench" or "actuator"; empty if no effect is proportional to
+            it. Scaling the attributes of one effect shows whether a motion depends on the effect.
         moves_loops: True if a change moves the poses in which loops are closed, or the zeros of joint
             coordinates, such as the axis of a hinge.
         opens_joints: True if a change also violates the joint's own constraints at the initial pose, such as

@@ -39,6 +39,7 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.motions import PrescribedMotion, TimeFunction, terms
 from newton_euler.model.splines import TIME_ROUND_OFF, Spline
 from newton_euler.model.state import State
+from newton_euler.model.switched_forces import SwitchedElement, SwitchedForce
 from newton_euler.model.variable import Variable, functions_of
 from newton_euler.scalars import Array
 
@@ -352,9 +353,14 @@ class Scene(Variable):
         return _knots(function for functions in jumping for function in functions)
 
     @cached_property
-    def joint_forces(self) -> tuple[Law | JointSpring, ...]:
-        """Forces that act on joint coordinates: the control laws, then the joint springs."""
+    def joint_forces(self) -> tuple[Law | JointSpring | SwitchedElement, ...]:
+        """Forces on joint coordinates: the control laws, then springs, dry friction and stops of joints."""
         return (*self.control, *(force for force in self.forces if isinstance(force, CoordinateForce)))
+
+    @cached_property
+    def switched_forces(self) -> tuple[SwitchedElement, ...]:
+        """Dry friction and stops of joints, whose formulas change at certain states."""
+        return tuple(force for force in self.forces if isinstance(force, SwitchedForce))
 
     @property
     def body_forces(self) -> tuple[Force, ...]:

@@ -71,8 +71,9 @@ def error(found: Trajectory, wanted: Trajectory) -> float:
 
 
 WIND = "wind, cut at a ball"
+RUBBED = ["friction and stops", "friction and stops, cut at a ball"]
 
-RUNS = [*JOINTS, *MOTIONS, "forces, ball_loop", "spring without length", "control and forces", WIND]
+RUNS = [*JOINTS, *MOTIONS, "forces, ball_loop", "spring without length", "control and forces", WIND, *RUBBED]
 
 
 @pytest.mark.parametrize("name", RUNS)

@@ -30,6 +30,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
+from newton_euler.model.switched_forces import JointFriction, JointStop
 from newton_euler.model.wind import WindLoad, wind_turbulence
 
 
@@ -301,6 +302,18 @@ def forced(scene: Scene) -> Scene:
     return replace(scene, forces=tuple(forces))
 
 
+def rubbed(scene: Scene) -> Scene:
+    """Dry friction and stops at both ends on all joint coordinates, with ranges that the motion leaves."""
+    rng, forces = np.random.default_rng(4), list[Force]()
+    for joint in scene.mechanism.joints:
+        for k in range(len(joint.coordinate_kinds)):
+            coulomb, stribeck, low, high = rng.uniform(0.05, 0.1, size=4)
+            forces.append(JointFriction(joint.name, coulomb, stribeck, 0.1, 0.05, coordinate=k))
+            forces.append(JointStop(joint.name, "low", -low, 50.0, 0.2, coordinate=k))
+            forces.append(JointStop(joint.name, "high", high, 80.0, 0.1, coordinate=k))
+    return replace(scene, forces=tuple(forces))
+
+
 def windy(scene: Scene) -> Scene:
     """Turbulent wind on a plate askew and off the center of mass of the last body."""
     body = scene.mechanism.bodies[-1]
@@ -503,6 +516,8 @@ FORCES = {
     "spring without length": zero_length_spring(),
     "control and forces": controlled_press(),
     "wind, cut at a ball": windy(ball_loop()),
+    "friction and stops": rubbed(screw_press()),
+    "friction and stops, cut at a ball": rubbed(ball_loop()),
     **{f"forces, {name}": forced((JOINTS | MOTIONS)[name]) for name in FORCED},
 }
 """Springs, wrenches and wind, on joints that are cut among others."""

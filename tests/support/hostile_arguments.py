@@ -418,6 +418,8 @@ def instances() -> list[Any]:
         ne.Digital(LAW, 0.01),
         ne.Sampled("pivot", lambda *_: 0.0, 0.01),
         ne.JointSpring("pivot", 1.0),
+        ne.JointFriction("pivot", 1.0),
+        ne.JointStop("pivot", "low", 0.0, 1.0),
         ne.BallSpring("pivot", 1.0),
         ne.PointSpring("s", "ground", "arm", x, y, stiffness=1.0, rest_length=0.1),
         ne.Wrench("w", "arm", x, y, z),

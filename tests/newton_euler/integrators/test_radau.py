@@ -17,6 +17,7 @@ from newton_euler.integrators.radau import ALPHA, BETA, GAMMA, Radau, integrate_
 from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import COUNTS, Count, Equations, Table
+from newton_euler.integrators.switches import no_switches
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -162,6 +163,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         n=n,
         nq=0,
         inputs=n + 1,
+        flags=0,
         derivative=derivative,
         dense=derivative,
         loses_rank=1,
@@ -174,6 +176,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         velocity=None,
         closing=None,
         exchange=no_exchange(2),
+        switches=no_switches(),
         projection_work=np.zeros(0),
         pause=pause,
         marks=np.zeros(n),

@@ -26,6 +26,7 @@ from newton_euler.integrators.row_exchange import no_exchange
 from newton_euler.integrators.singular import CROSSING_TARGET, ENDS_SINGULAR_RATIO, crossing_factor
 from newton_euler.integrators.status import Status
 from newton_euler.integrators.stepper import COUNTS, Equations
+from newton_euler.integrators.switches import no_switches
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
@@ -227,6 +228,7 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
         n=1,
         nq=1,
         inputs=2,
+        flags=0,
         derivative=None,
         dense=None,
         loses_rank=1,
@@ -239,6 +241,7 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
         velocity=None,
         closing=None,
         exchange=no_exchange(2),
+        switches=no_switches(),
         projection_work=np.zeros(5),
         pause=None,
         marks=np.zeros(1),

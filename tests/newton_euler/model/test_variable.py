@@ -18,7 +18,6 @@ from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import JointCoupling, LinearCoupling
 from newton_euler.model.digital_control import Digital, Law, Sampled
-from newton_euler.model.elements import OnBall
 from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS, Prismatic
@@ -26,6 +25,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.state import State
+from newton_euler.model.switched_forces import JointFriction, JointStop
 from newton_euler.model.variable import PART_UNITS, Variable
 
 SCENES = [*ELEMENTS.values(), *COUPLED.values(), *COMPOUNDS.values()]
@@ -54,6 +54,8 @@ MADE = [
     PrescribedMotion("rail", SMOOTH),
     JointSpring("rail", 1.0, 2.0, 3.0),
     BallSpring("ball", 1.0, 2.0, [0.1, 0.2, 0.3]),
+    JointFriction("rail", 1.0, 2.0, 3.0, 0.1),
+    JointStop("rail", "low", 1.0, 2.0, 3.0),
     Wrench("push", "mass", [0.1, 0.2, 0.3], [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]),
     Armature("rail", 0.3),
     BallArmature("ball", 0.3),
@@ -137,8 +139,8 @@ def test_the_list_of_parameters_is_complete():
     )
     names = set()
     for element in EXAMPLES.values():
-        on_joint = "ball" if isinstance(element, OnBall) else ""
-        kind = f"{on_joint}{getattr(element, 'kind_of_parameters', '')}.".removeprefix(".")
+        place = getattr(element, "prefix", "").partition(".")[2]  # behind the name of the joint
+        kind = f"{place}." if place else ""
         names |= {kind + re.sub(r"^\d\.", "", name) for name in element.variables}
     of_functions = {name for name in names if name.endswith((*PART_UNITS,))}
     assert {name.rpartition(".")[2] for name in of_functions} == set(PART_UNITS)
