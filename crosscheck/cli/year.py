@@ -37,7 +37,7 @@ LIBRARY_TILT, ANY_TILT = 30.0, 90.0
     "--weather",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Weather: TMY3, EPW, or a file of PVGIS.",
+    help="Weather: TMY3, EPW, or a file of NSRDB or PVGIS.",
 )
 @click.option("--latitude", type=float, help="Latitude, degrees north; not with --weather.")
 @click.option("--longitude", type=float, help="Longitude, degrees east; not with --weather.")

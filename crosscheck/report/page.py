@@ -174,7 +174,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
             f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads, modes, "
-            "controllers and identify write them"
+            "controllers, year and identify write them"
         )
     check_writable(path)
 

@@ -1,4 +1,4 @@
-"""Weather files: typical years (TMY3, EPW, PVGIS) and hourly years of PVGIS, read by pvlib.
+"""Weather files: typical years (TMY3, EPW, PVGIS), years of NSRDB, and hourly years of PVGIS, read by pvlib.
 
 The format is recognized from the content of a file. Rows are checked before pvlib reads the file, so that
 errors name the line and the column.
@@ -8,6 +8,8 @@ Irradiances belong to times other than their time stamps. The sun is computed at
 - TMY3: a row has averages over the hour before its stamp (Wilcox and Marion, Users Manual for TMY3 Data Sets,
   NREL/TP-581-43156, 2008, section 2); the middle is half an hour before the stamp.
 - EPW: hour 1 of a row is the hour from 0:00 to 1:00 (EnergyPlus, Auxiliary Programs, "EPW CSV Format").
+- NSRDB (CSV of the PSM models, also typical years): the stamp is the time of the satellite image, or the
+  middle of the hour.
 - PVGIS, typical year: the header has the time of the satellite image after the stamp, 0.5 h for averages of
   reanalysis ("Irradiance Time Offset"). Files from before 2025 lack the header.
 - PVGIS as EPW: the same offset is in a comment, counted from the end of the hour. Hours are UTC, although the
@@ -29,6 +31,7 @@ from crosscheck.solar.place import SUN, Place, sun_over
 from crosscheck.solar.weather import Weather, localized
 from crosscheck.solar.weather_tables import (
     EPW,
+    NSRDB,
     OPTIONAL,
     PVGIS_HOURLY,
     PVGIS_TYPICAL,
@@ -93,7 +96,7 @@ def read_weather(path: str, year: int | None = None, zone: str | None = None) ->
     text = read_content(path, "csv_size").decode("latin-1").removeprefix("\xef\xbb\xbf").replace("\r\n", "\n")
     table = table_of(where, text)
     numbers = _checked_numbers(where, table)
-    _check_stamps(where, table)
+    step = _check_stamps(where, table)
     try:
         data, meta = _read_with_pvlib(table.kind, text)
     except Exception as error:  # pvlib raises errors of many kinds for files of other forms
@@ -116,7 +119,7 @@ def read_weather(path: str, year: int | None = None, zone: str | None = None) ->
         source=f"{table.kind} file {where}"
         + (f", {stamps.year[chosen[0]]}" if table.kind == PVGIS_HOURLY else ""),
         times=times[chosen],
-        step=1.0,
+        step=step,
         **_irradiance(values),
         temperature=_known(values.get("temp_air")),
         wind=_known(values.get("wind_speed")),
@@ -135,6 +138,8 @@ def _read_with_pvlib(kind: str, text: str) -> tuple[Any, Mapping[str, Any]]:
         return tools.read_tmy3(stream)
     if kind == EPW:
         return tools.read_epw(stream)
+    if kind == NSRDB:
+        return tools.read_nsrdb_psm4(stream)
     form = "json" if text.lstrip().startswith("{") else "csv"
     if kind == PVGIS_HOURLY:
         return tools.read_pvgis_hourly(stream, form)
@@ -190,12 +195,15 @@ def _checked_numbers(where: str, table: Table) -> dict[str, Array]:
     return numbers
 
 
-def _check_stamps(where: str, table: Table) -> None:
-    """Raise `SourceError` for a row that is not one hour after the row before, and for missing rows.
+def _check_stamps(where: str, table: Table) -> float:
+    """Check the time stamps, and return the time between rows: 1 h, or less for NSRDB.
 
     Months of a typical year are from several years; February 29 may be missing.
+
+    Raises:
+        SourceError: for a row that is not one step after the row before, and for missing rows.
     """
-    pattern, before = re.compile(STAMPS[table.kind]), None
+    pattern, hours = re.compile(STAMPS[table.kind]), list[float]()
     for name, stamp in zip(table.rows, table.stamps, strict=True):
         found = pattern.fullmatch(stamp)
         parts = {} if found is None else {key: int(text) for key, text in found.groupdict().items()}
@@ -204,25 +212,28 @@ def _check_stamps(where: str, table: Table) -> None:
             day = datetime(2000, parts["month"], parts["day"])
         except (KeyError, ValueError) as error:
             raise SourceError(where, f"{name}: {stamp!r:.60} is no time stamp of {table.kind}") from error
-        hour = 24.0 * (day.timetuple().tm_yday - 1) + parts["hour"] + parts.get("minute", 0) / 60.0
-        step = 1.0 if before is None else (hour - before) % HOURS_OF_YEARS[1]
-        skips_leap_day = before is not None and abs(before - END_OF_FEBRUARY_28 + 0.5) <= 0.5 and step == 25.0
-        if abs(step - 1.0) > 1e-9 and not skips_leap_day:
-            text = f"{step:g} h after" if step < HOURS_OF_YEARS[1] / 2 else "before"
-            raise SourceError(where, f"{name}: {stamp} is {text} the row before; needed: 1 h after")
-        before = hour
-    if table.kind != PVGIS_HOURLY and len(table.rows) not in HOURS_OF_YEARS:
-        raise SourceError(
-            where, f"has {len(table.rows)} rows; needed: the {HOURS_OF_YEARS[0]} hours of a year"
-        )
+        hours.append(24.0 * (day.timetuple().tm_yday - 1) + parts["hour"] + parts.get("minute", 0) / 60.0)
+    steps = np.diff(hours) % HOURS_OF_YEARS[1]
+    usual = float(np.median(steps)) if table.kind == NSRDB and len(steps) else 1.0
+    # after February 28: 24 h more, before a time stamp of March 1
+    ends = np.asarray(hours[:-1]) - END_OF_FEBRUARY_28
+    skips_leap_day = (ends >= -usual) & (ends <= 0.0) & (np.abs(steps - usual - 24.0) < 1e-9)
+    for k in np.flatnonzero((np.abs(steps - usual) > 1e-9) & ~skips_leap_day)[:1]:
+        place = f"{steps[k]:g} h after" if steps[k] < HOURS_OF_YEARS[1] / 2 else "before"
+        problem = f"{table.stamps[k + 1]} is {place} the row before; needed: {usual:g} h after"
+        raise SourceError(where, f"{table.rows[k + 1]}: {problem}")
+    if table.kind != PVGIS_HOURLY and round(len(hours) * usual, 3) not in HOURS_OF_YEARS:
+        problem = f"has {len(hours)} rows {usual:g} h apart"
+        raise SourceError(where, f"{problem}; needed: the {HOURS_OF_YEARS[0]} hours of a year")
+    return usual
 
 
 def _rows_of_year(where: str, kind: str, stamps: pd.DatetimeIndex, year: int | None) -> Array:
-    """Return the indices of the rows of a year; all rows of a typical year."""
+    """Return the indices of the rows of a year; all rows of a file that has one year."""
     if kind != PVGIS_HOURLY:
         if year is not None:
             raise CrosscheckError(
-                f"--year {year}: {where} is a {kind} file, a typical year; leave out --year"
+                f"--year {year}: {where} is a {kind} file, which has one year; leave out --year"
             )
         return np.arange(len(stamps))
     years = sorted(set(stamps.year))
@@ -255,6 +266,8 @@ def _place_and_times(
         raise SourceError(where, f"header: {error}") from error
     if kind == TMY3:
         return place, data.index, -0.5, ["irradiances are averages over the hour before the time stamp"]
+    if kind == NSRDB:
+        return place, data.index, 0.0, ["irradiances are those at the time stamp"]
     if kind == EPW:  # pvlib's index is the beginning of the hour
         found = re.search(r"Irradiance Time Offset \(h\): *(-?[\d.]+)", text)
         if found is None:
@@ -310,7 +323,7 @@ def _check_zone(where: str, weather: Weather) -> None:
     given = error(light, 0.0)
     if given <= MAX_CLOSURE_ERROR:
         return
-    some = light[:: max(1, len(light) // 1000)]
+    some = light[:: max(1, len(light) // 300)]
     errors = [error(some, shift) for shift in SHIFTS]
     best = int(np.argmin(errors))
     if errors[best] < 0.5 * given:

@@ -1,6 +1,6 @@
 """Rows of weather files as text, with the format recognized from the content.
 
-The formats are typical years (TMY3, EPW, PVGIS) and hourly years of PVGIS. `table_of` finds the rows, so that
+The formats are those of `crosscheck.solar.weather_files`. `table_of` finds the rows, so that
 `crosscheck.solar.weather_files` can name the line and the column of an error.
 """
 
@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from newton_euler.errors import listed
 from newton_euler.model.source_file import SourceError
 
-TMY3, EPW, PVGIS_TYPICAL, PVGIS_HOURLY = "TMY3", "EPW", "PVGIS typical year", "PVGIS hourly"
+TMY3, EPW, NSRDB, PVGIS_TYPICAL, PVGIS_HOURLY = "TMY3", "EPW", "NSRDB", "PVGIS typical year", "PVGIS hourly"
 """Names of the formats."""
 
-NEEDED = "a weather file: TMY3, EPW, or CSV or JSON of PVGIS (typical year or hourly)"
+NEEDED = "a weather file: TMY3, EPW, CSV of NSRDB, or CSV or JSON of PVGIS (typical year or hourly)"
 """Description of the formats for messages."""
 
 OPTIONAL = ("temp_air", "wind_speed")
@@ -51,6 +51,7 @@ class Table:
 STAMPS = {
     TMY3: r"(?P<month>\d\d)/(?P<day>\d\d)/(?P<year>\d{4}) (?P<hour>\d\d):(?P<minute>\d\d)",
     EPW: r"(?P<year>\d{4}),(?P<month>\d+),(?P<day>\d+),(?P<hour>\d+)",
+    NSRDB: r"(?P<year>\d{4}) (?P<month>\d+) (?P<day>\d+) (?P<hour>\d+) (?P<minute>\d+)",
     PVGIS_TYPICAL: r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d):(?P<hour>\d\d)(?P<minute>\d\d)",
     PVGIS_HOURLY: r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d):(?P<hour>\d\d)(?P<minute>\d\d)",
 }
@@ -70,6 +71,13 @@ NAMES = {
         "dhi": "diffuse horizontal radiation",
         "temp_air": "dry bulb temperature",
         "wind_speed": "wind speed",
+    },
+    NSRDB: {
+        "ghi": "GHI",
+        "dni": "DNI",
+        "dhi": "DHI",
+        "temp_air": "Temperature",
+        "wind_speed": "Wind Speed",
     },
     PVGIS_TYPICAL: {
         "ghi": "G(h)",
@@ -98,6 +106,8 @@ def table_of(where: str, text: str) -> Table:
         return _epw_table(where, lines)
     if len(lines) > 1 and lines[1].startswith("Date (MM/DD/YYYY)"):
         return _csv_table(where, Table(TMY3, NAMES[TMY3]), lines, header=1, stamp_columns=2)
+    if len(lines) > 2 and lines[0].startswith("Source,Location ID,"):
+        return _csv_table(where, Table(NSRDB, NAMES[NSRDB]), lines, header=2, stamp_columns=5)
     if lines[0].startswith("Latitude (decimal degrees)"):
         kinds = {"time(UTC),": PVGIS_TYPICAL, "time,": PVGIS_HOURLY}  # by the first column of the header
         for number, line in enumerate(lines):
@@ -133,7 +143,7 @@ def _csv_table(where: str, table: Table, lines: Sequence[str], header: int, stam
         table.stamps.append(" ".join(cells[:stamp_columns]))
         table.cells.append(dict(zip(columns, cells, strict=True)))
     rest = len(table.rows) + header + 1
-    if table.kind == TMY3 and any(line.strip() for line in lines[rest:]):
+    if table.kind in (TMY3, NSRDB) and any(line.strip() for line in lines[rest:]):
         raise SourceError(where, f"line {rest + 1}: is empty; needed: a row for each hour")
     return table
 

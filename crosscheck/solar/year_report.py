@@ -225,6 +225,8 @@ def picture(year: Year) -> Figure:
     limit_plot.set_ylabel("daylight, h, by limit")
     limit_plot.legend(fontsize="small")
     for plot in (month_plot, limit_plot):
+        plot.set_ylim(top=1.3 * plot.get_ylim()[1])  # space for the legend
+        plot.set_axisbelow(True)
         plot.set_xticks(months, list(month_abbr)[1:])
         plot.grid(alpha=0.3, axis="y")
     return figure

@@ -120,9 +120,25 @@ def pvgis_typical_json(offset=0.1761):
     return json.dumps(content), data
 
 
-def pvgis_hourly(years=(2016,), slope="0 deg. "):
+def nsrdb():
+    """CSV of NSRDB, half-hourly: the sky is that of the time stamps."""
+    begins = typical_hours("UTC-01:00", (2019, 2020))
+    stamps = begins.append(begins + pd.Timedelta(minutes=30))[np.arange(2 * HOURS).reshape(2, -1).T.ravel()]
+    data = sky(stamps)
+    lines = [
+        "Source,Location ID,City,State,Country,Latitude,Longitude,Time Zone,Elevation,Local Time Zone",
+        f"NSRDB,401182,-,-,-,{LATITUDE},{LONGITUDE},-1,{ALTITUDE:.0f},-1",
+        "Year,Month,Day,Hour,Minute,Temperature,Cloud Type,DHI,DNI,Fill Flag,GHI,Wind Speed",
+    ]
+    for stamp, row in zip(stamps, data.itertuples(), strict=True):
+        day = f"{stamp.year},{stamp.month},{stamp.day},{stamp.hour},{stamp.minute}"
+        lines.append(f"{day},{row.temp_air},0,{row.dhi:.0f},{row.dni:.0f},0,{row.ghi:.0f},{row.wind_speed}")
+    return "\n".join(lines) + "\n", data
+
+
+def pvgis_hourly(first="2016-01-01", last="2016-12-31"):
     """CSV of PVGIS, hourly, of a horizontal plane: the sky is that of the time stamps, 10 minutes past."""
-    stamps = pd.date_range(f"{years[0]}-01-01 00:10", f"{years[-1]}-12-31 23:10", freq="h", tz="UTC")
+    stamps = pd.date_range(f"{first} 00:10", f"{last} 23:10", freq="h", tz="UTC")
     data = sky(stamps)
     solar = pvlib.solarposition.get_solarposition(stamps, LATITUDE, LONGITUDE, ALTITUDE, method="nrel_numpy")
     height = np.maximum(solar["apparent_elevation"].to_numpy(), 0.0)
@@ -133,7 +149,7 @@ def pvgis_hourly(years=(2016,), slope="0 deg. "):
         "Radiation database:\tPVGIS-SARAH2",
         "",
         "",
-        f"Slope: {slope}",
+        "Slope: 0 deg. ",
         "Azimuth: 0 deg. ",
         "time,Gb(i),Gd(i),Gr(i),H_sun,T2m,WS10m,Int",
     ]

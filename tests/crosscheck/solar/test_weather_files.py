@@ -21,11 +21,12 @@ PLACE = Place(synthetic.LATITUDE, synthetic.LONGITUDE, synthetic.ALTITUDE)
 SAMPLES = {
     "tmy3.csv": (synthetic.tmy3, "TMY3", 8760),
     "town.epw": (synthetic.epw, "EPW", 8760),
+    "nsrdb.csv": (synthetic.nsrdb, "NSRDB", 17520),
     "typical.csv": (synthetic.pvgis_typical, "PVGIS typical year", 8760),
     "typical.json": (synthetic.pvgis_typical_json, "PVGIS typical year", 8760),
     "hourly.csv": (synthetic.pvgis_hourly, "PVGIS hourly", 8784),  # of a leap year
 }
-"""Writer, format and number of hours by the name of a file, which does not decide the format."""
+"""Writer, format and number of rows by the name of a file, which does not decide the format."""
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,8 @@ def test_weather_is_that_of_the_middle_of_each_interval(tmp_path, samples, name)
     path.write_text(text)
     weather, (_, kind, count) = read_weather(str(path)), SAMPLES[name]
     assert weather.source.startswith(f"{kind} file {path}")
-    assert (weather.place, weather.step, len(weather.times)) == (PLACE, 1.0, count)
+    assert (weather.place, len(weather.times)) == (PLACE, count)
+    assert round(count * weather.step) in (8760, 8784)
     apart = (weather.times - expected.index).total_seconds().to_numpy()
     assert np.max(np.abs(apart)) < 1e-3
     for quantity, tolerance in (("ghi", 1.0), ("dhi", 0.0), ("temperature", 0.0), ("wind", 0.0)):
@@ -90,13 +92,14 @@ def test_epw_of_pvgis_is_in_utc_with_the_offset_of_its_comment(tmp_path):
 
 def test_one_year_of_several_is_chosen(tmp_path):
     path = tmp_path / "years.csv"
-    path.write_text(synthetic.pvgis_hourly((2014, 2015))[0])
+    path.write_text(synthetic.pvgis_hourly("2014-01-01", "2015-01-01")[0])
     with pytest.raises(CrosscheckError, match="years 2014 to 2015; choose one with --year"):
         read_weather(str(path))
-    weather = read_weather(str(path), year=2015)
-    assert set(weather.times.year) == {2015}
-    with pytest.raises(SourceError, match="has 0 rows of 2016; needed: 8784"):
-        read_weather(str(path), year=2016)
+    weather = read_weather(str(path), year=2014)
+    assert set(weather.times.year) == {2014}
+    for year, count in ((2015, 24), (2016, 0)):
+        with pytest.raises(SourceError, match=f"has {count} rows of {year}; needed: 87"):
+            read_weather(str(path), year=year)
 
 
 def test_typical_years_are_no_calendar_years(tmp_path, samples):
@@ -134,7 +137,7 @@ def changed(text, line, change):
         ("tmy3.csv", 40, None, "line 40: 01/02/2003 15:00 is 2 h after the row before; needed: 1 h after"),
         ("tmy3.csv", 40, lambda row: row.replace("01/02", "02/31"), "line 40: '02/31/2003 14:00' is no time"),
         ("tmy3.csv", 2, lambda row: row.replace("DNI", "BNI"), "line 2: no column 'DNI (W/m^2)', but Date"),
-        ("tmy3.csv", 8762, None, "has 8759 rows; needed: the 8760 hours of a year"),
+        ("tmy3.csv", 8762, None, "has 8759 rows 1 h apart; needed: the 8760 hours of a year"),
         ("tmy3.csv", 40, lambda row: "", "line 40: is empty; needed: a row for each hour"),
         ("tmy3.csv", 1, lambda row: row.replace("-1.0", "west"), "pvlib cannot read it as TMY3: could not"),
         ("tmy3.csv", 1, lambda row: row.replace("37.4", "137.4"), "header: latitude 137.4 is off the globe"),
@@ -146,6 +149,7 @@ def changed(text, line, change):
         ),
         ("town.epw", 40, lambda row: row[:30], "line 40: has 10 cells; needed: 22 or more"),
         ("town.epw", 8, lambda row: row.replace("1,1", "1,4"), "line 8: needed: 'DATA PERIODS,1,1,...'"),
+        ("nsrdb.csv", 40, None, "line 40: 2020 1 1 18 30 is 1 h after the row before; needed: 0.5 h after"),
         ("typical.csv", 40, None, "line 40: 20070101:2200 is 2 h after the row before; needed: 1 h after"),
         ("typical.csv", 40, lambda row: row.replace("60.0,", "60.0,-9"), "line 40: G(h) is -9"),
         (
