@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,16 +15,37 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array
 
 
+class Closest(NamedTuple):
+    """Bodies that come closest to each other in n poses of a mechanism.
+
+    Attributes:
+        distance: (n,) m, smallest distance between shapes of two bodies; negative if shapes overlap; infinite
+            if no pair of bodies is examined.
+        bodies: (n, 2) indices of these two bodies; zeros without a pair.
+    """
+
+    distance: Array
+    bodies: Array
+
+
 def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Array:
-    """Compute the smallest distance between shapes of bodies that no joint connects.
+    """Compute the smallest distance (n,), m, between bodies that no joint connects, see `closest`."""
+    return closest(mechanism, position, quaternion).distance
+
+
+def closest(
+    mechanism: Mechanism,
+    position: Array,
+    quaternion: Array,
+    left_out: Collection[frozenset[str]] = (),
+) -> Closest:
+    """Find the smallest distance between shapes of bodies that no joint connects.
 
     Args:
         mechanism: mechanism with shapes; bodies without shapes are ignored.
         position: (n, b, 3) m, centers of mass of all bodies, world frame.
         quaternion: (n, b, 4) orientations (w, x, y, z) of all bodies.
-
-    Returns:
-        (n,) m, negative if shapes overlap; infinite if a joint connects each two bodies with shapes.
+        left_out: names of other pairs of bodies that are not examined.
     """
     import mujoco
 
@@ -41,19 +64,19 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
             add_geom(element, shape, GROUND_COLOR, pose, orientation)
             body_of_geom.append(k)
     # pairs of geoms of bodies that no joint connects
-    joined = {frozenset((joint.first, joint.second)) for joint in mechanism.joints}
+    joined = {frozenset((joint.first, joint.second)) for joint in mechanism.joints} | set(left_out)
     names = mechanism.body_names
     pairs = []
     for (geom_1, body_1), (geom_2, body_2) in combinations(enumerate(body_of_geom), 2):
         if body_1 != body_2 and frozenset((names[body_1], names[body_2])) not in joined:
             pairs.append((geom_1, geom_2))
+    smallest, bodies = np.full(len(position), np.inf), np.zeros((len(position), 2), dtype=int)
     if not pairs:
-        return np.full(len(position), np.inf)
+        return Closest(smallest, bodies)
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     data, (first, second) = mujoco.MjData(model), np.array(pairs).T
     # examine pairs in the order of the distance of their bounding spheres, a lower bound of the distance
     radii = model.geom_rbound[first] + model.geom_rbound[second]
-    smallest = np.full(len(position), np.inf)
     for n in range(len(position)):
         data.mocap_pos[:], data.mocap_quat[:] = position[n, 1:], quaternion[n, 1:]
         mujoco.mj_kinematics(model, data)
@@ -65,5 +88,6 @@ def clearances(mechanism: Mechanism, position: Array, quaternion: Array) -> Arra
             # rest is a margin
             limit = 2.0 * (lower_bounds[k] + radii[k]) + radii[k]
             distance = mujoco.mj_geomDistance(model, data, int(first[k]), int(second[k]), limit, None)
-            smallest[n] = min(smallest[n], distance)
-    return smallest
+            if distance < smallest[n]:
+                smallest[n], bodies[n] = distance, (body_of_geom[first[k]], body_of_geom[second[k]])
+    return Closest(smallest, bodies)

@@ -73,6 +73,20 @@ from crosscheck.support.errors import CrosscheckError
     show_default=True,
     help="Largest acceleration of the set-points, m/s^2 or rad/s^2.",
 )
+@click.option(
+    "--clearance",
+    type=float,
+    default=0.001,
+    show_default=True,
+    help="Smallest distance between bodies that no joint connects, m.",
+)
+@click.option(
+    "--to-singular",
+    type=float,
+    default=0.05,
+    show_default=True,
+    help="Smallest distance from singular configurations, as in workspace.",
+)
 @folder_option("output/sun")
 @verbose_option
 def sun_command(

@@ -12,7 +12,7 @@ import numpy as np
 
 from crosscheck.library.tracker import tracker_gravity
 from crosscheck.library.tracker_wind import WIND_POSITION_GAIN, WIND_VELOCITY_GAIN
-from newton_euler import PD, Axis
+from newton_euler import PD, Axis, solve_poses
 from newton_euler.model.scene import Scene
 
 PANEL_NORMAL = Axis("panel_7", np.array([0.0, 0.0, 1.0]))
@@ -73,6 +73,7 @@ def tracker_sun_day(
     # for a panel that stands alone, without a wind limit. Only the scene is needed here
     wanted = Tracking().normals(sun)
     tracking = Tracking(speed=PACE_SPEED, acceleration=PACE_ACCELERATION)
-    scene = following(sun_tracker(), PANEL_NORMAL, wanted, 1.0, tracking).scene
+    poses = solve_poses(tracker := sun_tracker(), axis=PANEL_NORMAL, towards=wanted)
+    scene = following(tracker, poses, 1.0, tracking).scene
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)

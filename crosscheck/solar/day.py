@@ -18,10 +18,11 @@ import numpy as np
 
 from crosscheck.solar.energy import THIS, ClearSky, over_day
 from crosscheck.solar.moves import Plan, plan_moves
+from crosscheck.solar.obstacles import Faced, Ways, face
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
 from crosscheck.support.errors import CrosscheckError
-from newton_euler import Axis, Loads, Poses, compile_scene, solve_poses, statics
+from newton_euler import Axis, Loads, Poses, compile_scene, statics
 from newton_euler.analysis.kinematics.configurations import smallest_turns
 from newton_euler.analysis.loads.envelope import Load, actuator_loads, work_and_energy
 from newton_euler.model.control import PD
@@ -97,13 +98,15 @@ class Day:
         place: place of the tracker.
         sun: positions of the sun at the times of the set-points.
         wanted: (n, 3) wanted directions of the panel's normal (east, north, up).
-        poses: poses of the mechanism whose normal is as close to `wanted` as the mechanism allows.
+        faced: directions that the panel faces instead of those that are blocked, and the poses of the
+            set-points, whose normal is as close to these directions as the mechanism allows.
         loads: static loads of actuators and joints at these poses, under weight only.
         tracking: rules of tracking: dead band, limits of tilt and shadow, and stowing in wind.
         plan: moves of the actuators between set-points.
         scene: the tracker with these moves as targets of its controllers.
         motion: simulated motion, with outputs at the times of the set-points, and during and after each move.
             The pose at the time of a set-point is that which the mechanism reached for the previous one.
+        ways: clearances on the ways of long moves.
         axis: the panel's normal as an axis of a body.
         wind: (n,) m/s, wind speed at the times of the set-points; None for calm.
     """
@@ -111,14 +114,20 @@ class Day:
     place: Place
     sun: Sun
     wanted: Array
-    poses: Poses
+    faced: Faced
     loads: Loads
     tracking: Tracking
     plan: Plan
     scene: Scene
     motion: Trajectory
+    ways: Ways
     axis: Axis
     wind: Array | None = None
+
+    @property
+    def poses(self) -> Poses:
+        """Poses of the set-points."""
+        return self.faced.poses
 
     @cached_property
     def seconds(self) -> Array:
@@ -189,17 +198,18 @@ class Day:
         The panel at the time of a set-point has followed the previous one. The rules are those of `Tracking`.
         """
         # directions at each time: wanted now, and those of the previous set-point: wanted without and with
-        # the dead band, and reached by its pose
+        # the dead band, faced, and reached by its pose
         free_now = self.tracking.normals(self.sun, self.wind, held=False)
         previous = np.maximum(np.arange(len(self.seconds)) - 1, 0)
         free, held = free_now[previous], self.wanted[previous]
         assert self.poses.direction is not None
-        reached = self.poses.direction[previous]
+        faced, reached = self.faced.directions[previous], self.poses.direction[previous]
         return {
             "limits of tilt, shadow and wind": angles(free_now, self.sun.direction),
             "the sun's way in a period": angles(free, free_now),
             "dead band": angles(held, free),
-            "reach of the mechanism": angles(reached, held),
+            "obstacles": angles(faced, held),
+            "reach of the mechanism": angles(reached, faced),
             "motion and control": angles(self.normals, reached),
         }
 
@@ -214,7 +224,7 @@ class Day:
 
         This holds at the time of the set-point and of the previous one, which the panel has followed.
         """
-        may_face = self.tracking.can_face(self.sun) & self.poses.reached & ~self.stowed
+        may_face = self.tracking.can_face(self.sun) & self.poses.reached & ~self.stowed & ~self.faced.replaced
         return may_face & np.append(may_face[0], may_face[:-1])
 
     @property
@@ -225,10 +235,21 @@ class Day:
         return np.asarray(seen / np.linalg.norm(seen, axis=1, keepdims=True))
 
     @cached_property
+    def sky(self) -> ClearSky:
+        """Light of the clear sky at the times of the set-points."""
+        return ClearSky(self.place, self.sun)
+
+    @cached_property
+    def lost_light(self) -> float:
+        """W h/m^2, irradiation that is lost because wanted directions are blocked."""
+        wanted, faced = (self.sky.on(each) for each in (self.wanted, self.faced.directions))
+        return over_day(self.seconds, wanted - faced)
+
+    @cached_property
     def irradiance(self) -> dict[str, Array]:
         """(n,) W/m^2, irradiance on this tracker's panel (`THIS`, first) and on other panels, by name."""
-        sky = ClearSky(self.place, self.sun)
-        return {name: sky.on(normals) for name, normals in {THIS: self.normals, **sky.alternatives()}.items()}
+        normals = {THIS: self.normals, **self.sky.alternatives()}
+        return {name: self.sky.on(each) for name, each in normals.items()}
 
     @cached_property
     def light(self) -> dict[str, float]:
@@ -253,44 +274,49 @@ class Followed(NamedTuple):
 
     Attributes:
         scene: the tracker, whose controllers follow the moves between set-points.
-        poses: poses of the set-points.
-        loads: static loads at these poses, without wind.
+        loads: static loads at the poses of the set-points, without wind.
         plan: moves between the set-points.
     """
 
     scene: Scene
-    poses: Poses
     loads: Loads
     plan: Plan
 
 
-def following(scene: Scene, axis: Axis, wanted: Array, period: float, tracking: Tracking) -> Followed:
-    """Give a tracker set-points that make its panel face given directions.
-
-    The feedforward of each PD controller is the static force of its set-point (`newton_euler.statics`), so
-    that weight causes no steady-state error. In a move it changes in proportion to the position.
-
-    Args:
-        scene: the tracker; all its controllers are `PD`.
-        axis: the panel's normal as an axis of a body.
-        wanted: (n, 3) wanted directions of the normal, world frame.
-        period: time between set-points, s.
-        tracking: gives the largest speed and acceleration of the set-points.
+def pd_laws(scene: Scene) -> list[PD]:
+    """Return the controllers of a tracker.
 
     Raises:
-        CrosscheckError: if a controller of the scene is not `PD`.
+        CrosscheckError: if the scene has none, or others than PD controllers.
     """
     laws = [law for law in scene.control if isinstance(law, PD)]
     if not laws or len(laws) < len(scene.control):
         raise CrosscheckError(
             f"scene {scene.name!r}: set-points need PD controllers; found none, or other controllers too"
         )
-    # inverse kinematics; `coordinates` of the poses are the measured joint coordinates
+    return laws
+
+
+def following(scene: Scene, poses: Poses, period: float, tracking: Tracking) -> Followed:
+    """Give a tracker set-points.
+
+    The feedforward of each PD controller is the static force of its set-point (`newton_euler.statics`), so
+    that weight causes no steady-state error. In a move it changes in proportion to the position.
+
+    Args:
+        scene: the tracker; all its controllers are `PD`.
+        poses: poses of the n set-points, with the coordinates of the controllers measured.
+        period: time between set-points, s.
+        tracking: gives the largest speed and acceleration of the set-points.
+
+    Raises:
+        CrosscheckError: if a controller of the scene is not `PD`.
+    """
+    laws = pd_laws(scene)
     keys = [law.key for law in laws]
-    poses = solve_poses(scene, axis=axis, towards=wanted, measure=keys)
     loads = statics(scene, poses, keys)
     # moves from set-point to set-point
-    times = period * np.arange(len(wanted))
+    times = period * np.arange(len(poses))
     positions = np.stack([poses.coordinates[key] for key in keys], axis=1)
     plan = plan_moves(times, positions, tracking.speed, tracking.acceleration)
     control = tuple(
@@ -299,7 +325,7 @@ def following(scene: Scene, axis: Axis, wanted: Array, period: float, tracking: 
     )
     start, end = poses.state(0), float(times[-1])
     driven = replace(scene, control=control, initial_state=start, duration=end, output_period=period)
-    return Followed(driven, poses, loads, plan)
+    return Followed(driven, loads, plan)
 
 
 def check_period(period: float) -> None:
@@ -341,19 +367,22 @@ def tracker_day(
     check_period(period)
     sun = sun_over(place, day_times(date, zone or place.zone, period))
     wanted = tracking.normals(sun, wind)
-    scene, poses, loads, plan = following(scene, axis, wanted, period, tracking)
+    pd_laws(scene)  # raises for other controllers, before poses are solved
+    faced = face(scene, axis, wanted, tracking)
+    scene, loads, plan = following(scene, faced.poses, period, tracking)
     scene = replace(scene, outputs=frozenset({"velocities", "actuation"}))
     motion = compile_scene(scene).simulate(times=plan.samples(scene.times), rest=REST_RATE)
     return Day(
         place=place,
         sun=sun,
         wanted=wanted,
-        poses=poses,
+        faced=faced,
         loads=loads,
         tracking=tracking,
         plan=plan,
         scene=scene,
         motion=motion,
+        ways=faced.obstacles.ways(plan, faced.poses),
         axis=axis,
         wind=wind,
     )

@@ -29,8 +29,15 @@ from crosscheck.report.table import (
     number_columns,
     text_columns,
 )
-from crosscheck.solar.day import Day
+from crosscheck.solar.day import Day, angles
 from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
+from crosscheck.solar.tables import (
+    actuators_table,
+    error_table,
+    joints_table,
+    largest_at,
+    obstacles_table,
+)
 from crosscheck.support.files import write_files
 from newton_euler.scalars import Array
 
@@ -39,9 +46,6 @@ if TYPE_CHECKING:
 
 MAX_PRINTED_HOURS = 9
 """Largest number of rows of the table of a day in the terminal, so that the report has about 25 lines."""
-
-NEGLIGIBLE_ERROR = 5e-5
-"""Largest pointing error, degrees, that is printed as 0.0000: causes below it have no row."""
 
 SURVEY_HEADINGS = (
     "on sun\nh",
@@ -109,81 +113,15 @@ def day_report(day: Day) -> Report:
             for name, value in day.light.items()
         ],
     )
-    parts: list[Part] = [
-        hours_table,
-        irradiation_table,
-        actuators_table(day),
-        error_table(day),
-        joints_table(day),
-        Lines("assumptions", list(assumptions(day))),
-    ]
-    summary: list[Part] = [short_table, irradiation_table, actuators_table(day), error_table(day)]
+    obstacles = obstacles_table(day)
+    common: list[Part] = [irradiation_table, actuators_table(day), error_table(day)]
+    common += [obstacles] if obstacles.rows else []
+    lines = Lines("assumptions", list(assumptions(day)))
+    parts: list[Part] = [hours_table, *common, joints_table(day), lines]
+    summary: list[Part] = [short_table, *common]
     title = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
     judged = Cell("followed", verdict="holds")
     return Report(title, verdict(day), judged, parts, day.run.wall_time, summary)
-
-
-def actuators_table(day: Day) -> Table:
-    """Tabulate forces of actuators at rest and in motion with their times, largest speeds and powers, and
-    energies."""
-    rows: Rows = []
-    for name, actuator in day.actuators.items():
-        row: list[str | Cell] = [name]
-        for forces in (actuator.holding, actuator.moving):
-            k = largest_at(forces)
-            row += ["", ""] if k is None else [f"{abs(forces[k]):.4g}", f"{day.sun.times[k]:%H:%M}"]
-        speed, power = (float(np.max(np.abs(values))) for values in (actuator.speed, actuator.power))
-        rows.append(
-            [*row, actuator.unit, f"{1e3 * speed:.3g}", f"{1e3 * power:.3g}", f"{actuator.energy:.3g}"]
-        )
-    columns = [
-        *text_columns("actuator"),
-        *number_columns("holding"),
-        *text_columns("at"),
-        *number_columns("moving"),
-        *text_columns("at", "unit"),
-        *number_columns("speed\n" + " or ".join(speed_units(day)), "power\nmW", "energy\nJ"),
-    ]
-    return Table("largest forces of actuators at rest and in motion", columns, rows)
-
-
-def speed_units(day: Day) -> list[str]:
-    """Return the units of the speeds of actuators: mm/s for slides, mrad/s for hinges."""
-    units = {"mm/s" if day.scene.mechanism.is_slide(*law.key) else "mrad/s" for law in day.scene.control}
-    return sorted(units)
-
-
-def largest_at(forces: Array) -> int | None:
-    """Return the index of the largest magnitude of forces (n,), some of which are NaN; None if all are."""
-    return None if np.isnan(forces).all() else int(np.nanargmax(np.abs(forces)))
-
-
-def error_table(day: Day) -> Table:
-    """Tabulate the pointing error while the panel faces the sun, and its parts by cause."""
-    rows: Rows = []
-    for name, part in {"all together": day.errors, **day.error_parts}.items():
-        values = np.degrees(part[day.faces])
-        if len(values) and (not rows or values.max() > NEGLIGIBLE_ERROR):
-            k = np.flatnonzero(day.faces)[np.argmax(values)]
-            rows.append([name, f"{values.max():.4f}", f"{day.sun.times[k]:%H:%M}", f"{values.mean():.4f}"])
-    columns = [
-        *text_columns("cause"),
-        *number_columns("largest, deg"),
-        *text_columns("at"),
-        *number_columns("mean, deg"),
-    ]
-    return Table("pointing error just before each set-point, while the panel may face the sun", columns, rows)
-
-
-def joints_table(day: Day) -> Table:
-    """Tabulate the largest static reaction forces of joints over the day, and when they occur."""
-    reactions = np.linalg.norm(day.loads.reaction_force, axis=2)  # (n, joints) at the set-points
-    rows: Rows = []
-    for name, force in zip(day.loads.joint_names, reactions.T, strict=True):
-        k = int(np.argmax(force))
-        rows.append([name, f"{force[k]:.3f}", f"{np.min(force):.3f}", f"{day.sun.times[k]:%H:%M}"])
-    columns = [*text_columns("joint"), *number_columns("largest, N", "least, N"), Column("largest at")]
-    return Table("forces of joints at rest, weight alone", columns, rows)
 
 
 def verdict(day: Day) -> str:
@@ -192,18 +130,29 @@ def verdict(day: Day) -> str:
     text = f"faces the sun for {day.hours(faces):.1f} h"
     if faces.any():
         text += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
-    limited_hours = day.hours(day.sun.is_up & ~faces & ~day.stowed)
+    limited_hours = day.hours(day.sun.is_up & ~faces & ~day.stowed & ~day.faced.replaced)
     if limited_hours > 0.0:
         most_tilt = f"{day.tracking.most_tilt:g} deg"
         text += f", and for {limited_hours:.1f} h points as close to it as a tilt of {most_tilt} allows"
     if day.wind is not None:
         flat_hours = day.hours(day.sun.is_up & day.stowed)
         text += f"; lies flat for {flat_hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
-    missed = int(np.sum(~day.poses.reached))
-    if missed:
-        largest_miss = np.degrees(np.max(day.poses.angle))
-        text += f"; {missed} set-points are out of reach, by up to {largest_miss:.2f} deg"
+    if day.faced.replaced.any():
+        text += f"; {obstacles_text(day)}"
     return f"{text}; {forces_text(day)}"
+
+
+def obstacles_text(day: Day) -> str:
+    """Report in a clause how long wanted directions are blocked, and what is lost."""
+    faced, minutes = day.faced, f"{np.sum(day.faced.replaced) * day.period / 60.0:g} min"
+    if not faced.obstacles.can_avoid:
+        return f"the wanted direction is blocked for {minutes}, and so is the flat panel: nothing is avoided"
+    turned = np.degrees(angles(faced.directions, day.wanted).max())
+    lost = f"loses {1e-3 * day.lost_light:.3f} kWh/m^2"
+    return (
+        f"for {minutes} the wanted direction is blocked, and the nearest free one, up to {turned:.1f} deg "
+        f"beside it, {lost}"
+    )
 
 
 def forces_text(day: Day) -> str:
@@ -231,6 +180,13 @@ def assumptions(day: Day) -> Iterator[str]:
         f"between set-points the speed is a trapezoid of at most {day.tracking.speed:g} m/s or rad/s and "
         f"{day.tracking.acceleration:g} m/s^2 or rad/s^2, the same start and end for all actuators"
     )
+    yield (
+        f"blocked: bodies without a common joint nearer than {1e3 * day.tracking.clearance:g} mm, a distance "
+        f"from singular configurations below {day.tracking.to_singular:g}, and what is beyond such a one"
+    )
+    if left_out := day.faced.obstacles.left_out:
+        pairs = ", ".join(" and ".join(pair) for pair in sorted(map(sorted, left_out)))
+        yield f"too close even if the panel lies flat, and therefore not examined: {pairs}"
     wind = "no wind" if day.wind is None else "wind makes the panel lie flat and has no other effect"
     yield f"at night the panel waits in the position of the next morning; the base is fixed; {wind}"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"

@@ -22,6 +22,9 @@ MIN_RATE, MAX_RATE = 1e-5, 1e3
 """Allowed range of speeds and accelerations of set-points, SI. At the least speed, a move of 0.1 m takes
 three hours."""
 
+MAX_CLEARANCE = 100.0
+"""Largest clearance between bodies, m."""
+
 
 @dataclass(frozen=True)
 class Tracking:
@@ -39,6 +42,9 @@ class Tracking:
         stow: wind speed from which the panel is to lie flat, m/s.
         speed: largest speed of the set-points, m/s at slides and rad/s at hinges.
         acceleration: largest acceleration of the set-points, m/s^2 or rad/s^2.
+        clearance: smallest distance, m, between bodies that no joint connects.
+        to_singular: smallest distance of poses from singular configurations, in which the actuators do not
+            determine the motion; dimensionless, see `newton_euler.Poses.independence`.
 
     Raises:
         CrosscheckError: naming a value that is out of range.
@@ -50,6 +56,8 @@ class Tracking:
     stow: float = np.inf
     speed: float = 0.01
     acceleration: float = 0.02
+    clearance: float = 0.001
+    to_singular: float = 0.05
 
     def __post_init__(self) -> None:
         limits = {
@@ -59,6 +67,8 @@ class Tracking:
             "stow": (0.0, np.inf),
             "speed": (MIN_RATE, MAX_RATE),
             "acceleration": (MIN_RATE, MAX_RATE),
+            "clearance": (0.0, MAX_CLEARANCE),
+            "to_singular": (0.0, 1.0),
         }
         for field in fields(self):
             value, (low, high) = getattr(self, field.name), limits[field.name]

@@ -201,6 +201,7 @@ def solve_poses(
     towards: Any = None,
     measure: Sequence[str | Key] | None = None,
     start: State | None = None,
+    nearest: bool = True,
 ) -> Poses:
     """Solve forward or inverse kinematics for many goals at once, by compiled equations.
 
@@ -219,6 +220,8 @@ def solve_poses(
         measure: other joint coordinates to return. If None and without `coordinates`, the coordinates of
             control laws.
         start: pose to begin at, on the wanted assembly branch; the scene's initial state if None.
+        nearest: False to save the search for the nearest pose if a goal is not reached; the pose is then the
+            last one that was solved on the way to the goal.
 
     Raises:
         UnknownNameError: for an unknown joint or body.
@@ -241,7 +244,7 @@ def solve_poses(
     # branch
     missed = np.flatnonzero(~reached)
     beyond = np.zeros(len(reached), dtype=bool)
-    if missed.size:
+    if missed.size and nearest:
         # signs (n, 2) are -1 if a singular configuration was passed: of the Jacobian of the goals, and of all
         # chosen and measured coordinates
         near, signs = approach(configs[missed], sample_branch(begin), goal[missed])

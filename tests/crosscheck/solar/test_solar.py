@@ -8,14 +8,14 @@ from command_line import run
 
 from crosscheck.library import load
 from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
-from crosscheck.solar.day import following, tracker_day
+from crosscheck.solar.day import tracker_day
 from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, seconds_of_day, sun_over
 from crosscheck.solar.report import hours, table_of_set_points, verdict
 from crosscheck.solar.tracking import Tracking
 from crosscheck.solar.wind import wind_over_day
 from crosscheck.support.errors import CrosscheckError
-from newton_euler import Sampled
+from newton_euler import Sampled, solve_poses
 from newton_euler.model.source_file import SourceError
 
 pd = pytest.importorskip("pandas")
@@ -207,7 +207,7 @@ def test_storms_come_at_set_points():
 def test_what_is_out_of_reach_is_faced_as_nearly_as_can_be():
     tracking = Tracking(most_tilt=60.0)
     wanted = tracking.normals(sun_over(EQUATOR, day_times("2026-03-21", "UTC", 3600.0)))
-    poses = following(sun_tracker(), PANEL_NORMAL, wanted, 60.0, tracking).poses
+    poses = solve_poses(sun_tracker(), axis=PANEL_NORMAL, towards=wanted)
     assert not poses.reached.all()
     assert poses.closed.all()
     assert all("nearest pose" in line for line in poses.report())
@@ -264,9 +264,7 @@ def test_set_points_are_those_of_pd_laws():
     scene = load("tracker")
     laws = tuple(Sampled(law.joint, lambda time, x, x_rate: 0.0, 0.01) for law in scene.control)
     with pytest.raises(CrosscheckError, match=r"'tracker'.*PD"):
-        following(
-            replace(scene, control=laws), PANEL_NORMAL, np.array([[0.0, 0.0, 1.0]] * 2), 60.0, Tracking()
-        )
+        tracker_day(replace(scene, control=laws), PANEL_NORMAL, EQUATOR, "2026-03-21")
 
 
 def test_a_flat_panel_has_a_tilt_of_zero():
