@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from newton_euler.analysis.identification.measurements import Measurements, measurements_from_csv
     from newton_euler.analysis.kinematics.branches import Branches, assembly_branches
     from newton_euler.analysis.kinematics.configurations import Axis
+    from newton_euler.analysis.kinematics.point import Point
     from newton_euler.analysis.kinematics.poses import Poses, solve_poses
     from newton_euler.analysis.kinematics.workspace import Workspace, singular_poses, workspace
     from newton_euler.analysis.linear.linear_model import LinearModel, Modes
@@ -80,6 +81,7 @@ else:
         "analysis.identification.measurements": ("Measurements", "measurements_from_csv"),
         "analysis.kinematics.branches": ("Branches", "assembly_branches"),
         "analysis.kinematics.configurations": ("Axis",),
+        "analysis.kinematics.point": ("Point",),
         "analysis.kinematics.poses": ("Poses", "solve_poses"),
         "analysis.kinematics.workspace": ("Workspace", "singular_poses", "workspace"),
         "analysis.linear.linear_model": ("LinearModel", "Modes"),
@@ -150,6 +152,7 @@ __all__ = [
     "NewtonEulerError",
     "ParallelHinges",
     "Planar",
+    "Point",
     "PointOnLine",
     "PointSpring",
     "Polynomial",

@@ -19,6 +19,7 @@ from pictures import (
     STALE,
     WIDGET,
     WIDTHS,
+    WORKSPACES,
     WRONG,
     digest,
     made_from,
@@ -107,8 +108,9 @@ def test_the_disagreement(tmp_path, monkeypatch):
         assert made_from(picture) == content, f"{picture} {STALE}"
 
 
-def test_the_workspace():
-    assert made_from("workspace.png") == digest(workspace_command()), f"workspace.png {STALE}"
+@pytest.mark.parametrize(("name", "scene"), WORKSPACES.items())
+def test_workspaces(name, scene):
+    assert made_from(f"{name}.png") == digest(workspace_command(scene)), f"{name}.png {STALE}"
 
 
 def test_all_pictures_are_shown_and_small():

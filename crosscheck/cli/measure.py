@@ -262,10 +262,20 @@ def modes_command(
     metavar="JOINT=LOW:HIGH[:POINTS]",
     help="Range of a joint coordinate relative to the initial pose, m or rad. One per degree of freedom.",
 )
-@click.option("--axis", metavar="BODY=X,Y,Z", help="Map the direction of an axis that is fixed in a body.")
+@click.option("--axis", metavar="BODY=X,Y,Z", help="Map the direction of an axis, in the frame of its body.")
+@click.option(
+    "--point",
+    metavar="BODY=X,Y,Z",
+    help="Map the position of a point of a body, m, given in the world at the initial pose.",
+)
 @folder_option("output/workspace/SCENE")
 def workspace_command(
-    scene: str, settings: tuple[str, ...], ranges: tuple[str, ...], axis: str | None, output: Path | None
+    scene: str,
+    settings: tuple[str, ...],
+    ranges: tuple[str, ...],
+    axis: str | None,
+    point: str | None,
+    output: Path | None,
 ) -> int:
     """Map the workspace: reachable poses, singular poses and clearances between bodies.
 
@@ -277,16 +287,17 @@ def workspace_command(
     loaded = load_with_warnings(scene, options)
     grid = dict(workspace.range_of(loaded, each) for each in ranges)
     pointing = None if axis is None else workspace.axis_of(axis)
+    tip = None if point is None else workspace.point_of(point)
     paths = result_paths(
         output, "output/workspace", kind="workspace", names=workspace.WORKSPACE_FILES, sources=[scene]
     )
     with progress_shown() as progress:
-        found = workspace.measure(loaded, grid, pointing, progress)
+        found = workspace.measure(loaded, grid, pointing, tip, progress)
         progress("writing")
-        written = workspace.write(found, paths[0].parent, scene, options)
-    click.echo(terminal([workspace.table(found)]), nl=False)
-    warning = workspace.unusable_warning(found)  # empty if bodies do not collide at some reachable point
-    say(*filter(None, [warning]), "wrote " + ", ".join(str(path) for path in written))
+        whole = workspace.report(found)
+        written = workspace.write(found, whole, paths[0].parent, scene, options)
+    files = ", ".join(str(path) for path in written)
+    show(whole, f"wrote {files}", f"more  {next_step('report', paths[0].parent)}")
     return AGREE
 
 
@@ -396,7 +407,7 @@ def report_command(folder: Path) -> int:
     """Write the results of other commands in DIR as one HTML page, DIR/report.html.
 
     DIR is the output folder of run, run --all, regress, faults, stress, bench, sweep, loads, modes,
-    controllers, year or identify, or a folder of such folders, for example `output`.
+    controllers, workspace, year or identify, or a folder of such folders, for example `output`.
     """
     from crosscheck.report.page import write_report
     from crosscheck.sweeps.store import check_finished

@@ -54,6 +54,7 @@ RESULTS = (
     "year.json",
     "modes.json",
     "controllers.json",
+    "workspace.json",
     "identify.json",
     "tune.json",
     "diff.json",
@@ -174,7 +175,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
         raise CrosscheckError(
             f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
             f"{', '.join(RESULTS)}, as run, regress, faults, stress, bench, sweep, loads, modes, "
-            "controllers, year and identify write them"
+            "controllers, workspace, year and identify write them"
         )
     check_writable(path)
 

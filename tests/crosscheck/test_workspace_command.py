@@ -3,18 +3,38 @@
 from __future__ import annotations
 
 import csv
+import io
+import json
 
 import numpy as np
 import pytest
 from command_line import run
+from PIL import Image
 
+from crosscheck.design import workspace_map, workspace_plots
+from crosscheck.library import load
 from mjcf.clearance import clearances
-from newton_euler import Body, Capsule, Free, Mechanism, Revolute, Sphere
+from newton_euler import (
+    Body,
+    Capsule,
+    Free,
+    Mechanism,
+    Point,
+    Revolute,
+    Sphere,
+    singular_poses,
+    workspace,
+)
 
 VARY = "--vary", "slide_12=0.0:0.06:7", "--vary", "slide_13=0.0:0.06:5"
 
 
-def test_workspace_prints_a_table_and_writes_a_picture_and_rows(capsys, tmp_path):
+@pytest.fixture
+def few_searches(monkeypatch):
+    monkeypatch.setattr(workspace_map, "SINGULAR_SEARCHES", 200)
+
+
+def test_workspace_prints_a_table_and_writes_a_picture_and_rows(capsys, tmp_path, few_searches):
     arguments = ("workspace", "tracker", *VARY, "--axis", "panel_7=0,0,1", "--output", tmp_path)
     status, out, _ = run(capsys, *arguments)
     assert status == 0
@@ -54,6 +74,10 @@ def test_points_out_of_reach_are_told(capsys, tmp_path):
         ((*VARY, "--axis", "panel_7"), "BODY=X,Y,Z"),
         ((*VARY, "--axis", "panel=0,0,1"), "unknown body 'panel'"),
         ((*VARY, "--axis", "panel_7=0,0,0"), "not all of them 0"),
+        ((*VARY, "--point", "panel_7"), "BODY=X,Y,Z"),
+        ((*VARY, "--point", "panel_7=0,0"), "BODY=X,Y,Z"),
+        ((*VARY, "--point", "panel=0,0,1"), "unknown body 'panel'"),
+        ((*VARY, "--point", "base=0,0,1"), "a body that moves"),
         (("--vary", "slide_12=0:1:2000", "--vary", "slide_13=0:1:2000"), "more than 1000000 points"),
     ],
 )
@@ -80,3 +104,61 @@ def test_clearance_of_spheres_and_bars_is_their_distance():
     np.testing.assert_allclose(found, [0.85, 0.35, -0.10], rtol=0.0, atol=1e-6)  # MuJoCo's tolerance
     joined = Mechanism([Body.ground(), ball, rod], [*joints, Free("both", "ball", "rod", [0.0, 0.0, 0.0])])
     assert np.isinf(clearances(joined, position, quaternion)).all()
+
+
+FLAT = "--vary", "pivot_0=-2.0:2.0:9"
+
+
+def test_a_point_in_a_plane_has_extents_extremes_and_results_to_take_away(capsys, tmp_path, few_searches):
+    """The middle of a coupler of 1 m moves on a circle of 1 m about (0.5, 0)."""
+    arguments = ("workspace", "four_bar", "--set", "N=1", *FLAT, "--point", "coupler_0=0.5,1,0")
+    status, out, _ = run(capsys, *arguments, "--output", tmp_path)
+    assert status == 0
+    assert (tmp_path / "workspace.png").read_bytes().startswith(b"\x89PNG")
+    angles = np.linspace(-2.0, 2.0, 9)
+    expected = {"x, m": 0.5 - np.sin(angles), "y, m": np.cos(angles), "z, m": np.zeros(9)}
+    rows = list(csv.DictReader((tmp_path / "workspace.csv").open()))
+    for name, values in expected.items():
+        np.testing.assert_allclose([float(row[name]) for row in rows], values, atol=1e-8)
+    beyond = [float(row["beyond singular"]) for row in rows]
+    np.testing.assert_array_equal(beyond, np.abs(angles) > 0.5 * np.pi)
+    found = json.loads((tmp_path / "workspace.json").read_text())
+    assert (found["source"], found["options"], found["branch"]) == ("four_bar", {"N": "1"}, "initial pose")
+    assert (found["points"], found["reachable"], found["beyond_singular"]) == (9, 9, sum(beyond))
+    assert found["point"] == {"body": "coupler_0", "point": [0.5, 1.0, 0.0]}
+    extremes = {each["position"]: each for each in found["extremes"]}
+    assert extremes.keys() == {f"{end} {axis}" for end in ("smallest", "largest") for axis in "xy"}
+    highest = extremes["largest y"]
+    assert (highest["x, m"], highest["y, m"]) == pytest.approx((0.5, 1.0), abs=1e-12)
+    assert highest["coordinates"]["pivot_0"] == pytest.approx(0.0, abs=1e-12)
+    assert "2 of 9 poses are reached through a singular configuration" in " ".join(out.split())
+    # the page has the tables and the picture
+    assert run(capsys, "report", tmp_path)[0] == 0
+    page = (tmp_path / "report.html").read_text()
+    assert all(text in page for text in ("workspace over pivot_0", "largest y", "data:image/png;base64,"))
+
+
+def test_maps_show_every_kind_of_point():
+    """No map on a line; one in a plane, of a curve; two of an area over three coordinates; three in space."""
+    strokes = {
+        name: np.array([-0.2, 0.0, 0.2]) for name in ("boom_cylinder", "stick_cylinder", "bucket_cylinder")
+    }
+    cases = [
+        ("slider_crank", {"pivot": np.linspace(-1.0, 1.0, 3)}, Point("slider", [0.2, 0.0, 0.0]), 0),
+        ("four_bar", {"pivot_0": np.linspace(-1.0, 1.0, 3)}, Point("coupler_0", [0.5, 1.0, 0.0]), 1),
+        ("excavator", strokes, Point("bucket", [8.34, 0.0, -0.1]), 2),
+        ("slider_crank", {"pivot": np.linspace(-1.0, 1.0, 3)}, Point("rod", [0.1, 0.1, 0.1]), 3),
+    ]
+    for name, grid, point, count in cases:
+        scene = load(name)
+        space = workspace(scene, grid, point=point)
+        singular = singular_poses(scene, list(grid), 20)
+        found = workspace_map.WorkspaceMap(
+            scene, space, singular, np.full(len(space.poses), np.inf), None, point
+        )
+        drawn = workspace_plots.picture(found)
+        if not count:
+            assert drawn is None
+            continue
+        width = workspace_plots.PANEL_WIDTH * count * 110  # pixels
+        assert Image.open(io.BytesIO(drawn)).width == pytest.approx(width, abs=1)

@@ -273,7 +273,7 @@ def functions(folder: Path) -> list[Target]:
     """Return the public functions; files are written into a folder."""
     run = ne.simulate(SWING)
     state = ne.initial_state(SWING)
-    axis = ne.Axis("arm", [0.0, 0.0, 1.0])
+    axis, tip = ne.Axis("arm", [0.0, 0.0, 1.0]), ne.Point("arm", [0.1, 0.0, 0.0])
     times = np.linspace(0.0, 0.05, 6)
     (folder / "run.csv").write_text(
         "\n".join(["time,coordinate.pivot", *(f"{t},{0.1 * t}" for t in times)]), encoding="utf-8"
@@ -328,7 +328,7 @@ def functions(folder: Path) -> list[Target]:
         (ne.statics, {"states": state, "actuators": at_pivot}),
         (ne.start, {"pivot": (0.1, 0.0)}),
         (ne.with_parameters, {"values": {"arm.mass": 1.0}}),
-        (ne.workspace, {"grid": {"pivot": [0.0, 0.1]}, "axis": axis, "start": state}),
+        (ne.workspace, {"grid": {"pivot": [0.0, 0.1]}, "axis": axis, "start": state, "point": tip}),
         (mjcf.simulate, {"timestep": 0.001, "integrator": "RK4", "solref": [0.002, 1.0]}),
         (mjcf.to_xml, {}),
         (mjcf.write, {"path": folder / "written.xml"}),
@@ -390,6 +390,7 @@ def instances() -> list[Any]:
         ne.initial_state(SWING),
         ARM,
         ne.Axis("arm", z),
+        ne.Point("arm", z),
         ne.Box([0.1, 0.2, 0.3], z),
         ne.Sphere(z, 0.1),
         ne.Cylinder(x, y, 0.1),

@@ -142,10 +142,15 @@ def notebook_content() -> str:
     return "\n".join(["".join(cell["source"]) for cell in cells] + templates)
 
 
-def workspace_command() -> str:
-    """Command of the workspace's picture, as its page has it."""
+WORKSPACES = {"workspace": "tracker", "excavator_workspace": "excavator"}
+"""Scenes of the pictures of workspaces, by the name of the picture."""
+
+
+def workspace_command(scene: str) -> str:
+    """Command of the picture of a scene's workspace, as its page has it."""
     page = (ROOT / "docs" / "how_to" / "kinematics.md").read_text()
-    return page.partition("$ .venv/bin/")[2].partition("\n")[0]
+    command = f"crosscheck workspace {scene} "
+    return command + page.partition(command)[2].partition("\n")[0]
 
 
 def verdict_words(rrd: Path) -> str:
@@ -344,11 +349,13 @@ def of_paper(folder: Path) -> None:
     save(Image.open(folder / "figure_6.png"), "drift", shown("tracker"))
 
 
-def of_workspace(folder: Path) -> None:
-    """Make that of the tracker's workspace, which is known by its command alone."""
-    subprocess.run(shlex.split(workspace_command()), cwd=folder, env=environment(80), check=True)
-    picture = folder / "output" / "workspace" / "tracker" / "workspace.png"
-    save(Image.open(picture), "workspace", workspace_command())
+def of_workspaces(folder: Path) -> None:
+    """Make those of workspaces, which are known by their commands alone."""
+    for name, scene in WORKSPACES.items():
+        command = workspace_command(scene)
+        subprocess.run(shlex.split(command), cwd=folder, env=environment(80), check=True)
+        picture = folder / "output" / "workspace" / scene / "workspace.png"
+        save(Image.open(picture), name, command)
 
 
 MAKERS = {
@@ -357,7 +364,7 @@ MAKERS = {
     "disagreement": of_disagreement,
     "benchmark": of_benchmark,
     "paper": of_paper,
-    "workspace": of_workspace,
+    "workspace": of_workspaces,
 }
 """Makers of pictures by name: all, or those that are named on the command line."""
 

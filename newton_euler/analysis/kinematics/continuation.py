@@ -144,24 +144,48 @@ def crossing_signs(before: Configurations, after: Configurations) -> Array:
     return signs
 
 
-def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
+def crosses_singular_loops(before: Configurations, after: Configurations) -> Array:
+    """Return True (n,) where loops lost rank between two configurations, as where a four-bar linkage is flat.
+
+    There the mechanism has more degrees of freedom and can change to another branch. A smooth path through
+    such a configuration changes the sign of a singular value of the loops' Jacobian J. Then J^+(before)
+    J(after) has an eigenvalue that is negative; on other short strides its eigenvalues are near 1, and 0 in
+    the tangent space.
+
+    Args:
+        before, after: n configurations each, one stride apart.
+    """
+    tangent_projector = np.swapaxes(before.tangent, 1, 2) @ before.tangent
+    change = before.loop_inverse @ after.loops + tangent_projector
+    # all eigenvalues are within the Frobenius norm of the difference from the identity
+    distance = np.linalg.norm(change - np.eye(change.shape[1]), axis=(1, 2))
+    crossed = distance >= 1.0 - RANK_TOLERANCE
+    eigenvalues = np.linalg.eigvals(change[crossed])
+    crossed[crossed] = np.min(eigenvalues.real, axis=1, initial=1.0) < RANK_TOLERANCE
+    return np.asarray(crossed)
+
+
+def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array, Array]:
     """Move one configuration to each of n goals by continuation from the nearest solved goal.
 
     A goal far from all solved goals is approached in strides along a straight line.
 
     Returns:
         Configurations; a goal that is not reached has the nearest solved one. True (n,) for goals that are
-        reached without crossing a singular configuration.
+        reached without a change of sign of the determinants of `crossing_signs`. True (n,) for goals that the
+        path reaches through a configuration in which loops lose rank.
     """
     from scipy.spatial import cKDTree
 
     chain, count = start.chain, len(goal.coordinates)
     # solved configurations and the goals that they meet, at first the start alone
     solved, solved_goals = start.values, chain.goal_at(start)
+    solved_beyond = np.zeros(1, dtype=bool)
     # for each goal: the configuration so far, a point in a Euclidean space in which angles are points on
     # circles, and the number of the solved goal from which it was last tried
     values = np.repeat(start.values, count, axis=0)
     points, tried, reached = chain.embed(goal), np.full(count, -1), np.zeros(count, dtype=bool)
+    beyond = np.zeros(count, dtype=bool)
     # length of a stride for each goal
     start_distance = np.linalg.norm(points - chain.embed(solved_goals), axis=1)
     stride = np.maximum(MAX_STRIDE, start_distance / MAX_STRIDES)
@@ -181,13 +205,16 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
         before = Configurations(chain, solved[source])
         after, met = newton(before, intermediate)
         met &= np.all(crossing_signs(before, after) > 0.0, axis=1)
+        is_beyond = solved_beyond[source] | crosses_singular_loops(before, after)
         # the ends of strides are solved goals from now on
         tried[numbers] = source
         values[numbers] = np.where(met[:, None], after.values, before.values)
         reached[numbers] = met & (fraction == 1.0)
+        beyond[numbers] = is_beyond
         solved = np.concatenate([solved, after.values[met]])
+        solved_beyond = np.concatenate([solved_beyond, is_beyond[met]])
         solved_goals = solved_goals.with_others(intermediate[met])
-    return Configurations(chain, values), reached
+    return Configurations(chain, values), reached, beyond & reached
 
 
 def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Array:

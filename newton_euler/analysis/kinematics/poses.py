@@ -34,6 +34,7 @@ from newton_euler.analysis.kinematics.continuation import (
     largest,
     sample_branch,
 )
+from newton_euler.analysis.kinematics.point import Point, positions
 from newton_euler.arguments import checked
 from newton_euler.equations.dense import RANK_TOLERANCE
 from newton_euler.errors import MechanismError, OptionError, finite_array, listed
@@ -144,6 +145,16 @@ class Poses:
         return self._configs.q[:, : self._configs.chain.system.tree.nq]
 
     @checked
+    def positions(self, of: Point) -> Array:
+        """Compute world positions (n, 3), m, of a point of a body.
+
+        Raises:
+            UnknownNameError: for an unknown body.
+            MechanismError: for a point of the ground.
+        """
+        return positions(self._configs, of)
+
+    @checked
     def jacobian(self, of: Sequence[str | Key | Axis], by: Sequence[str | Key | Axis]) -> Array:
         """Compute the Jacobian (n, rows, columns) of quantities with respect to others, with closed loops.
 
@@ -239,7 +250,7 @@ def solve_poses(
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
     # continuation from the start
     begin = chain.at(chain.start[None])
-    configs, reached = follow(begin, goal)
+    configs, reached, _ = follow(begin, goal)
     # goals that are not reached: the nearest pose, searched from the last one or from random poses of the
     # branch
     missed = np.flatnonzero(~reached)

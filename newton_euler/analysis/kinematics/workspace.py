@@ -26,6 +26,7 @@ from newton_euler.analysis.kinematics.continuation import (
     newton,
     random_coordinates,
 )
+from newton_euler.analysis.kinematics.point import Point, body_index, conditioning, directions, rates
 from newton_euler.analysis.kinematics.poses import Poses, chain_of, coordinate_values, goals_of, poses_of
 from newton_euler.arguments import Range, checked
 from newton_euler.errors import OptionError
@@ -52,12 +53,23 @@ class Workspace:
         grid: values (n_1,), (n_2,), ... of each coordinate, m or rad.
         reachable: (n_1, n_2, ...) True where there is a pose of the branch.
         poses: poses at the reachable points of the grid, in the order of `numpy.flatnonzero(reachable)`.
+            `Poses.beyond` is True for poses whose path from the start passes a configuration in which loops
+            lose rank: there the mechanism can change to another branch. No path passes a configuration in
+            which the coordinates do not determine the motion.
         driving: (n_1, n_2, ...) `Poses.independence` of the coordinates: a dimensionless measure of the
             distance to singular configurations, in which the coordinates do not determine the motion. 0 at
             such a configuration; NaN at points that are not reachable.
         pointing: the same for the axis, 0 where some motions do not turn the axis; None without an axis.
         elevation, azimuth: (n_1, n_2, ...) rad, angle of the axis above the plane of the world's x and y, and
             angle in this plane from x to y; NaN at points that are not reachable; None without an axis.
+        position: (n_1, n_2, ..., 3) m, world position of the point; NaN at points of the grid that are not
+            reachable; None without a point.
+        conditioning: (n_1, n_2, ...) conditioning of the velocity of the point with respect to the rates of
+            the coordinates, dimensionless: the smallest singular value of the Jacobian, divided by the
+            largest. 0 where a direction has no motion, 1 where the point moves alike in all directions.
+            Slides count in sizes of the mechanism, angles in rad. NaN and None as for `position`.
+        directions: (r, 3) orthonormal directions in which the point moves anywhere on the grid: the world
+            axes x and z for a point that moves in their plane. None without a point.
 
     Examples:
         >>> found: Workspace = workspace(load("slider_crank"), {"pivot": np.linspace(-3.0, 3.0, 7)})
@@ -72,6 +84,9 @@ class Workspace:
     pointing: Array | None
     elevation: Array | None
     azimuth: Array | None
+    position: Array | None = None
+    conditioning: Array | None = None
+    directions: Array | None = None
 
     def __repr__(self) -> str:
         names = ", ".join(map(str, self.grid))
@@ -80,7 +95,11 @@ class Workspace:
 
 @checked
 def workspace(
-    scene: Scene, grid: Mapping[str | Key, Any], axis: Axis | None = None, start: State | None = None
+    scene: Scene,
+    grid: Mapping[str | Key, Any],
+    axis: Axis | None = None,
+    start: State | None = None,
+    point: Point | None = None,
 ) -> Workspace:
     """Map the poses of a mechanism over a grid of joint coordinates.
 
@@ -95,17 +114,24 @@ def workspace(
             freedom, and at most `MAX_POSES` points.
         axis: axis of a body, whose directions are mapped.
         start: pose on the assembly branch that is mapped; the scene's initial state if None.
+        point: point of a body, whose positions are mapped.
 
     Raises:
         OptionError: for more or fewer coordinates.
         UnknownNameError: for an unknown joint or body.
-        MechanismError: for values that are not finite.
+        MechanismError: for values that are not finite, and for a point of the ground.
 
     Examples:
         >>> heights, normal = np.linspace(-0.02, 0.05, 8), Axis("panel_7", [0, 0, 1])
         >>> found = workspace(load("tracker"), {"slide_12": heights, "slide_13": heights}, normal)
         >>> print(found.reachable.sum(), found.driving[4, 4].round(3))
         49 0.561
+        >>> tip, ends = Point("bucket", [8.34, 0.0, -0.1]), np.array([-0.3, 0.5])
+        >>> cylinders = "boom_cylinder", "stick_cylinder", "bucket_cylinder"
+        >>> reach = workspace(load("excavator"), {name: ends for name in cylinders}, point=tip)
+        >>> print(reach.directions, np.max(reach.poses.positions(tip)[:, 0]).round(2))
+        [[1. 0. 0.]
+         [0. 0. 1.]] 9.2
     """
     # all points of the grid, as goals: coordinates only, without a direction for the axis (`towards`) and
     # without other coordinates to return (`measure`)
@@ -114,25 +140,36 @@ def workspace(
         raise OptionError("grid", f"{points} points", f"at most {MAX_POSES}")
     mesh = np.meshgrid(*axis_values.values(), indexing="ij") if axis_values else []
     coordinates = dict(zip(axis_values, (each.ravel() for each in mesh), strict=True))
+    if point is not None:
+        body_index(scene.mechanism, point)  # check the name of the body first
     chain, names, goal = goals_of(scene, coordinates, axis, towards=None, measure=(), start=start)
     _check_count(chain)
     # poses of the reachable points
-    configs, reached = follow(chain.at(chain.start[None]), goal)
+    configs, reached, beyond = follow(chain.at(chain.start[None]), goal)
     every = np.ones(int(np.sum(reached)), dtype=bool)
-    # no pose is beyond a singular configuration, as seen from the start
-    poses = poses_of(configs[reached], goal[reached], names, reached=every, beyond=~every)
+    solved = configs[reached]
+    poses = poses_of(solved, goal[reached], names, reached=every, beyond=beyond[reached])
 
     def on_grid(values: Array) -> Array:
-        """Put values of the reachable points on the grid; NaN elsewhere."""
-        filled = np.full(len(reached), np.nan)
+        """Put values (n, ...) of the reachable points on the grid; NaN elsewhere."""
+        filled = np.full((len(reached), *values.shape[1:]), np.nan)
         filled[reached] = values
-        return filled.reshape(mesh[0].shape)
+        return filled.reshape(mesh[0].shape + values.shape[1:])
 
     pointing = elevation = azimuth = None
     if poses.direction is not None and axis is not None:
         x, y, z = poses.direction.T
         pointing = on_grid(poses.independence([axis]))
         elevation, azimuth = on_grid(np.arcsin(np.clip(z, -1.0, 1.0))), on_grid(np.arctan2(y, x))
+    position = condition = moves = None
+    if point is not None:
+        velocities, coordinate_rates = (
+            rates(solved, point),
+            solved.coordinate_jacobian @ np.swapaxes(solved.tangent, 1, 2),
+        )
+        moves = directions(velocities)
+        position = on_grid(poses.positions(point))
+        condition = on_grid(conditioning(velocities, coordinate_rates, len(moves)))
     return Workspace(
         grid=axis_values,
         reachable=reached.reshape(mesh[0].shape),
@@ -141,6 +178,9 @@ def workspace(
         pointing=pointing,
         elevation=elevation,
         azimuth=azimuth,
+        position=position,
+        conditioning=condition,
+        directions=moves,
     )
 
 
