@@ -51,13 +51,17 @@ from crosscheck.support.errors import CrosscheckError
     default=float("inf"),
     help="Distance between rows in panel lengths, for backtracking.",
 )
-@click.option(
-    "--stow", type=float, help="Wind speed above which the panel is stowed flat, m/s; needs --wind."
-)
+@click.option("--stow", type=float, help="Wind speed from which the panel is stowed flat, m/s; needs --wind.")
 @click.option(
     "--wind",
     metavar="SPEED|CSV",
-    help="Wind speed, m/s, or a CSV file of time (s) and speed; needs --stow.",
+    help="Wind speed, m/s, or a CSV file of time (s) and speed, for the load on the panel.",
+)
+@click.option(
+    "--wind-from",
+    type=click.FloatRange(0.0, 360.0),
+    metavar="DEGREES",
+    help="Direction that the wind comes from, from north to the east; needs --wind.  [default: 0]",
 )
 @click.option(
     "--speed",
@@ -96,6 +100,7 @@ def sun_command(
     period: float,
     stow: float | None,
     wind: str | None,
+    wind_from: float | None,
     output: Path,
     **numbers: float,
 ) -> int:
@@ -113,9 +118,9 @@ def sun_command(
     from crosscheck.support.time_limits import with_progress
     from newton_euler.optional_packages import optional_package
 
-    if (stow is None) != (wind is None):
-        given, other = ("--wind", "--stow SPEED") if stow is None else ("--stow", "--wind SPEED|CSV")
-        raise CrosscheckError(f"{given} has an effect with {other} alone; give both or none")
+    for name, value in (("--stow", stow), ("--wind-from", wind_from)):
+        if value is not None and wind is None:
+            raise CrosscheckError(f"{name} has no effect without --wind SPEED|CSV; give both or none")
     stow_speed = float("inf") if stow is None else stow  # without --stow, no wind is too fast
     longitude, altitude = numbers.pop("longitude"), numbers.pop("altitude")
     tracking = Tracking(stow=stow_speed, **numbers)  # the other options are rules of tracking
@@ -129,7 +134,11 @@ def sun_command(
     scene, days = sun_tracker(), []
     with progress_shown() as progress:
         for place, date in with_progress(pairs, progress, "day"):
-            days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds))
+            days.append(
+                tracker_day(
+                    scene, PANEL_NORMAL, place, date, zone, tracking, period, speeds, wind_from or 0.0
+                )
+            )
         # the report compares the irradiation with that of other panels, such as a fixed one
         progress("sunlight on other panels, plots and recording")
         if len(days) > 1:

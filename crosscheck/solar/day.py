@@ -21,6 +21,7 @@ from crosscheck.solar.moves import Plan, plan_moves
 from crosscheck.solar.obstacles import Faced, Ways, face
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
+from crosscheck.solar.wind import WIND, wind_on_panel
 from crosscheck.support.errors import CrosscheckError
 from newton_euler import Axis, Loads, Poses, compile_scene, statics
 from newton_euler.analysis.kinematics.configurations import smallest_turns
@@ -29,6 +30,7 @@ from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
 REST_RATE = 1e-8
@@ -163,6 +165,11 @@ class Day:
         """Time between set-points, s."""
         return self.scene.output_period
 
+    @property
+    def wind_acts(self) -> bool:
+        """True if the wind has a load on the panel."""
+        return any(isinstance(force, WindLoad) and force.name == WIND for force in self.scene.forces)
+
     def hours(self, which: Array) -> float:
         """Return the total time, h, of the set-points (n,) that are True in `which`."""
         return float(np.sum(which)) * self.period / 3600.0
@@ -210,7 +217,7 @@ class Day:
             "dead band": angles(held, free),
             "obstacles": angles(faced, held),
             "reach of the mechanism": angles(reached, faced),
-            "motion and control": angles(self.normals, reached),
+            "motion, control and wind load": angles(self.normals, reached),
         }
 
     @property
@@ -343,6 +350,7 @@ def tracker_day(
     tracking: Tracking = DEFAULT_TRACKING,
     period: float = 60.0,
     wind: Array | None = None,
+    wind_from: float = 0.0,
 ) -> Day:
     """Simulate a day of a tracker, from midnight to midnight, with a new set-point every `period` s.
 
@@ -357,8 +365,10 @@ def tracker_day(
         zone: time zone, for example "Asia/Phnom_Penh"; the nautical time zone of the place if None.
         tracking: rules of tracking.
         period: time between set-points, s.
-        wind: (n,) m/s, wind speed at the times of the n set-points, for `Tracking.stow`; None for calm. The
-            wind exerts no force.
+        wind: (n,) m/s, wind speed at the times of the n set-points, for `Tracking.stow` and the load on the
+            panel; None for calm. Each speed lasts until the next set-point. There is a load if the panel is a
+            box, see `crosscheck.solar.wind.panel_box`.
+        wind_from: direction that the wind comes from, degrees from north to the east.
 
     Raises:
         CrosscheckError: for a scene with other controllers, and for an invalid date, zone or period.
@@ -370,6 +380,8 @@ def tracker_day(
     pd_laws(scene)  # raises for other controllers, before poses are solved
     faced = face(scene, axis, wanted, tracking)
     scene, loads, plan = following(scene, faced.poses, period, tracking)
+    if wind is not None and (load := wind_on_panel(scene, axis, scene.times, wind, wind_from)):
+        scene = replace(scene, forces=(*scene.forces, load))
     scene = replace(scene, outputs=frozenset({"velocities", "actuation"}))
     motion = compile_scene(scene).simulate(times=plan.samples(scene.times), rest=REST_RATE)
     return Day(

@@ -134,7 +134,7 @@ def verdict(day: Day) -> str:
     if limited_hours > 0.0:
         most_tilt = f"{day.tracking.most_tilt:g} deg"
         text += f", and for {limited_hours:.1f} h points as close to it as a tilt of {most_tilt} allows"
-    if day.wind is not None:
+    if day.wind is not None and np.isfinite(day.tracking.stow):
         flat_hours = day.hours(day.sun.is_up & day.stowed)
         text += f"; lies flat for {flat_hours:.1f} h of daylight, in winds from {day.tracking.stow:g} m/s on"
     if day.faced.replaced.any():
@@ -187,7 +187,10 @@ def assumptions(day: Day) -> Iterator[str]:
     if left_out := day.faced.obstacles.left_out:
         pairs = ", ".join(" and ".join(pair) for pair in sorted(map(sorted, left_out)))
         yield f"too close even if the panel lies flat, and therefore not examined: {pairs}"
-    wind = "no wind" if day.wind is None else "wind makes the panel lie flat and has no other effect"
+    wind = "no wind"
+    if day.wind is not None:
+        panel = f"the box of {day.axis.body!r}" if day.wind_acts else "no box: there is no load"
+        wind = f"wind acts on {panel}, and each speed lasts until the next set-point"
     yield f"at night the panel waits in the position of the next morning; the base is fixed; {wind}"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
     yield "energy of actuators is their positive mechanical work; no recuperation, no friction"

@@ -100,8 +100,9 @@ class Tracking:
         night, daytime = np.flatnonzero(~up), np.flatnonzero(up)
         next_risen = np.searchsorted(daytime, night)
         wanted[night] = wanted[daytime[next_risen % len(daytime)]]
-        wanted[self.stows(wind, len(up))] = UP
-        return self.with_deadband(wanted) if held else wanted
+        stowed = self.stows(wind, len(up))
+        wanted[stowed] = UP
+        return self.with_deadband(wanted, stowed) if held else wanted
 
     def towards(self, sun: Sun) -> Array:
         """Compute the directions (n, 3), east, north, up, as close to the sun as tilt and shadow allow.
@@ -148,12 +149,19 @@ class Tracking:
         sine = self.pitch * np.sin(np.maximum(elevation, 0.0))
         return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)) - elevation, facing)
 
-    def with_deadband(self, wanted: Array) -> Array:
-        """Keep a direction until the wanted one (n, 3) differs by more than the dead band; return (n, 3)."""
+    def with_deadband(self, wanted: Array, stowed: Array | None = None) -> Array:
+        """Keep a direction until the wanted one (n, 3) differs by more than the dead band; return (n, 3).
+
+        Args:
+            wanted: (n, 3) wanted directions, in the order of time.
+            stowed: (n,) True where the panel is to lie flat because of the wind. The dead band delays neither
+                the way to the flat position nor the way back.
+        """
         if self.deadband == 0.0:
             return wanted
         kept, least_cosine = wanted.copy(), np.cos(np.radians(self.deadband))
+        moves = np.zeros(len(kept), dtype=bool) if stowed is None else np.diff(stowed, prepend=stowed[:1])
         for k in range(1, len(kept)):
-            if kept[k - 1] @ wanted[k] >= least_cosine:
+            if not moves[k] and kept[k - 1] @ wanted[k] >= least_cosine:
                 kept[k] = kept[k - 1]
         return kept

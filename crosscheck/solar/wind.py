@@ -1,12 +1,18 @@
-"""Wind speeds over a day, from a number or a CSV, to find when the panel of a solar tracker must lie flat."""
+"""Wind of a day: speeds from a number or a CSV, and the load on the panel of a solar tracker."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from crosscheck.support.errors import CrosscheckError
+from newton_euler import Axis
 from newton_euler.errors import listed, plain_number
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.geometry import Box
+from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import TimeTable, csv_rows, read_text
+from newton_euler.model.splines import Steps
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
 WIND_COLUMNS = ("time", "speed")
@@ -14,6 +20,63 @@ WIND_COLUMNS = ("time", "speed")
 
 NEEDED_COLUMNS = "columns time, s since midnight, and speed, m/s, separated by commas"
 """Description of these columns for error messages."""
+
+
+WIND = "wind_of_the_day"
+"""Name of the wind load on the panel."""
+
+SAME_DIRECTION = 1e-6
+"""Largest sine of the angle between the normal of a panel and an edge of its box that counts as parallel."""
+
+
+def panel_box(scene: Scene, axis: Axis) -> tuple[Box, Array] | None:
+    """Find the box that is the panel: of the face's body, with two edges across the normal.
+
+    Args:
+        scene: the tracker.
+        axis: the panel's normal as an axis of a body.
+
+    Returns:
+        The box of the largest area, and two sides (2, 3), m, world frame at the initial pose; None without
+        such a box.
+    """
+    body = scene.mechanism.body(axis.body)
+    normal = body.pose.rotation @ axis.axis
+    found: list[tuple[Box, Array]] = []
+    for shape in body.shapes:
+        if isinstance(shape, Box):
+            edges = rotation(shape.quaternion)  # columns
+            across = [k for k in range(3) if abs(edges[:, k] @ normal) < SAME_DIRECTION]
+            if len(across) == 2:
+                found.append((shape, np.stack([2.0 * shape.half_sizes[k] * edges[:, k] for k in across])))
+    return max(found, key=lambda panel: np.prod(np.linalg.norm(panel[1], axis=1)), default=None)
+
+
+def wind_on_panel(
+    scene: Scene, axis: Axis, times: Array, speeds: Array, blows_from: float
+) -> WindLoad | None:
+    """Return the load of the wind on the panel; None if the size of the panel is not known.
+
+    Args:
+        scene: the tracker.
+        axis: the panel's normal as an axis of a body.
+        times: (n,) s.
+        speeds: (n,) m/s; each one lasts until the next time.
+        blows_from: direction that the wind comes from, degrees from north to the east.
+    """
+    if (panel := panel_box(scene, axis)) is None:
+        return None
+    box, sides = panel
+    from_north = np.radians(blows_from)
+    return WindLoad(
+        WIND,
+        axis.body,
+        box.center,
+        first_side=sides[0],
+        second_side=sides[1],
+        direction=[-np.sin(from_north), -np.cos(from_north), 0.0],
+        speed=Steps(times, speeds),
+    )
 
 
 def wind_over_day(given: str, seconds: Array) -> Array:

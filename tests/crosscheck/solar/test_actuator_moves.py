@@ -132,7 +132,7 @@ def test_slow_set_points_arrive_late():
     )
     moving = np.isnan(next(iter(day.actuators.values())).holding)
     assert 2 <= moving.sum() < 6
-    late = day.error_parts["motion and control"]
+    late = day.error_parts["motion, control and wind load"]
     assert late[moving].max() > np.radians(5.0)
 
 
@@ -144,7 +144,7 @@ def test_parts_of_the_pointing_error_add_up(day):
     faces = day.faces
     assert np.degrees(parts["the sun's way in a period"][faces]).max() == pytest.approx(7.5, abs=0.1)
     assert 0.0 < np.degrees(parts["dead band"].max()) < 2.0 + 1e-9
-    assert parts["motion and control"].max() < 1e-6
+    assert parts["motion, control and wind load"].max() < 1e-6
     assert parts["limits of tilt, shadow and wind"][faces].max() < 1e-9
     rows = {row[0]: float(row[1]) for row in error_table(day).rows}
     assert rows["all together"] == pytest.approx(np.degrees(day.errors[faces].max()), abs=1e-3)

@@ -1,0 +1,129 @@
+"""Wind on the panel of a tracker over a day, and stowing in it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import run
+
+from crosscheck.library.tracker_sun import PANEL_NORMAL, sun_tracker
+from crosscheck.solar.day import tracker_day
+from crosscheck.solar.place import Place, day_times, sun_over
+from crosscheck.solar.tracking import UP, Tracking
+from crosscheck.solar.wind import panel_box, wind_on_panel
+from newton_euler import Axis, Mechanism, solve_poses
+
+pytest.importorskip("pvlib")
+
+G, STIFFNESS = 9.81, 5000.0
+LENGTH, WIDTH = 0.14, 0.11
+"""m, sides of the panel, `crosscheck.library.tracker.PANEL` twice."""
+
+
+@pytest.fixture(scope="module")
+def day():
+    """A wind of 12 m/s from the west, every half hour."""
+    wind = np.full(49, 12.0)
+    return tracker_day(
+        sun_tracker(),
+        PANEL_NORMAL,
+        Place(11.56, 104.92),
+        "2026-03-21",
+        period=1800.0,
+        wind=wind,
+        wind_from=270.0,
+    )
+
+
+def wind_force(normal, first_side):
+    """N, normal force, and m, distance of its point from the center along the wind, by the formulas that
+    `WindLoad` cites, for a wind of 12 m/s to the east."""
+    wind = np.array([12.0, 0.0, 0.0])
+    sine = abs(wind @ normal) / 12.0
+    end_loss = 0.41 * (1.0 - np.exp(-17.0 * WIDTH / LENGTH))
+    coefficient = 1.98 * sine * (1.0 / (0.56 + 0.44 * sine) - end_loss)
+    force = 0.5 * 1.225 * LENGTH * WIDTH * 144.0 * coefficient * np.sign(wind @ normal) * normal
+    along = wind - (wind @ normal) * normal
+    along /= np.linalg.norm(along)
+    second_side = np.cross(normal, first_side)
+    # ahead of the center, in proportion to the components along both sides
+    lead = 0.175 * (1.0 - 2.0 * np.arcsin(sine) / np.pi)
+    arm = -lead * (LENGTH * (along @ first_side) * first_side + WIDTH * (along @ second_side) * second_side)
+    return force, arm
+
+
+@pytest.mark.parametrize("row", [16, 26, 34])  # 8, 13 and 17 h
+def test_actuators_hold_weight_and_wind_by_virtual_work(day, row):
+    scene, step = sun_tracker(), 1e-5
+    masses = np.array([body.mass for body in scene.mechanism.bodies])[1:]
+    panel = scene.mechanism.body_index("panel_7")
+    # positions of the sliders: set-points and deflections of the controllers
+    pose = int(day.plan.heading(day.seconds[[row]])[0])
+    actuators = day.actuators
+    x = {}
+    for name, values in day.set_points.items():
+        weight = day.loads.actuator_force[pose, list(day.set_points).index(name)]
+        x[name] = values[pose] + (weight - actuators[name].holding[row]) / STIFFNESS
+    for name, actuator in actuators.items():
+        moved = {each: np.array([value] * 3) for each, value in x.items()}
+        moved[name] = x[name] + step * np.array([-1.0, 0.0, 1.0])
+        poses = solve_poses(scene, moved, axis=PANEL_NORMAL, start=day.poses.state(pose))
+        height = poses.position[:, 1:, 2] @ masses
+        # the first side of the panel is along the first axis of its body
+        frames = [_rotation(quaternion) for quaternion in poses.quaternion[:, panel]]
+        force, arm = wind_force(frames[1][:, 2], frames[1][:, 0])
+        local = frames[1].T @ arm
+        points = [
+            center + frame @ local for center, frame in zip(poses.position[:, panel], frames, strict=True)
+        ]
+        by_wind = force @ (points[2] - points[0]) / (2.0 * step)
+        expected = G * (height[2] - height[0]) / (2.0 * step) - by_wind
+        assert abs(by_wind) > 0.02
+        assert actuator.holding[row] == pytest.approx(expected, abs=2e-5)
+
+
+def _rotation(quaternion):
+    w, *v = quaternion
+    v = np.array(v)
+    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def test_the_wind_turns_the_panel(day):
+    turned = np.degrees(day.error_parts["motion, control and wind load"])
+    assert turned[1:].min() > 0.05 or turned[1:].max() > 0.05
+    assert day.wind_acts
+
+
+def test_panels_are_boxes_across_the_normal():
+    scene = sun_tracker()
+    _box, sides = panel_box(scene, PANEL_NORMAL)
+    assert np.linalg.norm(sides, axis=1) == pytest.approx([LENGTH, WIDTH])
+    assert panel_box(scene, Axis("panel_7", [0.3, 0.0, 1.0])) is None
+    bare = [replace(body, shapes=()) for body in scene.mechanism.bodies]
+    bare_scene = replace(scene, mechanism=Mechanism(bare, scene.mechanism.joints))
+    assert wind_on_panel(bare_scene, PANEL_NORMAL, np.array([0.0]), np.array([3.0]), 0.0) is None
+
+
+def test_winds_from_the_north_blow_to_the_south():
+    for blows_from, towards in ((0.0, [0.0, -1.0, 0.0]), (90.0, [-1.0, 0.0, 0.0])):
+        load = wind_on_panel(sun_tracker(), PANEL_NORMAL, np.array([0.0]), np.array([3.0]), blows_from)
+        assert load.direction == pytest.approx(towards, abs=1e-12)
+
+
+def test_dead_bands_do_not_keep_a_panel_from_stowing():
+    """A dead band of 40 degrees around a panel that tilts by 30: only the wind moves it, both ways."""
+    sun = sun_over(Place(0.0, 0.0), day_times("2026-03-21", "UTC", 300.0))
+    wind = np.zeros(len(sun.times))
+    wind[100:110] = 25.0
+    normals = Tracking(deadband=40.0, stow=20.0).normals(sun, wind)
+    assert np.array_equal(normals[100:110], np.tile(UP, (10, 1)))
+    tilts = np.degrees(np.arccos(normals[[99, 110], 2]))
+    assert tilts == pytest.approx([30.0, 30.0])
+
+
+@pytest.mark.parametrize("option", [("--stow", "12"), ("--wind-from", "90")])
+def test_options_of_the_wind_need_one(capsys, option):
+    status, _, err = run(capsys, "sun", "--latitude", "10", "--date", "2026-03-21", *option)
+    assert status == 2
+    assert f"{option[0]} has no effect without --wind" in err
