@@ -73,6 +73,27 @@ LIBRARY_TILT, ANY_TILT = 30.0, 90.0
     help="Wind speed of the weather file above which the panel lies flat, m/s.",
 )
 @click.option(
+    "--clearance",
+    type=float,
+    default=0.001,
+    show_default=True,
+    help="Smallest distance between bodies that no joint connects, m.",
+)
+@click.option(
+    "--to-singular",
+    type=float,
+    default=0.05,
+    show_default=True,
+    help="Smallest distance from singular configurations, as in workspace.",
+)
+@click.option(
+    "--stroke",
+    "strokes",
+    multiple=True,
+    metavar="JOINT=LOW:HIGH",
+    help="Stroke of an actuated joint from the initial pose, m or rad. Repeatable.",
+)
+@click.option(
     "--base",
     metavar="NAME=DEGREES,...",
     help="Orientation of the base at rest: heading of its x axis, roll and pitch.",
@@ -95,14 +116,13 @@ def year_command(
     year: int | None,
     zone: str | None,
     most_tilt: float | None,
-    deadband: float,
-    pitch: float,
-    stow: float,
+    strokes: tuple[str, ...],
     base: str | None,
     area: float | None,
     efficiency: float | None,
     temperature_coefficient: float | None,
     output: Path | None,
+    **numbers: float,
 ) -> int:
     """Compute a year of solar tracking: irradiation by month, lost energy, and electric energy.
 
@@ -116,7 +136,7 @@ def year_command(
     from crosscheck.solar.tracking import Tracking
     from crosscheck.solar.weather import clear_sky
     from crosscheck.solar.weather_files import read_weather
-    from crosscheck.solar.year import Module, tracker_year
+    from crosscheck.solar.year import Module, stroke_of, tracker_year
     from crosscheck.solar.year_report import YEAR_FILES, write_year, year_report
     from newton_euler.optional_packages import optional_package
 
@@ -127,11 +147,11 @@ def year_command(
     if scene is None and options:
         raise CrosscheckError(f"--set {next(iter(options))} needs a SCENE")
     default_tilt = LIBRARY_TILT if scene is None else ANY_TILT
-    tracking = Tracking(
-        deadband=deadband, most_tilt=default_tilt if most_tilt is None else most_tilt, pitch=pitch, stow=stow
-    )
+    # the other options are rules of tracking
+    tracking = Tracking(most_tilt=default_tilt if most_tilt is None else most_tilt, **numbers)
     normal = PANEL_NORMAL if axis is None else axis_of(axis)
     orientation = None if base is None else base_of(base)
+    ends = dict(map(stroke_of, strokes))
     # the module
     module = None
     if area is not None and efficiency is not None:
@@ -162,7 +182,7 @@ def year_command(
         else:
             sky = read_weather(str(weather), year, zone)
         progress("poses")
-        found = tracker_year(loaded, normal, sky, tracking, orientation, module)
+        found = tracker_year(loaded, normal, sky, tracking, orientation, module, ends)
         progress("irradiation")
         report = year_report(found)
         written = write_year(found, report, paths[0].parent, source, options)

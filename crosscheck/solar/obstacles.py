@@ -9,6 +9,7 @@ that is nearest to a blocked one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 from functools import cached_property
 from typing import NamedTuple
@@ -89,10 +90,15 @@ class Obstacles:
         can_avoid: True if the flat panel is free, from which free directions are searched.
     """
 
-    def __init__(self, scene: Scene, axis: Axis, tracking: Tracking) -> None:
-        """Examine the pose of the flat panel, or the pose nearest to it."""
+    def __init__(
+        self, scene: Scene, axis: Axis, tracking: Tracking, keys: Sequence[Key] | None = None
+    ) -> None:
+        """Examine the pose of the flat panel, or the pose nearest to it.
+
+        `keys` are the actuated joint coordinates; None for those of the scene's controllers.
+        """
         self._scene, self._axis, self._tracking = scene, axis, tracking
-        self._keys = [law.key for law in scene.control]
+        self._keys = [law.key for law in scene.control] if keys is None else list(keys)
         self.left_out: set[frozenset[str]] = set()
         flat, names = self.poses(UP[None]), scene.mechanism.body_names
         while (checks := self.check(flat)).clearance[0] < tracking.clearance:
@@ -111,7 +117,8 @@ class Obstacles:
         """Examine n poses."""
         mechanism = self._scene.mechanism
         found = closest(mechanism, poses.position, poses.quaternion, self.left_out)
-        to_singular = poses.independence(self._keys)
+        # without actuators, no configuration is singular
+        to_singular = poses.independence(self._keys) if self._keys else np.full(len(poses), np.inf)
         cause = np.full(len(poses), int(Cause.FREE))
         # the last cause that applies is kept, so the order is by rank
         cause[to_singular < self._tracking.to_singular] = Cause.SINGULAR
@@ -272,7 +279,9 @@ class Faced(NamedTuple):
         return np.asarray(self.wanted_checks.cause != Cause.FREE)
 
 
-def face(scene: Scene, axis: Axis, wanted: Array, tracking: Tracking) -> Faced:
+def face(
+    scene: Scene, axis: Axis, wanted: Array, tracking: Tracking, keys: Sequence[Key] | None = None
+) -> Faced:
     """Replace wanted directions (n, 3) that are blocked by the nearest free ones.
 
     If not even the flat panel is free, the directions are examined and kept.
@@ -282,8 +291,9 @@ def face(scene: Scene, axis: Axis, wanted: Array, tracking: Tracking) -> Faced:
         axis: the panel's normal as an axis of a body.
         wanted: (n, 3) east, north, up.
         tracking: gives the clearance, the distance from singular configurations and the largest tilt.
+        keys: actuated joint coordinates; those of the scene's controllers if None.
     """
-    obstacles = Obstacles(scene, axis, tracking)
+    obstacles = Obstacles(scene, axis, tracking, keys)
     poses = obstacles.poses(wanted)
     checks = wanted_checks = obstacles.check(poses)
     blocked, directions = np.flatnonzero(checks.cause != Cause.FREE), wanted

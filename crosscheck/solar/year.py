@@ -10,17 +10,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from crosscheck.solar.base import Base
 from crosscheck.solar.energy import FACING, THIS
+from crosscheck.solar.obstacles import Cause, face
 from crosscheck.solar.place import SUN, Sun, sun_over
 from crosscheck.solar.tracking import UP, Tracking
 from crosscheck.solar.weather import Weather
 from crosscheck.support.errors import CrosscheckError
-from newton_euler import Axis, Poses, solve_poses
-from newton_euler.errors import is_finite_number
+from newton_euler import Axis, solve_poses
+from newton_euler.equations.redundancy import mobility
+from newton_euler.errors import choices, is_finite_number, plain_number
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.optional_packages import optional_package
 from newton_euler.scalars import Array
@@ -30,6 +34,9 @@ FLAT_ON_BASE = "flat on the base"
 
 DEADBAND_STEPS = 12
 """Number of times in an interval at which the dead band is applied: every 5 minutes of an hour."""
+
+NOT_NEAREST_SLOPE = 1e-7
+"""Slope of the distance to a direction above which a pose is not the nearest one, see `Poses`."""
 
 REFERENCE_IRRADIANCE = 1000.0
 """W/m^2, irradiance at which the efficiency of a module is given (standard test conditions)."""
@@ -49,10 +56,24 @@ class Limit(IntEnum):
     """The face is flatter, so that no shadow falls on the next row (backtracking)."""
     REACH = 3
     """The mechanism does not reach the wanted direction."""
-    WIND = 4
+    COLLISION = 4
+    """Bodies would come too close; the face takes the nearest free direction."""
+    SINGULAR = 5
+    """The mechanism would be nearly singular; the face takes the nearest free direction."""
+    STROKE = 6
+    """An actuator is at the end of its stroke."""
+    WIND = 7
     """The face lies flat because of the wind."""
-    DOWN = 5
+    DOWN = 8
     """The sun is below the horizon."""
+
+
+BLOCKED = {
+    Cause.COLLISION: Limit.COLLISION,
+    Cause.SINGULAR: Limit.SINGULAR,
+    Cause.UNREACHABLE: Limit.REACH,
+}
+"""Limit by the cause for which a direction is blocked."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +134,10 @@ class Year:
         sun: positions of the sun.
         tracking: rules of tracking.
         base: motion of the base.
-        poses: different poses of the year, relative to the base.
-        pose: (n,) index of the pose of each interval, -1 in the dark.
+        lit: (n,) True for intervals with light, for which poses are solved.
+        coordinates: (n,) set-points by label of the joint coordinate, m or rad from the initial pose; NaN in
+            the dark.
+        missed: number of directions out of reach for which the nearest pose was not found.
         normals: (n, 3) directions of the panel's normal (east, north, up); up in the dark.
         limits: (n,) what keeps the panel from the sun, a `Limit`.
         module: photovoltaic module on the panel, or None.
@@ -126,8 +149,9 @@ class Year:
     sun: Sun
     tracking: Tracking
     base: Base
-    poses: Poses
-    pose: Array
+    lit: Array
+    coordinates: Mapping[str, Array]
+    missed: int
     normals: Array
     limits: Array
     module: Module | None = None
@@ -189,10 +213,10 @@ class Year:
 
     @cached_property
     def strokes(self) -> Mapping[str, tuple[float, float]]:
-        """Least and largest set-point of the year by joint, m or rad from the initial pose."""
+        """Least and largest set-point of the year by label, m or rad from the initial pose."""
         return {
-            str(name): (float(values.min()), float(values.max()))
-            for name, values in self.poses.coordinates.items()
+            label: (float(np.nanmin(values)), float(np.nanmax(values)))
+            for label, values in self.coordinates.items()
         }
 
 
@@ -203,6 +227,7 @@ def tracker_year(
     tracking: Tracking,
     base: Base | None = None,
     module: Module | None = None,
+    strokes: Mapping[str, tuple[float, float]] | None = None,
 ) -> Year:
     """Compute the irradiation of a tracker over the intervals of the weather.
 
@@ -213,9 +238,12 @@ def tracker_year(
         tracking: rules of tracking. Tilt and rows are relative to the base.
         base: motion of the base, with times since the beginning of the weather; level and at rest if None.
         module: photovoltaic module on the panel, or None.
+        strokes: least and largest set-points by label of an actuated joint coordinate, m or rad from the
+            initial pose. A set-point beyond is replaced by the end of the stroke; others are kept.
 
     Raises:
-        CrosscheckError: if the weather lacks what the rules or the module need.
+        CrosscheckError: for a stroke of a joint without actuator, and if the weather lacks what the rules or
+            the module need.
         newton_euler.NewtonEulerError: for a scene whose poses cannot be solved.
     """
     base = base or Base()
@@ -228,13 +256,14 @@ def tracker_year(
     wanted = _wanted(weather, tracking, base, stowed)[lit]
     # poses of directions that differ from those before
     changes = np.append(True, np.any(np.diff(wanted, axis=0) != 0.0, axis=1))
-    poses = solve_poses(scene, axis=axis, towards=wanted[changes])
-    pose = np.full(len(lit), -1)
-    pose[lit] = np.cumsum(changes) - 1
-    direction = np.tile(UP, (len(lit), 1))
-    assert poses.direction is not None  # there is an axis
-    rotations = base.rotations(seconds)
-    direction[lit] = np.einsum("nij,nj->ni", rotations[lit], poses.direction[pose[lit]])
+    found = _found_poses(scene, axis, wanted[changes], tracking, strokes or {})
+    pose = np.cumsum(changes) - 1  # index of the pose of each interval with light
+    normals, kinds = np.tile(UP, (len(lit), 1)), np.full(len(lit), Limit.NONE)
+    normals[lit] = np.einsum("nij,nj->ni", base.rotations(seconds[lit]), found.direction[pose])
+    kinds[lit] = found.kind[pose]
+    coordinates = {label: np.full(len(lit), np.nan) for label in found.coordinates}
+    for label, values in found.coordinates.items():
+        coordinates[label][lit] = values[pose]
     return Year(
         scene=scene,
         axis=axis,
@@ -242,12 +271,94 @@ def tracker_year(
         sun=sun,
         tracking=tracking,
         base=base,
-        poses=poses,
-        pose=pose,
-        normals=direction,
-        limits=_limits(sun, base.sun(sun, seconds), tracking, stowed, lit, poses.reached[pose]),
+        lit=lit,
+        coordinates=coordinates,
+        missed=found.missed,
+        normals=normals,
+        limits=_limits(sun, base.sun(sun, seconds), tracking, stowed, kinds),
         module=module,
     )
+
+
+class _Found(NamedTuple):
+    """Poses for p directions.
+
+    Attributes:
+        direction: (p, 3) directions of the axis.
+        coordinates: (p,) set-points by label, m or rad.
+        kind: (p,) limit of the mechanism: `Limit.NONE`, `REACH`, `COLLISION`, `SINGULAR` or `STROKE`.
+        missed: number of poses that are not the nearest ones.
+    """
+
+    direction: Array
+    coordinates: dict[str, Array]
+    kind: Array
+    missed: int
+
+
+def _found_poses(
+    scene: Scene,
+    axis: Axis,
+    wanted: Array,
+    tracking: Tracking,
+    strokes: Mapping[str, tuple[float, float]],
+) -> _Found:
+    """Solve poses for wanted directions (p, 3) in which no bodies collide and no actuator leaves its stroke.
+
+    Args:
+        scene, axis, tracking, strokes: see `tracker_year`.
+        wanted: directions of the axis.
+    """
+    labels = scene.mechanism.coordinate_labels
+    # actuated joint coordinates; all of a mechanism without actuators and without loops
+    keys = [law.key for law in scene.control]
+    if not keys and mobility(scene).degrees_of_freedom == len(labels):
+        keys = list(labels)
+    for label in strokes:
+        known = [labels[key] for key in keys]
+        if label not in known:
+            raise CrosscheckError(f"stroke of {label!r:.100}: {choices(label, known)}")
+    # blocked directions are replaced by the nearest free ones
+    faced = face(scene, axis, wanted, tracking, keys)
+    poses, causes = faced.poses, faced.wanted_checks.cause
+    assert poses.direction is not None  # there is an axis
+    kind = np.where(poses.reached, Limit.NONE, Limit.REACH)
+    if faced.obstacles.can_avoid:
+        for cause, limit in BLOCKED.items():
+            kind[causes == cause] = limit
+    direction, values = poses.direction.copy(), {key: poses.coordinates[key].copy() for key in keys}
+    ends = {key: strokes.get(labels[key], (-np.inf, np.inf)) for key in keys}
+    beyond = np.zeros(len(wanted), dtype=bool)
+    for key, (low, high) in ends.items():
+        beyond |= (values[key] < low) | (values[key] > high)
+    if beyond.any():
+        stopped: dict[str | Key, Array] = {key: np.clip(values[key][beyond], *ends[key]) for key in keys}
+        there = solve_poses(scene, stopped, axis=axis)
+        assert there.direction is not None
+        direction[beyond], kind[beyond] = there.direction, Limit.STROKE
+        for key in keys:
+            values[key][beyond] = there.coordinates[key]
+    missed = int(np.sum((poses.slope > NOT_NEAREST_SLOPE) & ~beyond))
+    return _Found(direction, {labels[key]: values[key] for key in keys}, kind, missed)
+
+
+def stroke_of(text: str) -> tuple[str, tuple[float, float]]:
+    """Parse a stroke JOINT=LOW:HIGH, m or rad from the initial pose.
+
+    Returns:
+        Label of the joint coordinate, and both ends.
+
+    Raises:
+        CrosscheckError: if the text has another form, or the range is empty.
+    """
+    label, _, ends = text.partition("=")
+    try:
+        low, high = map(plain_number, ends.split(":"))
+    except ValueError:
+        low, high = 0.0, 0.0  # an empty range, which is refused below
+    if not label or not low < high:
+        raise CrosscheckError(f"--stroke {text!r:.200} is not of the form JOINT=LOW:HIGH, in m or rad")
+    return label, (low, high)
 
 
 def _seconds(weather: Weather) -> Array:
@@ -281,22 +392,22 @@ def _wanted(weather: Weather, tracking: Tracking, base: Base, stowed: Array) -> 
     return kept[count // 2 :: count]
 
 
-def _limits(sun: Sun, from_base: Sun, tracking: Tracking, stowed: Array, lit: Array, reached: Array) -> Array:
+def _limits(sun: Sun, from_base: Sun, tracking: Tracking, stowed: Array, kinds: Array) -> Array:
     """Find what keeps the panel from the sun: (n,) a `Limit` for each interval.
 
     Args:
         sun: n positions of the sun in the world.
         from_base: the same in the axes of the base.
         tracking: rules of tracking.
-        stowed, lit, reached: (n,) True where the panel lies flat in wind, where there is light, and where the
-            mechanism reaches the wanted direction.
+        stowed: (n,) True where the panel lies flat in wind.
+        kinds: (n,) limits of the mechanism.
     """
     tilt = np.degrees(np.arccos(np.clip(tracking.towards(from_base)[:, 2], -1.0, 1.0)))
     flatter = tilt < tracking.most_tilt - 1e-9  # degrees; if not because of its limit, because of shadows
-    limits = np.full(len(lit), Limit.NONE)
+    limits = np.full(len(stowed), Limit.NONE)
     limits[~tracking.can_face(from_base)] = Limit.TILT
     limits[~tracking.can_face(from_base) & flatter] = Limit.SHADOW
-    limits[~reached] = Limit.REACH
+    limits[kinds != Limit.NONE] = kinds[kinds != Limit.NONE]
     limits[stowed] = Limit.WIND
     limits[~sun.is_up] = Limit.DOWN
     return limits

@@ -49,9 +49,6 @@ HEADINGS = {
 }
 """Headings of the columns of panels in the table of months."""
 
-STEEPEST_SEARCH = 1e-7
-"""Slope of the distance to the goal above which a pose is not the nearest one, see `Poses`."""
-
 
 def year_report(year: Year) -> Report:
     """Report on one year: irradiation by month, limits, set-points and assumptions."""
@@ -105,6 +102,9 @@ def limit_texts(year: Year) -> dict[Limit, str]:
         Limit.TILT: f"largest tilt, {year.tracking.most_tilt:g} deg",
         Limit.SHADOW: f"shadow on the next row, {year.tracking.pitch:g} lengths away",
         Limit.REACH: "out of reach of the mechanism",
+        Limit.COLLISION: f"bodies closer than {1e3 * year.tracking.clearance:g} mm",
+        Limit.SINGULAR: "nearly singular",
+        Limit.STROKE: "end of a stroke",
         Limit.WIND: f"wind of {year.tracking.stow:g} m/s or more",
         Limit.DOWN: "sun below the horizon",
     }
@@ -127,11 +127,21 @@ def _strokes_table(year: Year) -> Table:
     """Tabulate the range of the set-points of each joint from the initial pose: mm, or degrees."""
     rows: Rows = []
     for joint, (low, high) in year.strokes.items():
-        is_slide = year.scene.mechanism.is_slide(*year.scene.mechanism.coordinate(joint))
+        is_slide = _is_slide(year, joint)
         factor, unit = (1e3, "mm") if is_slide else (float(np.degrees(1.0)), "deg")
-        rows.append([joint, *(f"{factor * value:.2f}" for value in (low, high, high - low)), unit])
+        rows.append(
+            [joint, *(f"{round(factor * value, 2) + 0.0:.2f}" for value in (low, high, high - low)), unit]
+        )
     columns = [*text_columns("joint"), *number_columns("from", "to", "range"), Column("unit")]
     return Table("set-points from the initial pose", columns, rows)
+
+
+def _is_slide(year: Year, label: str) -> bool:
+    """Return True for the label of a joint coordinate in m, False for one in rad."""
+    mechanism = year.scene.mechanism
+    return next(
+        mechanism.is_slide(*key) for key, name in mechanism.coordinate_labels.items() if name == label
+    )
 
 
 def assumptions(year: Year) -> Iterator[str]:
@@ -143,9 +153,8 @@ def assumptions(year: Year) -> Iterator[str]:
     yield "poses at rest: the motion between set-points and the energy of the actuators are not computed"
     yield "a panel under clouds receives more if it lies flat: losses may be negative"
     yield "the panel at one axis turns up to 60 degrees about a horizontal axis from north to south"
-    not_found = int(np.sum(year.poses.slope > STEEPEST_SEARCH))
-    if not_found:
-        yield f"the nearest pose was not found for {not_found} directions out of reach; losses are too large"
+    if year.missed:
+        yield f"the nearest pose was not found for {year.missed} directions; losses are too large"
     if year.module is not None:
         heat = "" if year.module.temperature_coefficient else "; the module stays at 25 degrees Celsius"
         yield f"direct current by PVWatts, without losses by reflection, dirt, wires and inverter{heat}"
@@ -173,7 +182,7 @@ def months_csv(year: Year) -> bytes:
 
 def hours_csv(year: Year) -> bytes:
     """Return the intervals with light as CSV: weather, sun, panel, irradiances and set-points."""
-    lit, weather = np.flatnonzero(year.pose >= 0), year.weather
+    lit, weather = np.flatnonzero(year.lit), year.weather
     azimuth, tilt = np.arctan2(*year.normals[:, :2].T), np.arccos(np.clip(year.normals[:, 2], -1.0, 1.0))
     columns: dict[str, Array | None] = {
         "sun_azimuth_deg": np.degrees(year.sun.azimuth),
@@ -192,9 +201,8 @@ def hours_csv(year: Year) -> bytes:
         },
         "electric_W": year.power,
     }
-    for joint, values in year.poses.coordinates.items():
-        is_slide = year.scene.mechanism.is_slide(*year.scene.mechanism.coordinate(joint))
-        columns[f"{joint}_{'m' if is_slide else 'rad'}"] = values[year.pose]
+    for joint, values in year.coordinates.items():
+        columns[f"{joint}_{'m' if _is_slide(year, joint) else 'rad'}"] = values
     known = {name: values[lit] for name, values in columns.items() if values is not None}
     times = [time.isoformat() for time in weather.times[lit]]
     limits = [Limit(value).name.lower() for value in year.limits[lit]]

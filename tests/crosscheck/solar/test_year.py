@@ -20,9 +20,9 @@ from crosscheck.solar.energy import FACING, FIXED, FLAT, ONE_AXIS, THIS  # noqa:
 from crosscheck.solar.place import Place  # noqa: E402
 from crosscheck.solar.tracking import Tracking  # noqa: E402
 from crosscheck.solar.weather import Weather  # noqa: E402
-from crosscheck.solar.year import FLAT_ON_BASE, Limit, Module, tracker_year  # noqa: E402
+from crosscheck.solar.year import FLAT_ON_BASE, Limit, Module, stroke_of, tracker_year  # noqa: E402
 from crosscheck.support.errors import CrosscheckError  # noqa: E402
-from newton_euler import Axis, Body, Cylinder, Mechanism, Revolute, Scene, Sine, Spline, simulate  # noqa: E402
+from newton_euler import Axis, Body, Cylinder, Fixed, Mechanism, Revolute, Scene, Sine, Spline, simulate  # noqa: E402
 
 PLACE = Place(synthetic.LATITUDE, synthetic.LONGITUDE, synthetic.ALTITUDE)
 
@@ -164,6 +164,47 @@ def test_dead_bands_cost_a_little(weather, gimbal):
     assert 0.0 < year.lost_by(Limit.NONE) < (1.0 - np.cos(np.radians(5.0))) * year.light[FACING]
 
 
+def test_strokes_stop_both_axes(weather, gimbal):
+    """The normal is R_y(a) R_x(b) z = (sin a cos b, -sin b, cos a cos b); both angles stop at 20 degrees."""
+    ends = (-np.radians(20.0), np.radians(20.0))
+    strokes = {"hinge_0": ends, "hinge_1": ends}
+    year = tracker_year(gimbal, NORMAL, weather, Tracking(most_tilt=90.0), strokes=strokes)
+    up = year.sun.is_up
+    x, y, z = year.sun.direction[up].T
+    a, b = (np.clip(each, *ends) for each in (np.arctan2(x, z), -np.arcsin(y)))
+    expected = np.stack([np.sin(a) * np.cos(b), -np.sin(b), np.cos(a) * np.cos(b)], axis=1)
+    assert np.max(np.abs(year.normals[up] - expected)) < 1e-7
+    stopped = (np.abs(np.arctan2(x, z)) > ends[1]) | (np.abs(np.arcsin(y)) > ends[1])
+    assert year.hours(Limit.STROKE) == np.sum(stopped) > 0.5 * np.sum(up)
+    for low, high in year.strokes.values():
+        assert (low, high) == pytest.approx(ends)
+    with pytest.raises(CrosscheckError, match="stroke of 'hinge_2'"):
+        tracker_year(gimbal, NORMAL, weather, Tracking(), strokes={"hinge_2": ends})
+    assert stroke_of("slide=-1:2") == ("slide", (-1.0, 2.0))
+    for text in ("", "a", "a=1", "a=2:1", "=1:2", "a=1:2:3", "a=x:y"):
+        with pytest.raises(CrosscheckError, match="--stroke"):
+            stroke_of(text)
+
+
+def test_a_bar_turns_until_it_comes_close_to_the_ground(weather):
+    """A bar of 2 x 0.5 m turns about y, 0.3 m above a beam; it keeps 0.01 m: sin(angle) is 0.29 / 0.5."""
+    beam = Cylinder([-1.0, 0.0, -0.31], [1.0, 0.0, -0.31], radius=0.01)
+    bar = Body.solid("bar", Cylinder([-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], radius=0.001), density=1000)
+    frame = Body.solid("frame", Cylinder([0, -0.01, 0], [0, 0.01, 0], radius=0.001), density=1000)
+    joints = [
+        Revolute("turn", "ground", "frame", [0, 0, 0], axis=[0, 1, 0]),
+        Fixed("weld", "frame", "bar", [0, 0, 0]),
+    ]
+    scene = Scene("bar", Mechanism([Body.ground(shapes=(beam,)), frame, bar], joints), 1.0, 0.1)
+    year = tracker_year(scene, Axis("bar", [0, 0, 1]), weather, Tracking(most_tilt=90.0, clearance=0.01))
+    blocked = year.limits == Limit.COLLISION
+    tilt = np.degrees(np.arccos(np.clip(year.normals[:, 2], -1.0, 1.0)))
+    assert np.sum(blocked) > 20
+    largest = np.degrees(np.arcsin((0.3 - 0.01) / 0.5))
+    assert np.max(np.abs(tilt[blocked] - largest)) < 0.5
+    assert np.max(tilt) < largest + 0.5
+
+
 def test_wind_is_needed_for_stowing(weather, gimbal):
     with pytest.raises(CrosscheckError, match="sample has no wind, which --stow needs"):
         tracker_year(gimbal, NORMAL, replace(weather, wind=None), Tracking(stow=6.0))
@@ -231,7 +272,7 @@ def test_a_base_that_leans_by_the_latitude_carries_a_fixed_panel(weather):
     year = tracker_year(sun_tracker(), PANEL_NORMAL, weather, Tracking(most_tilt=30.0), base=leaning)
     assert year.light[FLAT_ON_BASE] == pytest.approx(year.light[FIXED], rel=1e-12)
     axis = rotation_matrix(np.radians(PLACE.latitude), 0.0, 0.0) @ [0.0, 0.0, 1.0]
-    lit = year.pose >= 0
+    lit = year.lit
     from_base = np.degrees(np.arccos(np.clip(year.normals[lit] @ axis, -1.0, 1.0)))
     assert np.max(from_base) < 30.0 + 1e-6
     # within these 30 degrees it faces the sun
