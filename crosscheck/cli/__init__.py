@@ -60,6 +60,7 @@ with _interrupt_calls(_end):
 
     from crosscheck.cli import (
         diff,
+        drives,
         identify,
         importers,
         measure,
@@ -91,6 +92,7 @@ time and saves 8 MB."""
 
 __all__ = [
     "diff",
+    "drives",
     "identify",
     "importers",
     "main",

@@ -39,6 +39,7 @@ MODEL_RECORDS = {
     "crosscheck": (SUMMARY,),
     "benchmark": ("bench.json", "rhs.json", "batch.json", "sensitivities.json"),
     "load table": ("loads.json",),
+    "drive table": ("drives.json",),
     "modal analysis": ("modes.json",),
     "comparison of controllers": ("controllers.json",),
     "workspace": ("workspace.json",),

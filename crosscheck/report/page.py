@@ -51,6 +51,7 @@ RESULTS = (
     "sensitivities.json",
     "sweep.json",
     "loads.json",
+    "drives.json",
     "year.json",
     "modes.json",
     "controllers.json",

@@ -16,6 +16,8 @@ LINES = list(command_lines())
 
 MOTION = "time,coordinate.motor\n0,0\n0.02,0.001\n0.04,0.002\n"
 
+CATALOG = "name,rated_torque,rated_speed\nsmall,1,100\n"
+
 LONGEST = 600
 """Characters of a line."""
 
@@ -30,7 +32,8 @@ SAMPLED = 149
 
 def check(arguments: tuple[str, ...], server: Server, folder: Path) -> None:
     (folder / "parts").mkdir(parents=True)
-    for name, text in {**TEXTS, "motion.csv": MOTION, "parts/wedge.obj": WEDGE}.items():
+    files = {**TEXTS, "motion.csv": MOTION, "catalog.csv": CATALOG, "parts/wedge.obj": WEDGE}
+    for name, text in files.items():
         (folder / name).write_text(text)
     before = set(folder.rglob("*"))
     outcome = server.run(folder, list(arguments))

@@ -75,6 +75,7 @@ def test_benchmarks_of_other_models_are_not_overwritten_unasked(capsys, monkeypa
 
 
 QUICK = {
+    "drives": (("--catalog", "drives.csv"), "drive table"),
     "loads": (("--at-rest",), "load table"),
     "modes": ((), "modal analysis"),
     "workspace": (("--vary", "pivot=-1:1:2"), "workspace"),
@@ -95,7 +96,7 @@ def test_results_of_every_command_are_those_of_one_file(capsys, monkeypatch, tmp
     for path in ("one.yaml", "other/one.yaml"):
         (tmp_path / path).parent.mkdir(exist_ok=True)
         scene_file((tmp_path / path).parent, short_example() | {"name": "mine"}, "one.yaml")
-    if command in ("faults", "identify", "year"):  # which take long
+    if command in ("drives", "faults", "identify", "year"):  # which take long
         home.mkdir(parents=True)
         record.write_text('{"source": "one.yaml"}')
     else:
