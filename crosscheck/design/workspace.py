@@ -97,7 +97,7 @@ def _body_and_vector(option: str, text: str) -> tuple[str, Any]:
 
 def report(found: WorkspaceMap) -> Report:
     """Make the report on a workspace: ranges of all quantities, and extreme positions of the point."""
-    names = ", ".join(str(name) for name in found.space.grid)
+    names = ", ".join(found.labels.values())
     reached, total = len(found.clearance), found.space.reachable.size
     verdict, judged = f"{reached} of {total} points are reachable", Cell("")
     if warning := _unusable_warning(found):
@@ -109,7 +109,7 @@ def report(found: WorkspaceMap) -> Report:
         text = f"{beyond} of {reached} poses are reached through a singular configuration of the loops"
         advice = "there the mechanism can change to another branch; column 'beyond singular' of the CSV"
         parts.append(Lines("", [text, advice], verdict="doubtful"))
-    else:
+    elif reached:
         parts.append(Lines("", [ONE_BRANCH]))
     return Report(f"{found.scene.name}: workspace over {names}", verdict, judged, parts, summary=parts)
 
@@ -133,7 +133,7 @@ def _ranges(found: WorkspaceMap) -> Table:
     columns = [
         Column("points"),
         Column("number", numeric=True),
-        *(Column(f"{name}\n{found.unit(name)}", numeric=True) for name in space.grid),
+        *(Column(f"{label}\n{found.unit(name)}", numeric=True) for name, label in found.labels.items()),
         *(Column(f"{name}\nm", numeric=True) for name in found.move_names),
     ]
     if space.elevation is not None:
@@ -203,7 +203,7 @@ def _extremes(found: WorkspaceMap) -> Table:
     columns = [
         Column("position"),
         *(Column(f"{name}\nm", numeric=True) for name in found.move_names),
-        *(Column(f"{name}\n{found.unit(name)}", numeric=True) for name in space.grid),
+        *(Column(f"{label}\n{found.unit(name)}", numeric=True) for name, label in found.labels.items()),
     ]
     rows: Rows = []
     for text, k in _extreme_rows(found):
@@ -247,7 +247,7 @@ def _data(found: WorkspaceMap) -> dict[str, Any]:
         "scene": found.scene.name,
         "vary": [
             {
-                "coordinate": str(name),
+                "coordinate": found.labels[name],
                 "unit": found.unit(name),
                 "low": float(values[0]),
                 "high": float(values[-1]),
@@ -270,7 +270,7 @@ def _data(found: WorkspaceMap) -> dict[str, Any]:
                 "position": text,
                 **{f"{name}, m": float(x) for name, x in zip(found.move_names, found.place[k], strict=True)},
                 "coordinates": {
-                    str(name): float(values[k]) for name, values in space.poses.coordinates.items()
+                    found.labels[name]: float(values[k]) for name, values in space.poses.coordinates.items()
                 },
             }
             for text, k in (_extreme_rows(found) if len(found.place) else ())
@@ -281,7 +281,7 @@ def _data(found: WorkspaceMap) -> dict[str, Any]:
 def _columns(found: WorkspaceMap) -> dict[str, Array]:
     """Return the quantities (n,) at the reachable points, by name with unit."""
     space = found.space
-    quantities = {f"{name}, {found.unit(name)}": values for name, values in space.poses.coordinates.items()}
+    quantities = {found.quantity(name): values for name, values in space.poses.coordinates.items()}
     if space.position is not None:
         for name, values in zip(WORLD_AXES, space.position[space.reachable].T, strict=True):
             quantities[f"{name}, m"] = values

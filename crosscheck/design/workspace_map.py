@@ -57,6 +57,16 @@ class WorkspaceMap:
         return "m" if self.scene.mechanism.is_slide(*self.scene.mechanism.coordinate(name)) else "rad"
 
     @property
+    def labels(self) -> dict[str | Key, str]:
+        """Texts of the varied coordinates: JOINT, or JOINT.K for coordinate K of a joint with several."""
+        names = self.space.grid
+        return {name: name if isinstance(name, str) else f"{name[0]}.{name[1]}" for name in names}
+
+    def quantity(self, name: str | Key) -> str:
+        """Return the text of a varied coordinate with its unit, such as "slide, m"."""
+        return f"{self.labels[name]}, {self.unit(name)}"
+
+    @property
     def has_shapes(self) -> bool:
         """True if clearances are known."""
         return bool(np.isfinite(self.clearance).any())

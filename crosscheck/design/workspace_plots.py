@@ -122,7 +122,7 @@ def _draw_over_coordinates(ax: Axes, figure: Figure, found: WorkspaceMap, title:
         ax.contourf(x, y, clearance.T, [-np.inf, 0.0], colors="none", hatches=["////"])
         ax.contour(x, y, clearance.T, [0.0], colors=[EDGE_COLOR], linewidths=2.0)
     ax.set(title=title, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-    ax.set(xlabel=f"{first}, {found.unit(first)}", ylabel=f"{second}, {found.unit(second)}")
+    ax.set(xlabel=found.quantity(first), ylabel=found.quantity(second))
 
 
 def _draw_positions(ax: Axes, figure: Figure, found: WorkspaceMap, drawn: PositionMap) -> None:

@@ -11,16 +11,19 @@ import pytest
 from command_line import run
 from PIL import Image
 
+from crosscheck.design import workspace as design
 from crosscheck.design import workspace_map, workspace_plots
 from crosscheck.library import load
 from mjcf.clearance import clearances
 from newton_euler import (
     Body,
     Capsule,
+    Cylindrical,
     Free,
     Mechanism,
     Point,
     Revolute,
+    Scene,
     Sphere,
     singular_poses,
     workspace,
@@ -136,6 +139,23 @@ def test_a_point_in_a_plane_has_extents_extremes_and_results_to_take_away(capsys
     assert run(capsys, "report", tmp_path)[0] == 0
     page = (tmp_path / "report.html").read_text()
     assert all(text in page for text in ("workspace over pivot_0", "largest y", "data:image/png;base64,"))
+
+
+def test_coordinates_of_joints_with_several_have_numbers(few_searches):
+    """A bead that slides along a shaft and turns about it; a point of its surface."""
+    bead = Body("bead", 1.0, [0.0, 0.0, 0.0], np.eye(3))
+    shaft = Cylindrical("shaft", "ground", "bead", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
+    scene = Scene("bead", Mechanism([Body.ground(), bead], [shaft]), duration=1.0, output_period=0.1)
+    grid = dict(design.range_of(scene, text) for text in ("shaft.0=-1:1:3", "shaft.1=-1:1:5"))
+    found = design.measure(scene, grid, None, Point("bead", [0.2, 0.0, 0.0]), print)
+    table = design.report(found).parts[0]
+    assert [column.name for column in table.columns][2:7] == [
+        "shaft.0\nm",
+        "shaft.1\nrad",
+        "x\nm",
+        "y\nm",
+        "z\nm",
+    ]
 
 
 def test_maps_show_every_kind_of_point():

@@ -22,6 +22,9 @@ h^4 / 30 and (round-off / h) are about equal."""
 CHUNK = 10_000
 """Number of configurations whose differences are computed at once; each takes some kB of memory."""
 
+MAX_DISTANCE = 1e6
+"""Largest coordinate of a point, sizes of the mechanism; its motion has too few digits if it is farther."""
+
 DIRECTION_TOLERANCE = 1e-9
 """Part of the largest velocity of a point below which a direction has no motion: a point of a planar
 mechanism stays in its plane up to round-off."""
@@ -57,11 +60,17 @@ def body_index(mechanism: Mechanism, point: Point) -> int:
 
     Raises:
         UnknownNameError: for an unknown body.
-        MechanismError: for the ground.
+        MechanismError: for the ground, and for a point too far from its body.
     """
     index = mechanism.body_index(point.body)
     if index == 0:
         raise MechanismError("point", f"body is the ground, {quoted(point.body)}", "a body that moves")
+    farthest = MAX_DISTANCE * mechanism.size
+    if np.max(np.abs(point.point)) > farthest:
+        needed = f"{farthest:.3g} m at most, {MAX_DISTANCE:g} sizes of the mechanism"
+        raise MechanismError(
+            f"point of body {quoted(point.body)}", f"point is {point.point.tolist()}", needed
+        )
     return index
 
 

@@ -94,6 +94,8 @@ def test_points_that_cannot_be_mapped():
         workspace(arm, ARM_GRID, point=Point("ground", [0.0, 0.0, 0.0]))
     with pytest.raises(UnknownNameError, match="hand"):
         workspace(arm, ARM_GRID, point=Point("hand", [0.0, 0.0, 0.0]))
+    with pytest.raises(MechanismError, match="sizes of the mechanism"):
+        workspace(arm, ARM_GRID, point=Point("lower", [1e200, 0.0, 0.0]))
     with pytest.raises(MechanismError, match="point of body 'hand'"):
         Point("hand", [0.0, np.nan, 0.0])
 
