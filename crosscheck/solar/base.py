@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.solar.day import pd_laws
 from crosscheck.solar.place import Sun
 from crosscheck.support.errors import CrosscheckError
 from newton_euler import Axis, Polynomial, Poses, Spline, on_moving_base, solve_poses, statics
 from newton_euler.errors import choices, plain_number
-from newton_euler.model.control import PD
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.runs.moving_base import HINGES, SLIDES
@@ -129,11 +129,7 @@ def following_on_base(
         CrosscheckError: if a controller of the scene is not `PD`.
         newton_euler.NewtonEulerError: for fewer than 6 directions, which a spline needs.
     """
-    laws = [law for law in scene.control if isinstance(law, PD)]
-    if not laws or len(laws) < len(scene.control):
-        raise CrosscheckError(
-            f"scene {scene.name!r}: set-points need PD controllers; found none, or other controllers too"
-        )
+    laws = pd_laws(scene)
     seconds, keys = period * np.arange(len(wanted)), [law.key for law in laws]
     rotations = base.rotations(seconds)
     from_base = np.einsum("nji,nj->ni", rotations, wanted)

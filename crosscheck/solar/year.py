@@ -6,7 +6,7 @@ the mechanism and the rules of tracking allow. Motion between the poses is not s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -16,7 +16,7 @@ import numpy as np
 
 from crosscheck.solar.base import Base
 from crosscheck.solar.energy import FACING, THIS
-from crosscheck.solar.obstacles import Cause, face
+from crosscheck.solar.obstacles import Cause, Obstacles, face
 from crosscheck.solar.place import SUN, Sun, sun_over
 from crosscheck.solar.tracking import UP, Tracking
 from crosscheck.solar.weather import Weather
@@ -137,7 +137,7 @@ class Year:
         lit: (n,) True for intervals with light, for which poses are solved.
         coordinates: (n,) set-points by label of the joint coordinate, m or rad from the initial pose; NaN in
             the dark.
-        missed: number of directions out of reach for which the nearest pose was not found.
+        notes: sentences on poses that need attention.
         normals: (n, 3) directions of the panel's normal (east, north, up); up in the dark.
         limits: (n,) what keeps the panel from the sun, a `Limit`.
         module: photovoltaic module on the panel, or None.
@@ -151,7 +151,7 @@ class Year:
     base: Base
     lit: Array
     coordinates: Mapping[str, Array]
-    missed: int
+    notes: tuple[str, ...]
     normals: Array
     limits: Array
     module: Module | None = None
@@ -273,7 +273,7 @@ def tracker_year(
         base=base,
         lit=lit,
         coordinates=coordinates,
-        missed=found.missed,
+        notes=found.notes,
         normals=normals,
         limits=_limits(sun, base.sun(sun, seconds), tracking, stowed, kinds),
         module=module,
@@ -287,13 +287,13 @@ class _Found(NamedTuple):
         direction: (p, 3) directions of the axis.
         coordinates: (p,) set-points by label, m or rad.
         kind: (p,) limit of the mechanism: `Limit.NONE`, `REACH`, `COLLISION`, `SINGULAR` or `STROKE`.
-        missed: number of poses that are not the nearest ones.
+        notes: sentences on poses that need attention.
     """
 
     direction: Array
     coordinates: dict[str, Array]
     kind: Array
-    missed: int
+    notes: tuple[str, ...]
 
 
 def _found_poses(
@@ -339,7 +339,23 @@ def _found_poses(
         for key in keys:
             values[key][beyond] = there.coordinates[key]
     missed = int(np.sum((poses.slope > NOT_NEAREST_SLOPE) & ~beyond))
-    return _Found(direction, {labels[key]: values[key] for key in keys}, kind, missed)
+    coordinates = {labels[key]: values[key] for key in keys}
+    return _Found(direction, coordinates, kind, tuple(_notes(faced.obstacles, missed)))
+
+
+def _notes(obstacles: Obstacles, missed: int) -> Iterator[str]:
+    """Yield sentences on poses that need attention.
+
+    Args:
+        obstacles: obstacles of the mechanism.
+        missed: number of poses that are not the nearest ones.
+    """
+    for pair in sorted(sorted(pair) for pair in obstacles.left_out):
+        yield f"{' and '.join(pair)} are too close even if the panel lies flat: clearance not examined"
+    if not obstacles.can_avoid:
+        yield "the pose of the flat panel is blocked: collisions and singular configurations are not avoided"
+    if missed:
+        yield f"the nearest pose was not found for {missed} directions; losses are too large"
 
 
 def stroke_of(text: str) -> tuple[str, tuple[float, float]]:

@@ -56,6 +56,8 @@ def year_report(year: Year) -> Report:
     summary: list[Part] = [_months_table(year), _limits_table(year)]
     if year.strokes:
         summary.append(_strokes_table(year))
+    if year.notes:
+        summary.append(Lines("", list(year.notes)))
     title = f"{year.scene.name} over a year at {year.weather.place}: {year.weather.source}"
     return Report(
         title, verdict(year), Cell("computed", verdict="holds"), [*summary, assumption_lines], summary=summary
@@ -153,8 +155,6 @@ def assumptions(year: Year) -> Iterator[str]:
     yield "poses at rest: the motion between set-points and the energy of the actuators are not computed"
     yield "a panel under clouds receives more if it lies flat: losses may be negative"
     yield "the panel at one axis turns up to 60 degrees about a horizontal axis from north to south"
-    if year.missed:
-        yield f"the nearest pose was not found for {year.missed} directions; losses are too large"
     if year.module is not None:
         heat = "" if year.module.temperature_coefficient else "; the module stays at 25 degrees Celsius"
         yield f"direct current by PVWatts, without losses by reflection, dirt, wires and inverter{heat}"

@@ -203,6 +203,12 @@ def test_a_bar_turns_until_it_comes_close_to_the_ground(weather):
     largest = np.degrees(np.arcsin((0.3 - 0.01) / 0.5))
     assert np.max(np.abs(tilt[blocked] - largest)) < 0.5
     assert np.max(tilt) < largest + 0.5
+    assert year.notes == ()
+    # bodies that are too close in the flat pose are not examined
+    near = tracker_year(scene, Axis("bar", [0, 0, 1]), weather, Tracking(most_tilt=90.0, clearance=0.4))
+    assert near.hours(Limit.COLLISION) == 0.0
+    (note,) = near.notes
+    assert note.startswith("bar and ground are too close")
 
 
 def test_wind_is_needed_for_stowing(weather, gimbal):
