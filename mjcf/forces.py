@@ -7,7 +7,8 @@
 - Springs between points are spatial tendons.
 - A wrench, a constant force and torque, is a motor on a site with control 1. The motor turns with its site
   unless its `refsite` is a site of the world.
-- Dry friction and stops have no element here: `mjcf.model` applies their forces to MuJoCo's joints.
+- Dry friction, stops and elastic gears have no element here: `mjcf.model` applies their forces to MuJoCo's
+  joints.
 - Wind on a rectangular plate is three motors on a site with the axes of the plate: the force along the normal
   and the moments about both sides. `mjcf.model` computes the controls.
 
@@ -28,7 +29,7 @@ from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSprin
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, coordinate_name
-from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
@@ -61,7 +62,7 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
     for armature in scene.armatures:
         attributes[_mujoco_joint_name(scene.mechanism, armature)] = {"armature": number(armature.inertia)}
     for spring in scene.forces:
-        if isinstance(spring, PointSpring | Wrench | WindLoad | JointFriction | JointStop):
+        if isinstance(spring, PointSpring | Wrench | WindLoad | JointFriction | JointStop | ElasticGear):
             continue  # on sites, see `add_sites`, or without an element of MuJoCo
         if isinstance(spring, JointSpring | BallSpring):
             name = _mujoco_joint_name(scene.mechanism, spring)
@@ -139,7 +140,8 @@ def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
             pose = mechanism.body(force.body).pose
             site = add_site(elements, mechanism, wind_site(force), force.body, force.point)
             site.set("quat", numbers(from_rotation(pose.rotation.T @ force.axes)))
-        elif not isinstance(force, JointSpring | BallSpring | JointFriction | JointStop):  # at joints
+        # forces at joints have no site
+        elif not isinstance(force, JointSpring | BallSpring | JointFriction | JointStop | ElasticGear):
             assert_never(force)
     if any(isinstance(force, Wrench) and force.frame == "world" for force in scene.forces):
         add_site(elements, mechanism, WORLD_SITE, mechanism.body_names[0], np.zeros(3))

@@ -28,7 +28,8 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name, weld_loops
 from newton_euler.model.state import State
-from newton_euler.reading.wrenches import SwitchedLoad, switched_load, wind_on_plate
+from newton_euler.reading.switched_loads import SwitchedLoads
+from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array, Scalar
 
 MIN_MUJOCO_MASS = 1e-14
@@ -106,12 +107,10 @@ class MujocoScene:
         self._winds = [
             (site, slice(first, first + motor_count)) for site, first in zip(sites, first_motors, strict=True)
         ]
-        # indices in MuJoCo's qpos and qvel of the coordinates of dry friction and stops
-        switched = [
-            self.model.joint(coordinate_name(self.mechanism.joint(force.joint), force.coordinate)).id
-            for force in scene.switched_forces
-        ]
-        switched_joints = np.array(switched, dtype=int)
+        # switched forces, and the indices in MuJoCo's qpos and qvel of their coordinates
+        self._switched = SwitchedLoads(scene)
+        names = [coordinate_name(self.mechanism.joint(joint), k) for joint, k in self._switched.keys]
+        switched_joints = np.array([self.model.joint(name).id for name in names], dtype=int)
         self._switched_q = self.model.jnt_qposadr[switched_joints]
         self._switched_v = self.model.jnt_dofadr[switched_joints]
         # inverse dynamics, if a control law uses a model of the mechanism (`roles` lists such laws)
@@ -216,16 +215,15 @@ class MujocoScene:
             # normal force, N, and two moments, N m, of the wind relative to the plate's center
             data.ctrl[motors] = wind_on_plate(load, axes.T @ load.velocity(data.time) - velocity[3:])
 
-    def switched_loads(self, data: Any) -> list[SwitchedLoad]:
-        """Return the loads of dry friction and stops, in the order of `Scene.switched_forces`."""
-        x, rate = data.qpos[self._switched_q].tolist(), data.qvel[self._switched_v].tolist()
-        return [switched_load(*each) for each in zip(self.scene.switched_forces, x, rate, strict=True)]
+    def switched_loads(self, data: Any) -> tuple[Array, Array, float]:
+        """Return forces, their elastic parts and the energy of switched forces, see `SwitchedLoads`."""
+        return self._switched.evaluate(data.qpos[self._switched_q], data.qvel[self._switched_v])
 
     def set_switched_forces(self, data: Any) -> None:
-        """Apply dry friction and stops to MuJoCo's joints, for the coordinates and rates in `data`."""
+        """Apply switched forces to MuJoCo's joints, for the coordinates and rates in `data`."""
         if len(self._switched_v):
             data.qfrc_applied[:] = 0.0
-            np.add.at(data.qfrc_applied, self._switched_v, [load.force for load in self.switched_loads(data)])
+            np.add.at(data.qfrc_applied, self._switched_v, self.switched_loads(data)[0])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Return value, m or rad, and rate of each coordinate that control laws measure (`Scene.sensed`)."""
@@ -267,11 +265,11 @@ class MujocoScene:
         mujoco.mj_energyPos(self.model, self.data)
         mujoco.mj_energyVel(self.model, self.data)
         potential, kinetic = self.data.energy
-        of_stops = sum(load.energy for load in self.switched_loads(self.data))
+        _, _, switched_energy = self.switched_loads(self.data)
         return Observation(
             state=self.read_state(),
             kinetic_energy=float(kinetic),
-            potential_energy=float(potential) + of_stops,
+            potential_energy=float(potential) + switched_energy,
         )
 
     def read_state(self) -> State:

@@ -229,10 +229,10 @@ class SoftMuJoCo(EvaluatedScene):
         return float(data.actuator_force @ data.actuator_velocity + of_joints @ data.qvel)
 
     def _switched_without_potential(self) -> Array:
-        """Return the generalized forces (nv,) of dry friction and of the damping of stops."""
+        """Return the generalized forces (nv,) of switched forces, without their springs."""
         forces = np.array(self.data.qfrc_applied)
-        elastic = [load.elastic for load in self.switched_loads(self.data)]
-        np.subtract.at(forces, self._switched_v, elastic)
+        if len(self._switched_v):
+            np.subtract.at(forces, self._switched_v, self.switched_loads(self.data)[1])
         return forces
 
     def _applied_forces(self, v0: Array) -> Array:

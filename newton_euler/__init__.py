@@ -49,7 +49,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.state import State
-from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 
@@ -130,6 +130,7 @@ __all__ = [
     "Cylinder",
     "Cylindrical",
     "Digital",
+    "ElasticGear",
     "Fixed",
     "Free",
     "Gear",

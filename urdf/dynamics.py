@@ -37,6 +37,7 @@ from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.state import State
+from newton_euler.reading.switched_loads import SwitchedLoads
 from newton_euler.runs.assemble import initial_state
 from newton_euler.scalars import Array, Scalar
 from urdf.constraints import Closures, Rows, frame_jacobian
@@ -158,6 +159,10 @@ class PinocchioSystem:
         self._measured_q, self._measured_v = indices.T
         self._actuated_v = self._measured_v[: len(actuated)]
         self._sensed = [keys.index(key) for key in scene.sensed]
+        # switched forces, and the indices in q and v of their coordinates
+        self._switched = SwitchedLoads(scene)
+        switched = [self._tree.place(*key) for key in self._switched.keys]
+        self._switched_q, self._switched_v = np.array(switched, dtype=int).reshape(-1, 2).T
         # inverse dynamics, if a control law uses a model of the mechanism (`roles` finds such laws)
         self._model_control = EngineControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
@@ -229,7 +234,11 @@ class PinocchioSystem:
 
     def power(self, q: Array, v: Array) -> float:
         """Compute the power of forces without potential, W."""
-        power = self._laws.power(self.actuation(q, v), *self._measured(q, v))
+        _, rates = self._measured(q, v)
+        power = self._laws.power(self.actuation(q, v), rates)
+        if len(self._switched_v):
+            forces, elastic, _ = self._switched_loads(q, v)
+            power += float((forces - elastic) @ v[self._switched_v])
         if self._balls:
             power += self._balls.power(v)
         if self._forces:
@@ -264,6 +273,10 @@ class PinocchioSystem:
         if self._latest_actuation[0] != state:
             self._latest_actuation = state, self._actuation(q, v)
         return self._latest_actuation[1]
+
+    def _switched_loads(self, q: Array, v: Array) -> tuple[Array, Array, float]:
+        """Return forces, their elastic parts and the energy of switched forces, see `SwitchedLoads`."""
+        return self._switched.evaluate(q[self._switched_q], v[self._switched_v])
 
     def _key(self, q: Array, v: Array) -> tuple[Scene, float, bytes, bytes]:
         """Return a key of a state for results that are kept; it includes the scene and the time."""
@@ -315,6 +328,8 @@ class PinocchioSystem:
         """
         force = np.zeros(self.nv)
         np.add.at(force, self._actuated_v, self.actuation(q, v))
+        if len(self._switched_v):
+            np.add.at(force, self._switched_v, self._switched_loads(q, v)[0])
         if self._balls:
             force[self._balls.velocity_indices] += self._balls.torques(q, v)
         if self._needs_kinematics:
@@ -506,13 +521,15 @@ class PinocchioSystem:
             frames,
             accelerations,
         )
-        # reactions: wrenches without the drives, which are actuators, springs and rotors
+        # reactions: wrenches without the drives, which are actuators, springs, rotors and switched forces
         actuation = self.actuation(q, v)
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
         # `single`: inertias of rotors at hinges and slides; rotors at balls follow below
         drive_forces = -self._rotors.single * solution.acceleration
         np.add.at(drive_forces, self._actuated_v, actuation)
+        switched_forces, *_ = self._switched_loads(q, v)
+        np.add.at(drive_forces, self._switched_v, switched_forces)
         points = joint_points(self.mechanism, frames)
         drives = drive_wrenches(self._tree, columns, points, drive_forces)
         forces, torques = reactions(wrenches, points, drives)
@@ -540,10 +557,11 @@ class PinocchioSystem:
         root, (x, _) = self._model.inertias[0], self._measured(q, v)
         fixed = -root.mass * float(self.scene.gravity @ root.lever)
         springs = self._laws.energy(x) + self._balls.energy(q) + self._forces.energy(self._data)
+        _, _, switched = self._switched_loads(q, v)
         return Observation(
             state=state,
             kinetic_energy=kinetic,
-            potential_energy=potential + fixed + springs,
+            potential_energy=potential + fixed + springs + switched,
             work=q[self._work][0] if self.scene.tracks_work else None,
         )
 

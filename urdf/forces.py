@@ -23,9 +23,9 @@ from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wren
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.model.switched_forces import JointFriction, JointStop, SwitchedElement, SwitchedForce
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.wind import WindLoad
-from newton_euler.reading.wrenches import switched_load, wind_on_plate
+from newton_euler.reading.wrenches import wind_on_plate
 from newton_euler.scalars import Array
 
 ZERO = np.zeros(3)
@@ -33,25 +33,24 @@ ZERO = np.zeros(3)
 
 
 class JointLaws:
-    """Forces and control laws on joint coordinates, in the order of `Scene.joint_forces`.
+    """Springs and control laws on joint coordinates, in the order of `Scene.joint_forces`.
 
     Springs and PD laws are evaluated together as f = u_0 - (K_p (x - x_0) + K_d dx/dt), with u_0 = 0 for
     springs. For PD laws that depend on time, x_0 is 0 and u_0 is the time-dependent part. The a laws act on
     the first a of the given joint coordinates.
     """
 
-    def __init__(self, laws: Sequence[Law | JointSpring | SwitchedElement], keys: Sequence[Key]) -> None:
+    def __init__(self, laws: Sequence[Law | JointSpring], keys: Sequence[Key]) -> None:
         """Prepare the laws.
 
         Args:
-            laws: control laws, springs, dry friction and stops.
+            laws: springs and control laws.
             keys: joint coordinate of each law, then other coordinates that laws measure. A key is a joint and
                 the number of its coordinate.
         """
         self._index_of_key = {key: keys.index(key) for key in keys}
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
-        self._switched = [(k, law) for k, law in enumerate(laws) if isinstance(law, SwitchedForce)]
         self._driven = TimeDependentPD(laws)  # time-dependent part of the PD laws `_driven.law_indices`
         self._other_laws = [k for k, law in enumerate(laws) if not isinstance(law, PD | JointSpring)]
         for k, law in enumerate(laws):
@@ -65,7 +64,7 @@ class JointLaws:
 
     def force(
         self,
-        laws: Sequence[Law | JointSpring | SwitchedElement],
+        laws: Sequence[Law | JointSpring],
         x: Array,
         rate: Array,
         time: float,
@@ -91,8 +90,6 @@ class JointLaws:
                 force[k] = self._feedback_force(law, x, rate, time)
             elif isinstance(law, HeldLaw):  # a sampled controller
                 force[k] = law.held
-            elif isinstance(law, SwitchedForce):
-                force[k] = switched_load(law, float(x[k]), float(rate[k])).force
             elif not isinstance(law, JointSpring):  # springs are evaluated above
                 assert_never(law)
         for key, model_force in model.items():
@@ -122,24 +119,20 @@ class JointLaws:
                 )
         return accelerations
 
-    def power(self, force: Array, x: Array, rate: Array) -> float:
-        """Compute the power, W, of forces without potential; springs and stops have an energy, too.
+    def power(self, force: Array, rate: Array) -> float:
+        """Compute the power, W, of control laws and dampers; springs have an energy instead.
 
         Args:
             force: (a,) result of the method `force`.
-            x, rate: coordinates of the constructor's `keys`, and their rates.
+            rate: rates of the coordinates of the constructor's `keys`.
         """
         rates = rate[: len(force)]
-        without_potential = np.where(self._is_spring, -self._damping * rates, force)
-        for k, element in self._switched:
-            without_potential[k] -= switched_load(element, float(x[k]), float(rate[k])).elastic
-        return float(without_potential @ rates)
+        return float(np.where(self._is_spring, -self._damping * rates, force) @ rates)
 
     def energy(self, x: Array) -> float:
-        """Compute the energy of springs and stops, J, at coordinates x of the constructor's `keys`."""
+        """Compute the energy of the springs, J, at joint coordinates x, those of the constructor's `keys`."""
         stretch = (x[: len(self._rest)] - self._rest)[self._is_spring]
-        of_stops = sum(switched_load(element, float(x[k]), 0.0).energy for k, element in self._switched)
-        return float(0.5 * self._stiffness[self._is_spring] @ (stretch * stretch)) + of_stops
+        return float(0.5 * self._stiffness[self._is_spring] @ (stretch * stretch))
 
 
 class AppliedForce(NamedTuple):
@@ -288,8 +281,8 @@ class PointForces:
                 body = mechanism.body_index(force.body)
                 frame = add_frame(f"wind {force.name}", body, force.point, force.axes)
                 self._winds.append((number, body, frame))
-            # `JointLaws` and `BallForces` have the forces at joints
-            elif not isinstance(force, JointSpring | BallSpring | JointFriction | JointStop):
+            # `JointLaws`, `BallForces` and `SwitchedLoads` have the forces at joints
+            elif not isinstance(force, JointSpring | BallSpring | JointFriction | JointStop | ElasticGear):
                 assert_never(force)
 
     def __bool__(self) -> bool:

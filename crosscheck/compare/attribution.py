@@ -38,11 +38,10 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.model.switched_forces import SwitchedElement
 from newton_euler.scalars import Array
 
-ForceAtJoint = Law | JointSpring | SwitchedElement | BallSpring
-"""Control law of an actuator, spring, dry friction or stop that acts at a joint."""
+ForceAtJoint = Law | JointSpring | BallSpring
+"""Control law of an actuator, or spring, that acts at a joint."""
 
 MIN_VIOLATION = 1e-11
 """Smallest constraint violation that is not round-off: of poses, sizes of the mechanism or rad; of

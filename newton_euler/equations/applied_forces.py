@@ -31,7 +31,7 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
     mechanism, frames = scene.mechanism, state.frames()
     # joint coordinates (joint name, index) that forces act on, and those that control laws read (`sensed`);
     # the rotation of a ball joint has no coordinate
-    acting = {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}
+    acting = {*scene.loaded_coordinates, *(each.key for each in scene.armatures if not each.on_ball)}
     measured = {}
     for key in acting.union(scene.sensed):
         x, rate = mechanism.measure(key, frames)
@@ -77,7 +77,7 @@ def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[
 
 def power(scene: Scene, at: Surroundings) -> Scalar:
     """Sum the power, W, of forces without potential energy: control laws, dampers, wrenches and wind."""
-    forces = (*scene.joint_forces, *scene.body_forces)
+    forces = (*scene.control, *scene.forces)
     return sum((term for force in forces for term in force.powers(at)), start=0.0)
 
 
@@ -94,7 +94,7 @@ def with_likely_causes(scene: Scene, state: State, reason: str, at: Surroundings
     """
     reason = f"{reason}; fastest at joint {fastest_joint(scene.mechanism, state)!r}"
     with np.errstate(all="ignore"):
-        magnitudes = {_force_name(f): f.magnitude(at) for f in (*scene.joint_forces, *scene.body_forces)}
+        magnitudes = {_force_name(f): f.magnitude(at) for f in (*scene.control, *scene.forces)}
     if not magnitudes:
         return reason
     largest = max(magnitudes, key=lambda name: np.nan_to_num(magnitudes[name], nan=np.inf))

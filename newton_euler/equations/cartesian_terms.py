@@ -239,8 +239,8 @@ class CartesianTerms(Formulation):
         ]
         # forces on joint coordinates
         measured = self.measured(q, qdot)
-        for element, u in zip(self.scene.joint_forces, self.joint_forces(q, qdot), strict=True):
-            (r_i, theta_i, r_j, theta_j), bodies = measured[element.key].jacobian, self.between[element.key]
+        for key, u in self.coordinate_forces(q, qdot):
+            (r_i, theta_i, r_j, theta_j), bodies = measured[key].jacobian, self.between[key]
             for body, r, theta in ((bodies.first, r_i, theta_i), (bodies.second, r_j, theta_j)):
                 wrenches[body] = wrenches[body] + u * np.concatenate([r[0], theta[0]])
         # torques in the body frame

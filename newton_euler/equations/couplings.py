@@ -244,7 +244,7 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
 def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
     """List the keys of the joint coordinates on which forces and couplings of a scene depend, each once."""
     # `sensed`: coordinates that control laws drive or read
-    forces = [*(force.key for force in scene.joint_forces), *scene.sensed]
+    forces = [*scene.loaded_coordinates, *scene.sensed]
     coupled = [key for coupling in couplings for key in coupling.factors]
     return list(dict.fromkeys([*forces, *coupled]))
 

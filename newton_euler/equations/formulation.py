@@ -444,11 +444,17 @@ class Formulation(System):
         measured = self.measured(q, v)
         return [(measured[key].x, measured[key].rate) for key in self.scene.sensed]
 
-    def joint_forces(self, q: Array, v: Array) -> Iterator[Scalar]:
-        """Yield the force of each control law and each spring on a joint coordinate, N or N m."""
+    def control_forces(self, q: Array, v: Array) -> list[Scalar]:
+        """Compute the force of each control law, N or N m."""
         at = self.surroundings(q, v)
-        for force in self.scene.joint_forces:
-            yield force.at_joint(at)
+        return [law.at_joint(at) for law in self.scene.control]
+
+    def coordinate_forces(self, q: Array, v: Array) -> Iterator[tuple[Key, Scalar]]:
+        """Yield the forces on joint coordinates, N or N m, with the key of each: of control laws, then of
+        other forces."""
+        at = self.surroundings(q, v)
+        for force in (*self.scene.control, *self.scene.forces):
+            yield from zip(force.keys, force.along_coordinates(at), strict=True)
 
     def surroundings(self, q: Array, v: Array) -> Surroundings:
         """Compute the quantities that forces depend on: frames, joint coordinates, time."""
@@ -459,7 +465,7 @@ class Formulation(System):
         """Compute the switching functions of all switched forces, see
         `newton_euler.model.switched_forces`."""
         at = self.surroundings(q, v)
-        return [value for f in self.scene.switched_forces for value in f.switching(*f.measure(at))]
+        return [value for force in self.scene.switched_forces for value in force.switching(at)]
 
     def energies(self, at: Surroundings) -> tuple[Scalar, Scalar]:
         """Compute the kinetic energy, J, and the potential energy, J; armatures and springs included."""
@@ -582,6 +588,5 @@ class Formulation(System):
             angular_acceleration=bodies[1],
             reaction_force=forces,
             reaction_torque=torques,
-            # the first joint forces are those of the control laws
-            actuator_force=np.array(list(self.joint_forces(q, v))[: len(self.scene.control)]),
+            actuator_force=np.array(self.control_forces(q, v)),
         )

@@ -31,6 +31,8 @@ value of the same shape as in the scene:
   `JOINT.friction.transition_speed` of the dry friction at a joint;
 - `JOINT.low_stop.limit`, `JOINT.low_stop.stiffness` and `JOINT.low_stop.dissipation` of the stop at the low
   end of a joint coordinate; high_stop in place of low_stop for the other end;
+- `NAME.ratio`, `NAME.stiffness`, `NAME.play`, `NAME.dissipation`, `NAME.forward_efficiency`,
+  `NAME.backward_efficiency`, `NAME.transition_speed` and `NAME.rest` of an elastic gear;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points, and displacements
   `NAME.point_on_first`, `NAME.point_on_second` of the two points;

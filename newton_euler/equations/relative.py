@@ -115,8 +115,8 @@ class Relative(TreeKinematics):
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the part of f (nv,) from control laws and springs on joint coordinates."""
         measured, generalized = self.measured(q, v), zeros(self.nv, q, v)
-        for element, u in zip(self.scene.joint_forces, self.joint_forces(q, v), strict=True):
-            for k, entry in measured[element.key].jacobian.items():
+        for key, u in self.coordinate_forces(q, v):
+            for k, entry in measured[key].jacobian.items():
                 generalized[k] += entry * u
         return generalized
 
@@ -351,8 +351,7 @@ class Relative(TreeKinematics):
         """Compute the reaction forces and torques of all joints; see `Formulation.reactions`."""
         # forces of control laws, springs and armatures on joint coordinates, and torques of ball armatures
         frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
-        keys = [element.key for element in self.scene.joint_forces]
-        joint_forces = list(zip(keys, self.joint_forces(q, v), strict=True))
+        joint_forces = list(self.coordinate_forces(q, v))
         couples = []
         for armature in self.scene.armatures:
             if armature.on_ball:

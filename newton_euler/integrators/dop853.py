@@ -78,6 +78,7 @@ from newton_euler.integrators.switches import (
     MAX_ROOT_STEPS,
     NO_SWITCH,
     SAMPLES,
+    SHORTEST_STEP_ULPS,
     Search,
     Switches,
     begin_search,
@@ -773,6 +774,8 @@ def step_dop853(system: Equations, table: Table, states: Vector, method: Dop853)
             return status
         dense = 1
         fraction = locate_switch(system, system.switches, method)
+        if stop - now[n] - fraction * h < SHORTEST_STEP_ULPS * EPS * abs(stop):
+            fraction = NO_SWITCH  # the run ends with the branch
         if fraction <= 1.0:
             reach = fraction * h
     store_step(system, reach, method, int(counts[Count.STEPS]))

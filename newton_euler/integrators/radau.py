@@ -55,6 +55,7 @@ from newton_euler.integrators.switches import (
     MAX_ROOT_STEPS,
     NO_SWITCH,
     SAMPLES,
+    SHORTEST_STEP_ULPS,
     Search,
     Switches,
     begin_search,
@@ -135,9 +136,6 @@ need not converge any further: stiff forces magnify round-off, and shorter steps
 SWITCH_TOLERANCE = 1e-7
 """Part of a step that may lie beyond a switch of a force. The branch of the step is smooth there, too, and
 the error of the velocities is proportional to the square of this part."""
-
-SHORTEST_STEP_ULPS = 20.0
-"""Shortest step that ends at a switch, in units of the spacing of double-precision numbers near the time."""
 
 MAX_SWITCH_PLACEMENTS = 8
 """Largest number of times that a step is shortened to end at a switch of a force."""

@@ -43,6 +43,9 @@ ROOT_TOLERANCE = 4e-16
 MIN_SWITCH_FRACTION = 1e-12
 """Fraction of a step below which a switch counts as one at its start, where the step makes no progress."""
 
+SHORTEST_STEP_ULPS = 20.0
+"""Shortest step from or to a switch, in units of the spacing of double-precision numbers near the time."""
+
 MAX_IDLE_SWITCHES = 20
 """Number of consecutive switches without progress after which a step is accepted without looking for
 switches. A branch can be left and entered at one place only if round-off decides its sign."""

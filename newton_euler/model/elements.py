@@ -141,6 +141,11 @@ class Element(Variable):
         raise NotImplementedError
 
     @property
+    def unit_key(self) -> Key | None:
+        """The joint coordinate whose kind, slide or hinge, decides the units of the element's numbers."""
+        return None
+
+    @property
     def identity(self) -> str:
         """Text that must be unique among the elements of one attribute of a scene, such as `Scene.forces`."""
         return self.element
@@ -185,6 +190,10 @@ class OnCoordinate(OnJoint):
     def key(self) -> Key:
         """The joint coordinate: (name of the joint, index)."""
         return self.joint, self.coordinate
+
+    @property
+    def unit_key(self) -> Key:
+        return self.key
 
     @property
     def element(self) -> str:
@@ -248,8 +257,8 @@ class OnBall(OnJoint):
         return balls.spin(at.frames[i], at.frames[j])
 
 
-class OnBodies(Element):
-    """Base class of elements that act on points of bodies, and have a name.
+class Named(Element):
+    """Base class of elements that have a name.
 
     Attributes:
         name: unique among the forces of a scene.
@@ -268,6 +277,10 @@ class OnBodies(Element):
     @property
     def prefix(self) -> str:
         return self.name
+
+
+class OnBodies(Named):
+    """Base class of elements that act on points of bodies."""
 
     def check(self, mechanism: Mechanism) -> None:
         for field in self.body_fields:
@@ -291,6 +304,15 @@ class AppliedForce(Element):
     def described_after(self, change: PoseChange) -> Self:
         """Return the same force for the scene as it is described at another initial pose."""
         raise NotImplementedError
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The joint coordinates on which the force acts."""
+        return ()
+
+    def along_coordinates(self, at: Surroundings) -> tuple[Scalar, ...]:
+        """Compute the forces on the joint coordinates `keys`, N or N m."""
+        return ()
 
     def spans(self, at: Surroundings) -> tuple[Array, ...]:
         """Compute the vectors (3,), m, on whose directions the force depends; they must not be zero."""
@@ -404,6 +426,13 @@ class CoordinateForce(OnCoordinate, AppliedForce):
             time: s.
         """
         raise NotImplementedError
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        return (self.key,)
+
+    def along_coordinates(self, at: Surroundings) -> tuple[Scalar, ...]:
+        return (self.at_joint(at),)
 
     def at_joint(self, at: Surroundings) -> Scalar:
         """Compute the force, N or N m, at the present state."""

@@ -34,7 +34,7 @@ from newton_euler.model.elements import (
 )
 from newton_euler.model.fields import POINT, NumberField
 from newton_euler.model.mechanism import Mechanism, check_name
-from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.model.switched_forces import SwitchedElement
 from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
@@ -402,5 +402,5 @@ class Wrench(OnPoint):
         return PointLoad(k, frame.rotation @ force, frame.rotation @ torque, arm)
 
 
-Force = JointSpring | BallSpring | PointSpring | Wrench | WindLoad | JointFriction | JointStop
+Force = JointSpring | BallSpring | PointSpring | Wrench | WindLoad | SwitchedElement
 """Every kind of force in `Scene.forces`."""

@@ -136,8 +136,8 @@ def _check_slides(scene: Scene, equations: JointEquations, first: Move) -> None:
     if joint.kind not in ("planar", "free") or np.all(np.abs(first.turn - np.eye(3)) < ROTATION_TOLERANCE):
         return
     coupled = [key for coupling in scene.mechanism.couplings for key in coupling.factors()]
-    elements = (*scene.joint_forces, *scene.motions, *scene.armatures)
-    if joint.name in {name for name, _ in (*coupled, *scene.sensed, *(each.key for each in elements))}:
+    moved = [each.key for each in (*scene.motions, *scene.armatures)]
+    if joint.name in {name for name, _ in (*coupled, *scene.sensed, *scene.loaded_coordinates, *moved)}:
         where = f"joint {joint.name!r}"
         raise MechanismError(where, "has slides that turn with its first body", "nothing that acts on them")
 

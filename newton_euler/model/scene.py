@@ -30,7 +30,7 @@ from newton_euler.model.armatures import Armature, BallArmature
 from newton_euler.model.control import sensed
 from newton_euler.model.description import ArrayField, TupleField, description
 from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
-from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
+from newton_euler.model.elements import OnBall, check_elements
 from newton_euler.model.fields import NumberField
 from newton_euler.model.forces import Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
@@ -353,19 +353,24 @@ class Scene(Variable):
         return _knots(function for functions in jumping for function in functions)
 
     @cached_property
-    def joint_forces(self) -> tuple[Law | JointSpring | SwitchedElement, ...]:
-        """Forces on joint coordinates: the control laws, then springs, dry friction and stops of joints."""
-        return (*self.control, *(force for force in self.forces if isinstance(force, CoordinateForce)))
+    def joint_forces(self) -> tuple[Law | JointSpring, ...]:
+        """The control laws, then the joint springs. Each acts on one joint coordinate."""
+        return (*self.control, *(force for force in self.forces if isinstance(force, JointSpring)))
 
     @cached_property
     def switched_forces(self) -> tuple[SwitchedElement, ...]:
-        """Dry friction and stops of joints, whose formulas change at certain states."""
+        """Dry friction, stops and elastic gears, whose formulas change at certain states."""
         return tuple(force for force in self.forces if isinstance(force, SwitchedForce))
+
+    @cached_property
+    def loaded_coordinates(self) -> tuple[Key, ...]:
+        """Joint coordinates on which control laws and other forces act, in their order, with repetitions."""
+        return tuple(key for force in (*self.control, *self.forces) for key in force.keys)
 
     @property
     def body_forces(self) -> tuple[Force, ...]:
         """Forces that act on bodies: ball springs, point springs, wrenches and wind loads."""
-        return tuple(force for force in self.forces if not isinstance(force, CoordinateForce))
+        return tuple(force for force in self.forces if not force.keys)
 
     @property
     def loaded_balls(self) -> frozenset[str]:

@@ -1,4 +1,5 @@
-"""Dry friction and end stops: forces on joint coordinates whose formulas change at certain states.
+"""Dry friction, end stops and elastic gears: forces on joint coordinates whose formulas change at certain
+states.
 
 Such a *switched force* is continuous, but a derivative jumps where one of its *switching functions* changes
 its sign. The formula depends on a switching function g only through its positive part max(g, 0). Integrators
@@ -15,13 +16,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Self
 
-from newton_euler.errors import MechanismError, check_key, quoted
-from newton_euler.model.elements import CoordinateForce, PoseChange, Surroundings
+from newton_euler.errors import MechanismError, check_key, check_texts, quoted
+from newton_euler.model.elements import (
+    AppliedForce,
+    CoordinateForce,
+    Named,
+    PoseChange,
+    Surroundings,
+    check_known,
+)
 from newton_euler.model.fields import NumberField
+from newton_euler.model.joint import Key
+from newton_euler.model.mechanism import Mechanism, check_coordinate, check_name
+from newton_euler.model.variable import INDEX_REASON
 from newton_euler.scalars import Scalar, positive_part
 
 
-class SwitchedForce(CoordinateForce):
+class SwitchedForce(AppliedForce):
     """Base class of forces whose formula depends on the positive parts of switching functions.
 
     Attributes:
@@ -30,21 +41,26 @@ class SwitchedForce(CoordinateForce):
 
     switch_count: ClassVar[int]
 
-    def switching(self, x: Scalar, x_rate: Scalar) -> tuple[Scalar, ...]:
-        """Compute the switching functions (switch_count,) from the coordinate and its rate, SI."""
+    def switching(self, at: Surroundings) -> tuple[Scalar, ...]:
+        """Compute the switching functions (switch_count,), SI, at a state."""
         raise NotImplementedError
 
     def positive_parts(self, at: Surroundings) -> list[Scalar]:
         """Compute the positive parts of the switching functions, by flags if `at` has flags of this force."""
-        values = self.switching(*self.measure(at))
+        values = self.switching(at)
         flags = at.branches.get(self.identity)
         if flags is None:
             return [positive_part(value) for value in values]
         return [flag * value for flag, value in zip(flags, values, strict=True)]
 
 
+def beyond_unity(ratio: Scalar) -> tuple[Scalar, Scalar]:
+    """Return how much a ratio is above 1 and below -1; their positive parts saturate the ratio."""
+    return ratio - 1.0, -1.0 - ratio
+
+
 @dataclass(frozen=True)
-class JointFriction(SwitchedForce):
+class JointFriction(CoordinateForce, SwitchedForce):
     """Dry friction on a hinge or slide of a joint: Coulomb friction with the Stribeck effect, regularized.
 
     At the rate v the force is -(F_c + F_s / (1 + (v / v_s)^2)) sat(v / v_t), where sat limits its argument to
@@ -70,9 +86,8 @@ class JointFriction(SwitchedForce):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> friction = JointFriction("rail", coulomb=2.0)
-        >>> friction.force(x=0.0, x_rate=0.5, time=0.0)  # N, against the motion
-        -2.0
+        >>> JointFriction("rail", coulomb=2.0).prefix  # of its parameters in studies
+        'rail.friction'
     """
 
     joint: str
@@ -100,26 +115,20 @@ class JointFriction(SwitchedForce):
     def described_after(self, change: PoseChange) -> Self:
         return self  # friction does not depend on the coordinate
 
-    def switching(self, x: Scalar, x_rate: Scalar) -> tuple[Scalar, ...]:
-        ratio = x_rate / self.transition_speed
-        return ratio - 1.0, -1.0 - ratio
+    def switching(self, at: Surroundings) -> tuple[Scalar, ...]:
+        _, rate = self.measure(at)
+        return beyond_unity(rate / self.transition_speed)
 
     def at_joint(self, at: Surroundings) -> Scalar:
         _, rate = self.measure(at)
-        return self._force(rate, *self.positive_parts(at))
-
-    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        return self._force(x_rate, *map(positive_part, self.switching(x, x_rate)))
-
-    def _force(self, rate: Scalar, above: Scalar, below: Scalar) -> Scalar:
-        """Compute the force at a rate, m/s or rad/s, from the positive parts of both switching functions."""
+        above, below = self.positive_parts(at)
         saturated = rate / self.transition_speed - above + below
         ratio = rate / self.stribeck_speed
         return -(self.coulomb + self.stribeck / (1.0 + ratio * ratio)) * saturated
 
 
 @dataclass(frozen=True)
-class JointStop(SwitchedForce):
+class JointStop(CoordinateForce, SwitchedForce):
     """An end stop of a hinge or slide: a spring and damper that act beyond a limit of the coordinate.
 
     The stop pushes back with k d (1 + c dd/dt) while the coordinate is beyond the limit by d > 0, and never
@@ -144,9 +153,8 @@ class JointStop(SwitchedForce):
         MechanismError: naming the joint and the invalid value.
 
     Examples:
-        >>> stop = JointStop("rail", "high", limit=0.2, stiffness=1e5)
-        >>> round(stop.force(x=0.201, x_rate=0.0, time=0.0), 6)  # N, back into the range
-        -100.0
+        >>> JointStop("rail", "high", limit=0.2, stiffness=1e5).prefix  # of its parameters in studies
+        'rail.high_stop'
     """
 
     joint: str
@@ -193,18 +201,13 @@ class JointStop(SwitchedForce):
     def described_after(self, change: PoseChange) -> Self:
         return replace(self, limit=self.limit - change.zeros[self.key])
 
-    def switching(self, x: Scalar, x_rate: Scalar) -> tuple[Scalar, ...]:
+    def switching(self, at: Surroundings) -> tuple[Scalar, ...]:
         # depth beyond the limit, m or rad; ratio of the force to that of the spring alone
-        return self.sign * (x - self.limit), 1.0 + self.dissipation * self.sign * x_rate
+        x, rate = self.measure(at)
+        return self.sign * (x - self.limit), 1.0 + self.dissipation * self.sign * rate
 
     def at_joint(self, at: Surroundings) -> Scalar:
-        return self._force(*self.positive_parts(at))
-
-    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        return self._force(*map(positive_part, self.switching(x, x_rate)))
-
-    def _force(self, depth: Scalar, ratio: Scalar) -> Scalar:
-        """Compute the force from the positive parts of both switching functions."""
+        depth, ratio = self.positive_parts(at)
         return -self.sign * self.stiffness * depth * ratio
 
     def energy(self, at: Surroundings) -> Scalar:
@@ -218,5 +221,156 @@ class JointStop(SwitchedForce):
         yield -self.sign * self.stiffness * depth * (ratio - 1.0) * rate
 
 
-SwitchedElement = JointFriction | JointStop
+@dataclass(frozen=True)
+class ElasticGear(Named, SwitchedForce):
+    """A gear, belt or lead screw with stiffness, play and friction between two joint coordinates.
+
+    The gear turns a driver, such as the shaft of a motor, into the motion of a follower, such as a slide. Its
+    deflection is y = ratio * x_driver - x_follower - rest. Within the play, |y| < play / 2, it transmits
+    nothing. Beyond it by d > 0, a spring with the damping of Hunt and Crossley pushes the follower with the
+    force F = k d (1 + c dd/dt), which never pulls (see `JointStop`).
+
+    Friction in the gear grows with the transmitted force. A driver that moves the follower against the force
+    needs the torque ratio * F / forward_efficiency; if the force drives it, its own torque is ratio * F *
+    backward_efficiency. A gear that the force cannot drive, such as a lead screw of small lead, has a
+    negative backward efficiency: it is self-locking. The friction is regularized: it falls to zero below the
+    transition speed, so that a self-locking gear creeps. Friction that does not depend on the
+    force, of bearings and seals, is a `JointFriction` of the driver.
+
+    Sources: torques of a lead screw, R. G. Budynas and J. K. Nisbett, Shigley's Mechanical Engineering
+    Design, section "The mechanics of power screws"; friction between both directions is interpolated by a
+    parabola in the ratio of the speed to the transition speed.
+
+    Attributes:
+        name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
+        driver, follower: names of the two joints.
+        ratio: motion of the follower for a unit of the driver, m/rad for a lead screw: lead / (2 pi).
+        stiffness: k, N/m or N m/rad at the follower, 0 or more.
+        play: free travel of the follower, m or rad, 0 or more.
+        dissipation: c, s/m or s/rad, 0 or more.
+        forward_efficiency: of the driver that moves the follower, above 0, at most 1.
+        backward_efficiency: of the follower that moves the driver, at most 1; 0 or less if self-locking.
+        transition_speed: of the driver, seen at the follower: ratio * driver rate, m/s or rad/s, positive.
+        rest: ratio * x_driver - x_follower in the middle of the play, m or rad.
+        driver_coordinate, follower_coordinate: index of the coordinate of each joint, from 0.
+
+    Raises:
+        MechanismError: naming the gear and the invalid value.
+
+    Examples:
+        >>> screw = ElasticGear("screw", "shaft", "rail", ratio=0.005 / 6.283, stiffness=1e7, play=2e-5)
+        >>> screw.keys
+        (('shaft', 0), ('rail', 0))
+    """
+
+    name: str
+    driver: str
+    follower: str
+    ratio: float
+    stiffness: float
+    play: float = 0.0
+    dissipation: float = 0.0
+    forward_efficiency: float = 1.0
+    backward_efficiency: float = 1.0
+    transition_speed: float = 1e-5
+    rest: float = 0.0
+    driver_coordinate: int = 0
+    follower_coordinate: int = 0
+
+    noun = "elastic gear"
+    kind = "elastic_gear"  # the name in scene files
+    switch_count: ClassVar = 6
+    number_fields: ClassVar = {
+        "ratio": NumberField(allowed="nonzero"),
+        "stiffness": NumberField("N/m", unit_about="N m/rad", least=0.0, strength="gear"),
+        "play": NumberField("m", unit_about="rad", least=0.0),
+        "dissipation": NumberField("s/m", unit_about="s/rad", least=0.0),
+        "forward_efficiency": NumberField(positive=True),
+        "backward_efficiency": NumberField(),
+        "transition_speed": NumberField("m/s", unit_about="rad/s", positive=True),
+        "rest": NumberField("m", unit_about="rad"),
+    }
+    constant: ClassVar = {"driver_coordinate": INDEX_REASON, "follower_coordinate": INDEX_REASON}
+
+    def __post_init__(self) -> None:
+        check_name("elastic gear", self.name)
+        check_texts(self.element, self, "driver", "follower")
+        self.set_numbers(self.element)
+        if self.ratio == 0.0:
+            raise MechanismError(self.element, "ratio is 0", "a finite number, not 0")
+        for field in ("forward_efficiency", "backward_efficiency"):
+            if not getattr(self, field) <= 1.0:
+                raise MechanismError(self.element, f"{field} is {getattr(self, field):g}", "at most 1")
+        for key in self.keys:
+            check_key(self.element, *key)
+        if self.keys[0] == self.keys[1]:
+            raise MechanismError(
+                self.element, f"connects joint {quoted(self.driver)} to itself", "two joint coordinates"
+            )
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        return (self.driver, self.driver_coordinate), (self.follower, self.follower_coordinate)
+
+    @property
+    def unit_key(self) -> Key:
+        return self.keys[1]
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has both joint coordinates."""
+        for joint, coordinate in self.keys:
+            check_known(self.element, "is on an unknown joint", joint, mechanism.joint_names)
+            check_coordinate(self.element, mechanism.joint(joint), coordinate)
+
+    def described_after(self, change: PoseChange) -> Self:
+        driver, follower = (change.zeros[key] for key in self.keys)
+        return replace(self, rest=self.rest - self.ratio * driver + follower)
+
+    def deflection(self, at: Surroundings) -> tuple[Scalar, Scalar]:
+        """Compute the deflection y, m or rad, and its rate."""
+        (driver, driver_rate), (follower, follower_rate) = (at.measured[key][:2] for key in self.keys)
+        return self.ratio * driver - follower - self.rest, self.ratio * driver_rate - follower_rate
+
+    def speed_ratio(self, at: Surroundings) -> Scalar:
+        """Compute the speed of the driver, seen at the follower, in units of the transition speed."""
+        return self.ratio * at.measured[self.keys[0]][1] / self.transition_speed
+
+    def switching(self, at: Surroundings) -> tuple[Scalar, ...]:
+        y, rate = self.deflection(at)
+        damping = self.dissipation * rate
+        # depths beyond the play, ratios of the forces to those of the spring alone, limits of the speed
+        depths = y - 0.5 * self.play, -y - 0.5 * self.play
+        return *depths, 1.0 + damping, 1.0 - damping, *beyond_unity(self.speed_ratio(at))
+
+    def along_coordinates(self, at: Surroundings) -> tuple[Scalar, ...]:
+        up, down, up_ratio, down_ratio, above, below = self.positive_parts(at)
+        pushes, pulls = self.stiffness * up * up_ratio, self.stiffness * down * down_ratio
+        speed = self.speed_ratio(at) - above + below  # saturated
+        torque = pushes * self.load_factor(speed) - pulls * self.load_factor(-speed)
+        return -self.ratio * torque, pushes - pulls
+
+    def load_factor(self, speed: Scalar) -> Scalar:
+        """Compute the driver's torque in units of that without friction, by the saturated speed ratio."""
+        forward = 1.0 / self.forward_efficiency
+        slope, bend = 0.5 * (forward - self.backward_efficiency), 0.5 * (forward + self.backward_efficiency)
+        return 1.0 + slope * speed + (bend - 1.0) * (speed * speed)
+
+    def energy(self, at: Surroundings) -> Scalar:
+        up, down, *_ = self.positive_parts(at)
+        return 0.5 * self.stiffness * (up * up + down * down)
+
+    def powers(self, at: Surroundings) -> Iterator[Scalar]:
+        """Compute the power of friction and damping, W: that of the forces without the spring."""
+        up, down, *_ = self.positive_parts(at)
+        _, rate = self.deflection(at)
+        for key, force in zip(self.keys, self.along_coordinates(at), strict=True):
+            yield force * at.measured[key][1]
+        yield self.stiffness * (up - down) * rate
+
+    def magnitude(self, at: Surroundings) -> float:
+        force = float(abs(self.along_coordinates(at)[1]))
+        return force if at.mechanism.is_slide(*self.keys[1]) else force / at.mechanism.size
+
+
+SwitchedElement = JointFriction | JointStop | ElasticGear
 """Every kind of switched force."""

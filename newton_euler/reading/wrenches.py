@@ -21,8 +21,9 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.switched_forces import JointFriction, JointStop, SwitchedElement, SwitchedForce
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.wind import CALM_SPEED, WindLoad
+from newton_euler.reading.switched_loads import switched_load
 from newton_euler.scalars import Array
 
 
@@ -42,20 +43,6 @@ class CoordinateMotion(NamedTuple):
     jacobian: Array
     value: float
     rate: float
-
-
-class SwitchedLoad(NamedTuple):
-    """Force of dry friction or of a stop along its joint coordinate, N or N m, see `switched_load`.
-
-    Attributes:
-        force: the whole force.
-        elastic: its part that has a potential energy.
-        energy: potential energy, J.
-    """
-
-    force: float
-    elastic: float
-    energy: float
 
 
 class Wrenches:
@@ -115,8 +102,13 @@ class Wrenches:
         # Other force elements
         for force in scene.forces:
             match force:
-                case JointSpring() | JointFriction() | JointStop():
-                    pass  # already added: `Scene.joint_forces` has all of them
+                case JointSpring():
+                    pass  # already added: `Scene.joint_forces` has all joint springs
+                case JointFriction() | JointStop() | ElasticGear():
+                    motions = [self._coordinate(*key) for key in force.keys]
+                    load = switched_load(force, [at.value for at in motions], [at.rate for at in motions])
+                    for at, applied_force in zip(motions, load.forces, strict=True):
+                        self._add_along(at, applied_force)
                 case PointSpring():
                     self._add_point_spring(force)
                 case BallSpring():
@@ -132,19 +124,16 @@ class Wrenches:
                 case _:
                     assert_never(force)
 
-    def _joint_force(self, law: Law | JointSpring | SwitchedElement, at: CoordinateMotion) -> float:
-        """Compute the force of a control law or of an element at a joint along its coordinate at time 0, N or
-        N m.
+    def _joint_force(self, law: Law | JointSpring, at: CoordinateMotion) -> float:
+        """Compute the force of a control law or a joint spring along its coordinate at time 0, N or N m.
 
         Args:
-            law: a spring, dry friction or a stop; a sampled controller, whose force is held between samples
-                (`HeldLaw`); or a law of feedforward and proportional-derivative feedback (`DeclaredLaw`).
+            law: a spring; a sampled controller, whose force is held between samples (`HeldLaw`); or a law of
+                feedforward and proportional-derivative feedback (`DeclaredLaw`).
             at: the joint coordinate along which the force acts.
         """
         if isinstance(law, JointSpring):
             return law.stiffness * (law.rest - at.value) - law.damping * at.rate
-        if isinstance(law, SwitchedForce):
-            return switched_load(law, at.value, at.rate).force
         if isinstance(law, HeldLaw):
             return law.held
         if not isinstance(law, DeclaredLaw):
@@ -245,32 +234,6 @@ class Wrenches:
             accelerations = np.concatenate([linear[i], angular[i], linear[j], angular[j]])
             gamma = equations.coordinates[coordinate].gamma(self.frames[i], self.frames[j])[0]
             self._add_along(at, -armature.inertia * (float(at.jacobian @ accelerations) - gamma))
-
-
-def switched_load(element: SwitchedElement, x: float, rate: float) -> SwitchedLoad:
-    """Compute the force of dry friction or of a stop from the attributes of the element.
-
-    The formulas and their sources are in the docstrings of `JointFriction` and `JointStop`. This function
-    evaluates them independently of the classes.
-
-    Args:
-        element: the friction or the stop.
-        x: joint coordinate, m or rad from the initial pose.
-        rate: its rate, m/s or rad/s.
-    """
-    if isinstance(element, JointFriction):
-        curve = element.coulomb + element.stribeck / (1.0 + (rate / element.stribeck_speed) ** 2)
-        return SwitchedLoad(-curve * float(np.clip(rate / element.transition_speed, -1.0, 1.0)), 0.0, 0.0)
-    if isinstance(element, JointStop):
-        # depth beyond the limit and its rate; `inward` is the direction in which the stop pushes
-        inward = -1.0 if element.side == "high" else 1.0
-        depth, depth_rate = inward * (element.limit - x), -inward * rate
-        if depth <= 0.0:
-            return SwitchedLoad(0.0, 0.0, 0.0)
-        push = element.stiffness * depth
-        damped = push * max(1.0 + element.dissipation * depth_rate, 0.0)
-        return SwitchedLoad(inward * damped, inward * push, 0.5 * element.stiffness * depth**2)
-    assert_never(element)
 
 
 def wind_on_plate(load: WindLoad, relative: Array) -> Array:

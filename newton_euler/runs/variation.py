@@ -26,7 +26,7 @@ from newton_euler.arguments import UNCHECKED, checked
 from newton_euler.equations.parameter_names import Owner, Place, element_of, places
 from newton_euler.equations.parameters import own_value, parameter_values, rebuilt, refusal, with_values
 from newton_euler.errors import MechanismError, finite_array, quoted, real_array
-from newton_euler.model.elements import OnBall, OnCoordinate
+from newton_euler.model.elements import Element, OnBall
 from newton_euler.model.fields import NumberField
 from newton_euler.model.initial_pose import coordinates_at, described_at
 from newton_euler.model.mechanism import MIN_INERTIA, REALISABLE_TOLERANCE
@@ -230,9 +230,8 @@ def _unit(scene: Scene, place: Place) -> str:
     _, _, attribute = place.owner
     if functions_of(getattr(element, attribute, None)):  # numbers of a function of time: mixed units
         return ""
-    is_rotation = isinstance(element, OnBall) or (
-        isinstance(element, OnCoordinate) and not scene.mechanism.is_slide(*element.key)
-    )
+    key = element.unit_key if isinstance(element, Element) else None
+    is_rotation = isinstance(element, OnBall) or (key is not None and not scene.mechanism.is_slide(*key))
     return field.unit_about if is_rotation and field.unit_about else field.unit
 
 

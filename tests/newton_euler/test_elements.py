@@ -91,8 +91,10 @@ def test_runs_of_mujoco(name: str) -> None:
     coarse, fine = (mjcf.simulate(ELEMENTS[name], timestep=h) for h in (1e-3, 5e-4))
     wanted = run(name)
     assert error(fine, wanted) < 1e-4
-    # trees without any of them are exact to order 4, down to the reference's own error
-    assert error(fine, wanted) < max(error(coarse, wanted) / 3.0, 1e-9)
+    # trees without any of them are exact to order 4, down to the reference's own error; derivatives that jump
+    # somewhere within a step make the order irregular
+    ratio = 1.5 if name in RUBBED else 3.0
+    assert error(fine, wanted) < max(error(coarse, wanted) / ratio, 1e-9)
     # forces of soft constraints stay 0.2 % off, and with them the work of motions
     assert_work(fine, wanted, 4e-3)
 

@@ -30,7 +30,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum
 from newton_euler.model.parallel_hinges import ParallelHinges
 from newton_euler.model.scene import Scene
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.wind import WindLoad, wind_turbulence
 
 
@@ -303,7 +303,7 @@ def forced(scene: Scene) -> Scene:
 
 
 def rubbed(scene: Scene) -> Scene:
-    """Dry friction and stops at both ends on all joint coordinates, with ranges that the motion leaves."""
+    """Dry friction and stops at both ends on all joint coordinates, and elastic gears between neighbors."""
     rng, forces = np.random.default_rng(4), list[Force]()
     for joint in scene.mechanism.joints:
         for k in range(len(joint.coordinate_kinds)):
@@ -311,6 +311,15 @@ def rubbed(scene: Scene) -> Scene:
             forces.append(JointFriction(joint.name, coulomb, stribeck, 0.1, 0.05, coordinate=k))
             forces.append(JointStop(joint.name, "low", -low, 50.0, 0.2, coordinate=k))
             forces.append(JointStop(joint.name, "high", high, 80.0, 0.1, coordinate=k))
+    keys = [(joint.name, k) for joint in scene.mechanism.joints for k in range(len(joint.coordinate_kinds))]
+    for n, ((driver, i), (follower, j)) in enumerate(pairwise(keys)):
+        efficiencies = {"forward_efficiency": 0.7, "backward_efficiency": 0.4 if n % 2 else -0.2}
+        ends = {"driver_coordinate": i, "follower_coordinate": j}
+        numbers = {"play": 0.02, "dissipation": 0.3, "transition_speed": 0.05, "rest": 0.01}
+        ratio = 0.7 if n % 2 else -0.5
+        forces.append(
+            ElasticGear(f"gear_{n}", driver, follower, ratio, 30.0, **numbers, **efficiencies, **ends)
+        )
     return replace(scene, forces=tuple(forces))
 
 

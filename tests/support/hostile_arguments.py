@@ -421,6 +421,7 @@ def instances() -> list[Any]:
         ne.JointSpring("pivot", 1.0),
         ne.JointFriction("pivot", 1.0),
         ne.JointStop("pivot", "low", 0.0, 1.0),
+        ne.ElasticGear("screw", "a", "b", 0.1, 1.0),
         ne.BallSpring("pivot", 1.0),
         ne.PointSpring("s", "ground", "arm", x, y, stiffness=1.0, rest_length=0.1),
         ne.Wrench("w", "arm", x, y, z),

@@ -32,7 +32,7 @@ from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling, PolynomialCoupling
 from newton_euler.model.digital_control import Law
-from newton_euler.model.elements import OnBodies, OnCoordinate
+from newton_euler.model.elements import Named, OnCoordinate
 from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed
@@ -252,8 +252,8 @@ def _other_coordinates(scene: Scene, joint: str, coordinate: int) -> Iterator[in
 
 
 def _element_name(force: Law | Force) -> str:
-    """Return the name of a force on bodies, or of the joint on which a force or controller acts."""
-    return force.name if isinstance(force, OnBodies) else force.joint
+    """Return the name of a force that has one, or of the joint on which a force or controller acts."""
+    return force.name if isinstance(force, Named) else force.joint
 
 
 def _faulty_couplings(scene: Scene, coupling: JointCoupling) -> Iterator[tuple[str, JointCoupling | None]]:

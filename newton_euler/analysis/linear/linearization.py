@@ -485,4 +485,4 @@ def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
         readings = np.array(system.measure(q, v), dtype=float)
         system = with_held_values(system, Controllers(scene).sample(scene.sampled, time, readings))
     # forces of control laws come first, then those of springs
-    return {law.key: float(u) for law, u in zip(scene.control, system.joint_forces(q, v), strict=False)}
+    return {law.key: float(u) for law, u in zip(scene.control, system.control_forces(q, v), strict=True)}

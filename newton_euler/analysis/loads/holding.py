@@ -48,7 +48,7 @@ def hold(scene: Scene, state: State) -> Scene:
     missing = dict(zip(keys, held.actuator_force.tolist(), strict=True))
     system = Relative(scene)
     # forces of control laws come first, then those of springs
-    for law, force in zip(laws, system.joint_forces(*system.coordinates(state)), strict=False):
+    for law, force in zip(laws, system.control_forces(*system.coordinates(state)), strict=True):
         missing[law.key] -= float(force)
     holding = [replace(law, feedforward=law.feedforward + missing.pop(law.key, 0.0)) for law in laws]
     return replace(scene, control=tuple(holding))

@@ -15,6 +15,7 @@ import newton_euler
 from newton_euler import (
     PD,
     Body,
+    ElasticGear,
     Gear,
     JointFriction,
     JointSpring,
@@ -71,6 +72,7 @@ ELEMENTS: tuple[Any, ...] = (
     JointSpring("a", 1.0),
     JointFriction("a", 1.0),
     JointStop("a", "low", 0.0, 1.0),
+    ElasticGear("screw", "a", "b", 0.1, 1.0),
     PointSpring("s", "ground", "rod", ORIGIN, Z, stiffness=1.0, rest_length=1.0),
     Wrench("w", "rod", ORIGIN, Z),
     WindLoad("v", "rod", ORIGIN, first_side=Y, second_side=Z, direction=Z, speed=1.0),

@@ -25,7 +25,7 @@ from newton_euler.model.motions import PrescribedMotion, Sum, TimeFunction
 from newton_euler.model.smooth_functions import Polynomial, Sine
 from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.state import State
-from newton_euler.model.switched_forces import JointFriction, JointStop
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.variable import PART_UNITS, Variable
 
 SCENES = [*ELEMENTS.values(), *COUPLED.values(), *COMPOUNDS.values()]
@@ -56,6 +56,7 @@ MADE = [
     BallSpring("ball", 1.0, 2.0, [0.1, 0.2, 0.3]),
     JointFriction("rail", 1.0, 2.0, 3.0, 0.1),
     JointStop("rail", "low", 1.0, 2.0, 3.0),
+    ElasticGear("screw", "pole", "rail", 0.1, 1.0, play=0.1),
     Wrench("push", "mass", [0.1, 0.2, 0.3], [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]),
     Armature("rail", 0.3),
     BallArmature("ball", 0.3),
@@ -124,6 +125,7 @@ def _has(element, name):
 
 MIXED = {"axis", "axis_on_first", "axis_on_second", "direction", "quaternion", "ratio", "terms"}
 MIXED |= {"coefficients", "gains", "targets", "function", "stroke"}
+MIXED |= {"forward_efficiency", "backward_efficiency"}
 """Numbers without a unit, and with several."""
 
 

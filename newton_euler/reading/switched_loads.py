@@ -1,0 +1,110 @@
+"""Loads of dry friction, stops and elastic gears on joint coordinates, computed from their attributes.
+
+The equations of motion of newton_euler call methods of these elements (`newton_euler.model.switched_forces`).
+This module evaluates the same formulas independently, in plain floats. MuJoCo and Pinocchio, which have no
+such elements, get their forces from here, and so do the checks of imported files. The comparison of engines
+therefore also finds mistakes in the methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, assert_never
+
+import numpy as np
+
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop, SwitchedElement
+from newton_euler.scalars import Array
+
+
+class SwitchedLoad(NamedTuple):
+    """Load of one element on its joint coordinates.
+
+    Attributes:
+        forces: on each joint coordinate of the element, N or N m.
+        elastic: the parts of these forces that have a potential energy.
+        energy: potential energy, J.
+    """
+
+    forces: Sequence[float]
+    elastic: Sequence[float]
+    energy: float
+
+
+def switched_load(element: SwitchedElement, x: Sequence[float], rates: Sequence[float]) -> SwitchedLoad:
+    """Compute the load of an element; the formulas and their sources are in the docstrings of the classes.
+
+    Args:
+        element: dry friction, a stop or an elastic gear.
+        x: coordinates of `element.keys`, m or rad from the initial pose.
+        rates: their rates.
+    """
+    if isinstance(element, JointFriction):
+        (rate,) = rates
+        curve = element.coulomb + element.stribeck / (1.0 + (rate / element.stribeck_speed) ** 2)
+        saturated = float(np.clip(rate / element.transition_speed, -1.0, 1.0))
+        return SwitchedLoad([-curve * saturated], [0.0], 0.0)
+    if isinstance(element, JointStop):
+        # `inward` is the direction in which the stop pushes
+        inward = -1.0 if element.side == "high" else 1.0
+        depth, depth_rate = inward * (element.limit - x[0]), -inward * rates[0]
+        push, damped = _push(element.stiffness, element.dissipation, depth, depth_rate)
+        return SwitchedLoad([inward * damped], [inward * push], 0.5 * push * max(depth, 0.0))
+    if isinstance(element, ElasticGear):
+        return _gear_load(element, x, rates)
+    assert_never(element)
+
+
+def _push(stiffness: float, dissipation: float, depth: float, depth_rate: float) -> tuple[float, float]:
+    """Compute the force of a one-sided spring, N or N m, and the force with Hunt and Crossley's damping."""
+    push = stiffness * max(depth, 0.0)
+    return push, push * max(1.0 + dissipation * depth_rate, 0.0)
+
+
+def _gear_load(gear: ElasticGear, x: Sequence[float], rates: Sequence[float]) -> SwitchedLoad:
+    """Compute the load of an elastic gear on its driver and its follower."""
+    y, rate = gear.ratio * x[0] - x[1] - gear.rest, gear.ratio * rates[0] - rates[1]
+    # the spring that acts: that of a driver ahead of its follower, or behind it
+    ahead = 1.0 if y > 0.0 else -1.0
+    depth = abs(y) - 0.5 * gear.play
+    push, damped = _push(gear.stiffness, gear.dissipation, depth, ahead * rate)
+    # torque of the driver by its saturated speed in the direction of the push: the parabola through that of a
+    # driver which is driven, at -1, of a gear without friction, at 0, and of a driver which drives, at 1
+    speed = ahead * float(np.clip(gear.ratio * rates[0] / gear.transition_speed, -1.0, 1.0))
+    driven, driving = gear.backward_efficiency, 1.0 / gear.forward_efficiency
+    factor = driven * speed * (speed - 1.0) / 2.0 + (1.0 - speed**2) + driving * speed * (speed + 1.0) / 2.0
+    forces = [-ahead * gear.ratio * damped * factor, ahead * damped]
+    return SwitchedLoad(forces, [-ahead * gear.ratio * push, ahead * push], 0.5 * push * max(depth, 0.0))
+
+
+class SwitchedLoads:
+    """Loads of all switched forces of a scene.
+
+    Attributes:
+        keys: joint coordinates on which the elements act, with repetitions.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._elements = scene.switched_forces
+        self.keys: list[Key] = [key for element in self._elements for key in element.keys]
+
+    def evaluate(self, x: Array, rates: Array) -> tuple[Array, Array, float]:
+        """Compute all loads.
+
+        Args:
+            x, rates: coordinates of `keys`, m or rad from the initial pose, and their rates.
+
+        Returns:
+            The forces (k,) on the coordinates, N or N m; the parts (k,) that have a potential energy; this
+            energy, J.
+        """
+        loads, first = list[SwitchedLoad](), 0
+        for element in self._elements:
+            place = slice(first, first + len(element.keys))
+            loads.append(switched_load(element, x[place].tolist(), rates[place].tolist()))
+            first = place.stop
+        forces = np.array([force for load in loads for force in load.forces], dtype=float)
+        elastic = np.array([force for load in loads for force in load.elastic], dtype=float)
+        return forces, elastic, sum((load.energy for load in loads), start=0.0)
