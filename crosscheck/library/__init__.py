@@ -23,6 +23,7 @@ from crosscheck.library import (
     stewart,
     tracker,
     tracker_control,
+    tracker_drive,
     tracker_sun,
     tracker_wind,
 )
@@ -40,6 +41,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "tracker_aligned": tracker.tracker_aligned,
     "tracker_on_boat": tracker.tracker_on_boat,
     "tracker_wind": tracker_wind.tracker_wind,
+    "tracker_drive": tracker_drive.tracker_drive,
     "tracker_computed_torque": tracker_control.tracker_computed_torque,
     "tracker_sun_day": tracker_sun.tracker_sun_day,
     "pendulum": pendulum.pendulum,

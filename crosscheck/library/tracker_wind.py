@@ -86,7 +86,7 @@ def tracker_wind(
             law.joint,
             WIND_POSITION_GAIN,
             WIND_VELOCITY_GAIN,
-            target=_up_and_down(stroke, period),
+            target=up_and_down(stroke, period),
             feedforward=force,
         )
         for law, stroke, period, force in zip(scene.control, STROKES, PERIODS, FEEDFORWARD, strict=True)
@@ -95,7 +95,7 @@ def tracker_wind(
     return replace(scene, name="tracker_wind", description=description, control=control, forces=(load,))
 
 
-def _up_and_down(stroke: float, period: float) -> Sine:
+def up_and_down(stroke: float, period: float) -> Sine:
     """Return a motion from 0 to a stroke (m) and back in a period (s), starting at rest."""
     return Sine(-0.5 * stroke, angular_frequency=2.0 * np.pi / period, phase=0.5 * np.pi, offset=0.5 * stroke)
 

@@ -44,7 +44,7 @@ def switched_load(element: SwitchedElement, x: Sequence[float], rates: Sequence[
     if isinstance(element, JointFriction):
         (rate,) = rates
         curve = element.coulomb + element.stribeck / (1.0 + (rate / element.stribeck_speed) ** 2)
-        saturated = float(np.clip(rate / element.transition_speed, -1.0, 1.0))
+        saturated = min(max(rate / element.transition_speed, -1.0), 1.0)
         return SwitchedLoad([-curve * saturated], [0.0], 0.0)
     if isinstance(element, JointStop):
         # `inward` is the direction in which the stop pushes
@@ -72,7 +72,7 @@ def _gear_load(gear: ElasticGear, x: Sequence[float], rates: Sequence[float]) ->
     push, damped = _push(gear.stiffness, gear.dissipation, depth, ahead * rate)
     # torque of the driver by its saturated speed in the direction of the push: the parabola through that of a
     # driver which is driven, at -1, of a gear without friction, at 0, and of a driver which drives, at 1
-    speed = ahead * float(np.clip(gear.ratio * rates[0] / gear.transition_speed, -1.0, 1.0))
+    speed = ahead * min(max(gear.ratio * rates[0] / gear.transition_speed, -1.0), 1.0)
     driven, driving = gear.backward_efficiency, 1.0 / gear.forward_efficiency
     factor = driven * speed * (speed - 1.0) / 2.0 + (1.0 - speed**2) + driving * speed * (speed + 1.0) / 2.0
     forces = [-ahead * gear.ratio * damped * factor, ahead * damped]
@@ -87,8 +87,11 @@ class SwitchedLoads:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._elements = scene.switched_forces
-        self.keys: list[Key] = [key for element in self._elements for key in element.keys]
+        self.keys: list[Key] = [key for element in scene.switched_forces for key in element.keys]
+        self._elements, first = list[tuple[SwitchedElement, slice]](), 0
+        for element in scene.switched_forces:
+            self._elements.append((element, slice(first, first + len(element.keys))))
+            first += len(element.keys)
 
     def evaluate(self, x: Array, rates: Array) -> tuple[Array, Array, float]:
         """Compute all loads.
@@ -100,11 +103,11 @@ class SwitchedLoads:
             The forces (k,) on the coordinates, N or N m; the parts (k,) that have a potential energy; this
             energy, J.
         """
-        loads, first = list[SwitchedLoad](), 0
-        for element in self._elements:
-            place = slice(first, first + len(element.keys))
-            loads.append(switched_load(element, x[place].tolist(), rates[place].tolist()))
-            first = place.stop
-        forces = np.array([force for load in loads for force in load.forces], dtype=float)
-        elastic = np.array([force for load in loads for force in load.elastic], dtype=float)
-        return forces, elastic, sum((load.energy for load in loads), start=0.0)
+        forces, elastic, energy = list[float](), list[float](), 0.0
+        coordinates, speeds = x.tolist(), rates.tolist()
+        for element, place in self._elements:
+            load = switched_load(element, coordinates[place], speeds[place])
+            forces += load.forces
+            elastic += load.elastic
+            energy += load.energy
+        return np.array(forces, dtype=float), np.array(elastic, dtype=float), energy
