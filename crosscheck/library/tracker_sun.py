@@ -73,7 +73,9 @@ def tracker_sun_day(
     # for a panel that stands alone, without a wind limit. Only the scene is needed here
     wanted = Tracking().normals(sun)
     tracking = Tracking(speed=PACE_SPEED, acceleration=PACE_ACCELERATION)
-    poses = solve_poses(tracker := sun_tracker(), axis=PANEL_NORMAL, towards=wanted)
+    tracker = sun_tracker()
+    keys = [law.key for law in tracker.control]
+    poses = solve_poses(tracker, axis=PANEL_NORMAL, towards=wanted, measure=keys)
     scene = following(tracker, poses, 1.0, tracking).scene
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)
