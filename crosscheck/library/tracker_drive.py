@@ -74,14 +74,19 @@ class Screw(NamedTuple):
     backward: float
 
 
-def screw_efficiencies(friction: float) -> Screw:
-    """Return the efficiencies of the screws for a coefficient of friction in the thread.
+def screw_efficiencies(friction: float, lead: float = LEAD, diameter: float = PITCH_DIAMETER) -> Screw:
+    """Return the efficiencies of a lead screw.
+
+    Args:
+        friction: coefficient of friction in the thread.
+        lead: travel of the nut in a revolution, m.
+        diameter: mean diameter of the thread, m.
 
     With the lead angle lambda and the friction angle phi they are tan lambda / tan (lambda + phi) and
     tan (lambda - phi) / tan lambda. Source: R. G. Budynas and J. K. Nisbett, Shigley's Mechanical Engineering
     Design, "The mechanics of power screws".
     """
-    lead_angle, friction_angle = np.arctan(LEAD / (np.pi * PITCH_DIAMETER)), np.arctan(friction)
+    lead_angle, friction_angle = np.arctan(lead / (np.pi * diameter)), np.arctan(friction)
     forward = np.tan(lead_angle) / np.tan(lead_angle + friction_angle)
     return Screw(float(forward), float(np.tan(lead_angle - friction_angle) / np.tan(lead_angle)))
 
