@@ -66,7 +66,6 @@ def drives_command(
     actuators over time.
     """
     from crosscheck.design.drive_catalog import read_catalog
-    from crosscheck.design.drive_motion import is_motion_file
     from crosscheck.design.drive_report import Requirements
     from crosscheck.design.drives import (
         DRIVE_FILES,
@@ -76,6 +75,7 @@ def drives_command(
         write_drives,
     )
     from crosscheck.loading.load import load_scene
+    from newton_euler.analysis.loads.motion_files import is_motion_file
 
     options = refuse_excitation(scene_options(settings), why="drives are for an intended motion")
     if options and is_motion_file(scene):

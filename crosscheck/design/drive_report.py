@@ -133,7 +133,7 @@ def _forces(found: DriveResults) -> Table:
             [
                 motion.name,
                 f"{each.peak_force:.3g} {force}",
-                f"{each.peak_time:.4g}",
+                f"{each.peak_time:.5g}",
                 f"{each.rms_force:.3g} {force}",
                 holding,
                 f"{each.peak_speed:.3g} {length}/s",

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from crosscheck.compare.activity import reduced_model_text, watched
-from crosscheck.design.drive_motion import motions_csv, read_motions
+from crosscheck.design.drive_plots import drive_figure
 from crosscheck.design.drive_report import DriveResults, Requirements, drive_report
+from crosscheck.report.plots import png
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Report
 from crosscheck.support.errors import CrosscheckError
@@ -19,12 +20,13 @@ from crosscheck.support.files import write_files
 from crosscheck.support.time_limits import limited
 from newton_euler.analysis.loads.actuator_motions import ActuatorMotion, actuator_motions
 from newton_euler.analysis.loads.drives import Drive, Sized, size
+from newton_euler.analysis.loads.motion_files import motions_csv, read_motions
 from newton_euler.model.armatures import Armature
 from newton_euler.model.scene import Scene
 from newton_euler.reading.import_report import ImportReport
 from newton_euler.runs.simulate import simulate
 
-DRIVE_FILES = ("drives.json", "drives.csv", "limits.csv", "demand.csv", "motion.csv")
+DRIVE_FILES = ("drives.json", "drives.csv", "limits.csv", "demand.csv", "motion.csv", "drives.png")
 """Names of the result files."""
 
 
@@ -137,13 +139,15 @@ def write_drives(
         "catalog_rows": [asdict(drive) for drive in found.drives],
         "notes": list(found.notes),
     }
-    results, table, limit_table, demand_table, motion_table = (folder / name for name in DRIVE_FILES)
+    results, table, limit_table, demand_table, motion_table, plot = (folder / name for name in DRIVE_FILES)
+    pictures = {plot: png(drive_figure(found))}
     contents = {
-        results: as_json(data, report),
+        results: as_json(data, report, pictures),
         table: _csv(rows),
         limit_table: _csv(limits),
         demand_table: _csv(demands),
         motion_table: motions_csv(found.motions).encode(),
+        **pictures,
     }
     write_files(contents)
     return report, list(contents)

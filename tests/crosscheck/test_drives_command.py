@@ -12,7 +12,7 @@ import pytest
 from command_line import run
 
 from crosscheck.design.drive_catalog import COLUMNS, read_catalog
-from crosscheck.design.drive_motion import motions_csv, read_motions
+from newton_euler.analysis.loads.motion_files import motions_csv, read_motions
 from newton_euler.analysis.loads.power_screws import ENDS, Thread, buckling_force, critical_speed
 from newton_euler.model.source_file import SourceError
 
@@ -63,7 +63,9 @@ def test_a_motion_and_the_example(capsys, monkeypatch, tmp_path):
     content = json.loads((folder / "drives.json").read_text())
     assert content["source"] == str(motion)
     assert len(content["drives"]) == len(table)
+    assert (folder / "drives.png").read_bytes().startswith(b"\x89PNG")
     assert run(capsys, "report", folder)[0] == 0
+    assert "data:image/png" in (folder / "report.html").read_text()
     assert "servo ball 80x40" in (folder / "report.html").read_text()
     again = tmp_path / "again"
     arguments = ("drives", folder / "motion.csv", "--catalog", CATALOG, "--output", again)

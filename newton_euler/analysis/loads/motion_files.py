@@ -1,4 +1,4 @@
-"""Force and motion of actuators in CSV files: a table that any tool can write, and that `drives` writes.
+"""Force and motion of actuators in CSV files, which any tool can write: `read_motions`, `motions_csv`.
 
 The column `time` has s. The other columns have the name of an actuator, a point and a quantity: `force`,
 `position` and `speed` of a slide in N, m and m/s, or `torque`, `angle` and `rate` of a hinge in N m, rad and

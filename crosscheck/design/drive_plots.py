@@ -1,0 +1,89 @@
+"""Plot of drives: the motor's torque over time, and the actuator's force over its speed within the limits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crosscheck.design.drive_report import DriveResults
+from crosscheck.report.plots import own_style
+from crosscheck.support.palette import palette
+from newton_euler.analysis.loads.actuator_motions import ActuatorMotion
+from newton_euler.analysis.loads.drives import Drive, motor_motion
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MAX_PLOTTED_DRIVES = 5
+"""Largest number of drives in the plots of an actuator: those that suit and need the least energy."""
+
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
+"""Dash patterns of the drives, in their order; they tell drives apart without color."""
+
+LEAST_SHOWN = 0.01
+"""Lower limits of the plot of force over speed, as a fraction of the largest force and speed."""
+
+
+@own_style()
+def drive_figure(found: DriveResults) -> Figure:
+    """Plot two diagrams for each actuator, with the drives that suit it.
+
+    The left one has the torque of the motor over time, in percent of its peak torque. The right one has the
+    magnitudes of force and speed of the actuator; both axes are logarithmic. A drive that moves a load
+    steadily can reach each point below and to the left of its lines: the rated speed, and the force of its
+    peak torque.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
+
+    figure = Figure(figsize=(9.0, 3.0 * len(found.motions)), layout="constrained")
+    axes = figure.subplots(len(found.motions), 2, squeeze=False)
+    best = {motion.name: found.suitable(motion.name)[:MAX_PLOTTED_DRIVES] for motion in found.motions}
+    colors = palette(list(dict.fromkeys(each.drive.name for suits in best.values() for each in suits)))
+    for motion, (torque_plot, force_plot) in zip(found.motions, axes, strict=True):
+        force, length = ("N", "m") if motion.is_slide else ("N m", "rad")
+        magnitudes = (np.abs(motion.speed), np.abs(motion.force))
+        least_speed, least_force = (LEAST_SHOWN * float(values.max()) or 1e-9 for values in magnitudes)
+        force_plot.plot(*magnitudes, color="black", linewidth=1.0, label="motion")
+        for sized, dash in zip(best[motion.name], DASHES, strict=False):
+            name = sized.drive.name
+            style = {"color": colors[name], "linestyle": dash, "linewidth": 1.6, "label": name}
+            _draw_torque(torque_plot, sized.drive, motion, style)
+            _draw_limits(force_plot, sized.drive, least_speed, least_force, style)
+        torque_plot.set_title(motion.name, fontsize="medium")
+        torque_plot.set_xlabel("time, s")
+        torque_plot.set_ylabel("torque, % of peak torque")
+        force_plot.set_xlabel(f"speed, {length}/s")
+        force_plot.set_ylabel(f"force, {force}")
+        force_plot.set_xscale("log")
+        force_plot.set_yscale("log")
+        for axis in (force_plot.xaxis, force_plot.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
+        force_plot.set_xlim(left=least_speed)
+        force_plot.set_ylim(bottom=least_force)
+        force_plot.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+        for ax in (torque_plot, force_plot):
+            ax.grid(alpha=0.3)
+    return figure
+
+
+def _draw_torque(ax: Axes, drive: Drive, motion: ActuatorMotion, style: dict[str, Any]) -> None:
+    """Draw the torque of a motor over time."""
+    motor = motor_motion(drive, motion)
+    times = np.stack([motor.time[:-1], motor.time[1:]], axis=1).ravel()
+    ax.plot(times, 100.0 * motor.torque.T.ravel() / drive.peak_torque, **style)
+
+
+def _draw_limits(
+    ax: Axes, drive: Drive, least_speed: float, least_force: float, style: dict[str, Any]
+) -> None:
+    """Draw the limits of an actuator's speed and force, m/s and N or rad/s and N m, that a drive moves
+    steadily."""
+    speed = drive.rated_speed / drive.gear_ratio * drive.travel
+    efficiency = drive.gear_efficiency * (drive.screw.efficiency if drive.screw else 1.0)
+    torque = max(drive.peak_torque - drive.friction_torque, 0.0)
+    force = torque * drive.gear_ratio * efficiency / drive.travel
+    ax.plot([least_speed, speed, speed], [force, force, least_force], **style)
