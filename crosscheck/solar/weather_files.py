@@ -101,7 +101,10 @@ def read_weather(path: str, year: int | None = None, zone: str | None = None) ->
         data, meta = _read_with_pvlib(table.kind, text)
     except Exception as error:  # pvlib raises errors of many kinds for files of other forms
         raise SourceError(where, f"pvlib cannot read it as {table.kind}: {error}") from error
-    place, stamps, offset, notes = _place_and_times(where, text, table.kind, data, meta)
+    try:
+        place, stamps, offset, notes = _place_and_times(where, text, table.kind, data, meta)
+    except (CrosscheckError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise SourceError(where, f"header: {error}") from error
     if zone is not None:
         stamps = localized(stamps.tz_localize(None), zone)
     times = stamps + pd.Timedelta(hours=offset)
@@ -254,16 +257,14 @@ def _place_and_times(
     """Return the place, the time stamps with their zone, the time of irradiances after a stamp, h, and notes.
 
     Raises:
-        SourceError: for a place off the globe, and for irradiance on a plane that is not horizontal.
+        SourceError: for irradiance on a plane that is not horizontal.
+        CrosscheckError: for a place off the globe.
     """
     notes: list[str] = []
     header = meta["inputs"] if kind.startswith("PVGIS") else meta
     header = header.get("location", header)  # of JSON
     names = ("latitude", "longitude", "elevation" if kind.startswith("PVGIS") else "altitude")
-    try:
-        place = Place(*(float(header[name]) for name in names))
-    except (CrosscheckError, KeyError, ValueError) as error:
-        raise SourceError(where, f"header: {error}") from error
+    place = Place(*(float(header[name]) for name in names))
     if kind == TMY3:
         return place, data.index, -0.5, ["irradiances are averages over the hour before the time stamp"]
     if kind == NSRDB:

@@ -401,10 +401,11 @@ def _wanted(weather: Weather, tracking: Tracking, base: Base, stowed: Array) -> 
     seconds = (_seconds(weather)[:, None] + 3600.0 * shifts).ravel()
     sun = sun_over(weather.place, repeated)
     wanted = tracking.towards(base.sun(sun, seconds))
-    wanted[np.repeat(stowed, count)] = UP
+    stowed = np.repeat(stowed, count)
+    wanted[stowed] = UP
     lit = sun.is_up | np.repeat(weather.ghi > 0.0, count)
     kept = wanted.copy()
-    kept[lit] = tracking.with_deadband(wanted[lit])
+    kept[lit] = tracking.with_deadband(wanted[lit], stowed[lit])
     return kept[count // 2 :: count]
 
 

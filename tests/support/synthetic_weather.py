@@ -159,3 +159,23 @@ def pvgis_hourly(first="2016-01-01", last="2016-12-31"):
         lines.append(f"{stamp:%Y%m%d:%H%M},{light},{row.temp_air},{row.wind_speed},0.0")
     lines += ["", "Gb(i): Beam (direct) irradiance on the inclined plane (W/m2)"]
     return "\r\n".join(lines) + "\r\n", data
+
+
+def pvgis_hourly_json():
+    """JSON of PVGIS, hourly, with the content of `pvgis_hourly`."""
+    text, data = pvgis_hourly()
+    rows = [line.split(",") for line in text.split("\r\n")[9 : 9 + len(data)]]
+    names = ["time", "Gb(i)", "Gd(i)", "Gr(i)", "H_sun", "T2m", "WS10m", "Int"]
+    place = {"latitude": LATITUDE, "longitude": LONGITUDE, "elevation": ALTITUDE}
+    fixed = {
+        "slope": {"value": 0, "optimal": False},
+        "azimuth": {"value": 0, "optimal": False},
+        "type": "free",
+    }
+    hourly = [dict(zip(names, [row[0], *map(float, row[1:])], strict=True)) for row in rows]
+    content = {
+        "inputs": {"location": place, "mounting_system": {"fixed": fixed}},
+        "outputs": {"hourly": hourly},
+        "meta": {"inputs": {}},
+    }
+    return json.dumps(content), data

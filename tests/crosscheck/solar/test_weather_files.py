@@ -25,6 +25,7 @@ SAMPLES = {
     "typical.csv": (synthetic.pvgis_typical, "PVGIS typical year", 8760),
     "typical.json": (synthetic.pvgis_typical_json, "PVGIS typical year", 8760),
     "hourly.csv": (synthetic.pvgis_hourly, "PVGIS hourly", 8784),  # of a leap year
+    "hourly.json": (synthetic.pvgis_hourly_json, "PVGIS hourly", 8784),
 }
 """Writer, format and number of rows by the name of a file, which does not decide the format."""
 
@@ -175,6 +176,17 @@ def test_files_of_other_formats_are_refused(tmp_path, samples):
     path = tmp_path / "other"
     for text in ("", "<html>", "time,speed\n0,1\n", "{", "[1]", '{"outputs": 1}', '{"outputs": {}}'):
         assert "PVGIS (typical year or hourly)" in refusal(path, text)
+    content = json.loads(samples["hourly.json"][0])
+    del content["outputs"]["hourly"][24:]  # headers are read before rows are counted
+    for inputs in (None, {}, {"location": 1}, {"location": {"latitude": "x"}}):
+        assert refusal(path, json.dumps(content | {"inputs": inputs})).startswith(
+            ("header: ", "pvlib cannot")
+        )
+    for system in (1, {"fixed": 1}, {"fixed": {"slope": {"value": 30}}}, {"two_axis": {}}):
+        inputs = content["inputs"] | {"mounting_system": system}
+        assert refusal(path, json.dumps(content | {"inputs": inputs})).startswith(
+            ("header: ", "slope of the")
+        )
     content = json.loads(samples["typical.json"][0])
     del content["outputs"]["tmy_hourly"][30]["Gb(n)"]
     assert refusal(path, json.dumps(content)) == "outputs.tmy_hourly[30]: has no 'Gb(n)'"

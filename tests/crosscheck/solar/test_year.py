@@ -162,6 +162,10 @@ def test_dead_bands_cost_a_little(weather, gimbal):
     off = np.degrees(year.off_sun[year.sun.is_up])
     assert 2.0 < np.max(off) < 5.0 + 0.1
     assert 0.0 < year.lost_by(Limit.NONE) < (1.0 - np.cos(np.radians(5.0))) * year.light[FACING]
+    # a dead band of 60 degrees does not keep the panel from lying flat in wind
+    windy = year.sun.is_up & (weather.wind >= 6.0)
+    stows = tracker_year(gimbal, NORMAL, weather, Tracking(deadband=60.0, most_tilt=90.0, stow=6.0))
+    assert np.allclose(stows.normals[windy], [0.0, 0.0, 1.0], rtol=0.0, atol=1e-9)
 
 
 def test_strokes_stop_both_axes(weather, gimbal):
