@@ -51,7 +51,7 @@ from newton_euler.model.splines import Moves, Spline, Steps
 from newton_euler.model.state import State
 from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
+from newton_euler.model.wind import WindLoad, vertical_turbulence, wind_gust, wind_turbulence
 
 if TYPE_CHECKING:
     from newton_euler.analysis.identification.identify import Identification, identify
@@ -203,6 +203,7 @@ __all__ = [
     "solve_poses",
     "start",
     "statics",
+    "vertical_turbulence",
     "wind_gust",
     "wind_turbulence",
     "with_parameters",

@@ -154,13 +154,13 @@ def sqrt(x: Scalar) -> Scalar:
 
 
 def exp(x: Scalar) -> Scalar:
-    """Return the exponential function of x, for |x| up to 20.
+    """Return the exponential function of x, for |x| up to 40.
 
     For generic scalars, exp(x) = exp(x / 2^6)^(2^6), and exp(x / 2^6) is computed by its Taylor series.
     """
     if isinstance(x, float):
         return np.exp(x)
-    squarings, terms = 6, 14  # the first omitted term of the series is (20 / 2^6)^15 / 15! = 2e-20
+    squarings, terms = 6, 14  # the first omitted term of the series is (40 / 2^6)^15 / 15! = 7e-16
     x, power = x / 2.0**squarings, 1.0
     for k in range(terms, 0, -1):
         power = 1.0 + power * x / float(k)

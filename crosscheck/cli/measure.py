@@ -142,7 +142,8 @@ def controllers_command(
     "cases",
     multiple=True,
     metavar="NAME:OPTION=VALUE,...",
-    help="Load case and its options, which replace those of --set. Repeatable.  [default: one case]",
+    help="Load case and its options, which replace those of --set. Repeatable.  [default: the cases of the "
+    "scene, or one case]",
 )
 @click.option(
     "--at-rest",
@@ -169,17 +170,17 @@ def loads_command(
 
     SCENE is the name of a library scene or a model file (see run).
     """
-    from crosscheck.design.load_cases import check_distinct, parse_cases
+    from crosscheck.design.load_cases import check_distinct, default_cases, parse_cases
     from crosscheck.design.loads import LoadCase, loads
     from crosscheck.loading.load import load_scene
     from crosscheck.report.output import usual_folder
 
-    common = scene_options(settings)
-    options = {
-        name: common | scene_options(own, f"--case {name}:")
-        for name, own in parse_cases(cases, scene).items()
-    }
-    check_distinct(scene, options)
+    if cases or settings:
+        common, own_settings = scene_options(settings), parse_cases(cases, scene)
+        options = {name: common | scene_options(own, f"--case {name}:") for name, own in own_settings.items()}
+        check_distinct(scene, options)
+    else:
+        options = default_cases(scene)
     models = {}
     for name, chosen in options.items():
         models[name] = LoadCase(chosen, *load_scene(scene, chosen))

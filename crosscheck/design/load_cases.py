@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from itertools import combinations
 
-from crosscheck.library import SCENES, option_values
+from crosscheck.library import LOAD_CASES, SCENES, option_values
 from crosscheck.library.model_files import is_model_file, name_and_options
 from crosscheck.library.options import options_of
 from crosscheck.support.errors import CrosscheckError
@@ -46,6 +46,14 @@ def parse_cases(given: tuple[str, ...], source: str) -> dict[str, tuple[str, ...
         if not own:
             raise CrosscheckError(f"--case {name} has no options; needed: {name}:{_valid_options(source)}")
     return cases or {UNNAMED_CASE: ()}
+
+
+def default_cases(source: str) -> dict[str, dict[str, str]]:
+    """Return the options of the cases that a scene of the library has by default, by the name of the case.
+
+    Other models have one case, `UNNAMED_CASE`, without options.
+    """
+    return {name: dict(options) for name, options in LOAD_CASES.get(source, {UNNAMED_CASE: {}}).items()}
 
 
 def check_distinct(source: str, cases: Mapping[str, dict[str, str]]) -> None:

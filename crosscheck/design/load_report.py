@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from crosscheck.compare.activity import reduced_model_text
 from crosscheck.design.load_cases import UNNAMED_CASE
+from crosscheck.design.wind_validity import WindRange
 from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import (
     Cell,
@@ -59,12 +60,14 @@ class CaseNotes(NamedTuple):
         options: options of each case as the user set them.
         motionless: names of cases in which nothing moves.
         held_winds: winds that vary in time and have a constant speed at rest.
+        winds: flow on the plates of wind loads.
         acting: elements of the model file that would have acted and are not simulated.
     """
 
     options: Mapping[str, Mapping[str, str]]
     motionless: Sequence[str]
     held_winds: Mapping[str, Sequence[HeldWind]]
+    winds: Mapping[str, Sequence[WindRange]]
     acting: Mapping[str, Sequence[ImportedElement]]
 
 
@@ -121,7 +124,12 @@ def load_report(
 
 
 def _case_lines(notes: CaseNotes, named: bool, at_rest: bool) -> list[Lines]:
-    """Describe the cases: their options, and what stands for inputs that vary in time at rest."""
+    """Describe the cases: options, what stands for inputs that vary in time at rest, and the flow on plates,
+    with warnings where the coefficients are not valid."""
+
+    def where(name: str) -> str:
+        return f"case {name}: " if named else ""
+
     lines = []
     if named:
         for name, options in notes.options.items():
@@ -132,9 +140,17 @@ def _case_lines(notes: CaseNotes, named: bool, at_rest: bool) -> list[Lines]:
     for name, winds in notes.held_winds.items():
         for held in winds:
             speeds = f"{held.speed:.4g} m/s, reached at {held.time:.4g} s; the mean is {held.mean:.4g} m/s"
-            where = f"case {name}: " if named else ""
-            lines.append(f"{where}wind {held.load!r} has the largest speed of its run, {speeds}")
-    return [Lines("", lines)] if lines else []
+            component = held.component.replace("_", " ")
+            lines.append(f"{where(name)}wind {held.load!r} has the largest {component} of its run, {speeds}")
+    lines += [f"{where(name)}{each.line}" for name, found in notes.winds.items() for each in found]
+    warnings = [
+        f"{where(name)}{each.warning}"
+        for name, found in notes.winds.items()
+        for each in found
+        if each.warning
+    ]
+    parts = [Lines("", lines)] if lines else []
+    return [*parts, Lines("", warnings, verdict="doubtful")] if warnings else parts
 
 
 def _loads_of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:

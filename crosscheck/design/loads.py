@@ -18,6 +18,7 @@ from crosscheck.compare.activity import watched
 from crosscheck.compare.runs import nothing_moves
 from crosscheck.design.load_plots import load_figure
 from crosscheck.design.load_report import CaseNotes, load_report
+from crosscheck.design.wind_validity import wind_ranges
 from crosscheck.report.plots import png
 from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
@@ -102,6 +103,7 @@ def loads(
         options={name: case.options for name, case in cases.items()},
         motionless=[] if at_rest else [n for n, run in runs.items() if nothing_moves({n: run}, first_scene)],
         held_winds={name: wind_at_peak(case.scene)[1] for name, case in cases.items()} if at_rest else {},
+        winds={name: wind_ranges(_at(case.scene, at_rest), runs[name]) for name, case in cases.items()},
         acting=acting,
     )
     report = load_report(first_scene, envelope, envelopes, at_rest, notes)
@@ -116,6 +118,7 @@ def loads(
         "options": {name: dict(case.options) for name, case in cases.items()},
         "envelope": [asdict(each) for each in _ranges(envelope)],
         "loads_of_cases": {name: [_of_case(each) for each in _ranges(envelopes[name])] for name in cases},
+        "winds": {name: [each._asdict() for each in found] for name, found in notes.winds.items()},
         "held_winds": {name: [held._asdict() for held in each] for name, each in notes.held_winds.items()},
         "not_simulated": {name: [asdict(entry) for entry in entries] for name, entries in acting.items()},
     }
@@ -126,6 +129,11 @@ def loads(
     }
     write_files({**texts, **shown})
     return Loads(report, [table, case_table, results, plot, recording], acting)
+
+
+def _at(scene: Scene, at_rest: bool) -> Scene:
+    """Return the scene with the winds of its run, or with the constant winds of rest."""
+    return wind_at_peak(scene)[0] if at_rest else scene
 
 
 def _ranges(envelope: LoadEnvelope) -> tuple[LoadRange, ...]:

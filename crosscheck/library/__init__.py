@@ -58,6 +58,9 @@ SCENES: dict[str, Callable[..., Scene]] = {
 }
 """Functions that make the scenes of the library, by name. Their arguments are the options of the scene."""
 
+LOAD_CASES: dict[str, Mapping[str, Mapping[str, str]]] = {"tracker_wind": tracker_wind.LOAD_CASES}
+"""Load cases that `crosscheck loads` runs by default: options by the names of the scene and the case."""
+
 REFERENCE_QUANTITIES: dict[str, Quantities] = {
     "pendulum": pendulum.REFERENCE_QUANTITIES,
     "free_top": free_top.REFERENCE_QUANTITIES,

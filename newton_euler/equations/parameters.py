@@ -37,8 +37,8 @@ value of the same shape as in the scene:
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points, and displacements
   `NAME.point_on_first`, `NAME.point_on_second` of the two points;
 - `NAME.force`, `NAME.torque` of a wrench, and `NAME.point`, a displacement;
-- `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load, `NAME.first_side` and
-  `NAME.second_side` of the plate, and `NAME.point`, a displacement;
+- `NAME.direction`, `NAME.speed`, `NAME.vertical_speed`, `NAME.air_density` of a wind load,
+  `NAME.first_side` and `NAME.second_side` of the plate, and `NAME.point`, a displacement;
 - `JOINT.rotor.inertia`, `JOINT.1.rotor.inertia`, `JOINT.ball.rotor.inertia` of the armatures of a joint.
 
 If an attribute is a function of time, the parameter's value is all numbers in which the function is

@@ -1,8 +1,8 @@
 """Wind loads on flat plates such as solar panels, and wind speeds with gusts and turbulence as functions of
 time.
 
-`WindLoad` is a force element of a scene. Its wind speed is a number or a function of time, for example from
-`wind_gust` or `wind_turbulence`.
+`WindLoad` is a force element of a scene. Its wind speeds are numbers or functions of time, for example from
+`wind_gust`, `wind_turbulence` and `vertical_turbulence`.
 """
 
 from __future__ import annotations
@@ -15,39 +15,14 @@ import numpy as np
 
 from newton_euler.arguments import Range, checked
 from newton_euler.errors import MechanismError, check_texts, quoted
-from newton_euler.model.balls import SQUARE_FLOOR
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import OnPoint, PointLoad, PoseChange, Surroundings
 from newton_euler.model.fields import NumberField
 from newton_euler.model.mechanism import check_name
 from newton_euler.model.motions import Sum, TimeFunction
+from newton_euler.model.plate_flow import plate_load
 from newton_euler.model.smooth_functions import Polynomial, Sine
-from newton_euler.scalars import Array, Scalar, arctan2, cross, exp, sqrt
-
-NORMAL_COEFFICIENT = 1.98
-"""Normal force coefficient C_N of a plate of infinite span perpendicular to the wind (sources in
-`WindLoad`)."""
-
-HOERNER_CONSTANT = 0.56
-"""Constant term of the denominator in Hoerner's formula C_N = 1.98 sin a / (0.56 + 0.44 sin a) for infinite
-span."""
-
-HOERNER_SLOPE = 0.44
-"""Factor of sin a in the denominator of Hoerner's formula."""
-
-END_LOSS = 0.41
-"""Factor of Lindenburg's term 0.41 (1 - exp(-17 / R)) for a plate of aspect ratio R."""
-
-END_RATE = 17.0
-"""Factor of 1 / R in the exponent of Lindenburg's term."""
-
-PRESSURE_LEAD = 0.175
-"""Distance of the center of pressure ahead of the plate's center for wind along the plate, in plate lengths
-(source in `WindLoad`)."""
-
-CALM_SPEED = 1e-2
-"""Speed, m/s, whose square is added to the squares of the wind speeds normal to and along the plate. The load
-is then smooth at zero wind, and the error is 1e-6 of the load at 10 m/s."""
+from newton_euler.scalars import Array, Scalar, cross, sqrt
 
 MAX_VECTOR_LENGTH = 1e100
 """Largest length of any vector of a wind load, so that squared lengths and the plate's area stay finite."""
@@ -59,44 +34,65 @@ MAX_SINES = 1000
 """Largest number of sines in a turbulent wind speed; the equations of motion are compiled with one term for
 each sine."""
 
+VERTICAL_DEVIATION, VERTICAL_LENGTH = 0.5, 0.66 / 8.1
+"""Standard deviation and length scale of vertical turbulence, as fractions of those along the mean wind."""
+
+VERTICAL_STREAM = 3
+"""Number that is combined with a seed, so that vertical turbulence has phases of its own."""
+
 STANDARD_AIR = 1.225
 """Density of air, kg/m^3, of the ISO 2533 Standard Atmosphere at sea level and 15 degrees Celsius."""
 
 
 @description
 class WindLoad(OnPoint):
-    """The load of wind on a flat rectangular plate that is a part of a body.
+    """The load of wind on a flat rectangular plate that is a part of a body, at any angle of attack.
 
     Let w be the velocity of the wind relative to the plate's center, and w_n the component of w along the
     plate's normal n. The angle of attack a between w and the plate has sin a = |w_n| / |w|. A is the area of
-    the plate, rho the density of air, and R the ratio of the plate's longer side to the shorter side. The
-    force is
+    the plate, rho the density of air. The chord is the plate's extent along the wind, the span across it, and
+    R = span / chord. For wind that is not along a side, chord and span are the root mean squares of both
+    sides, weighted by the wind's direction. The force is
 
-        F = 1/2 rho A |w|^2 C_N sign(w_n) n,
-        C_N = 1.98 sin a (1 / (0.56 + 0.44 sin a) - 0.41 (1 - exp(-17 / R))).
+        F = 1/2 rho A |w|^2 C_N sign(w_n) n
 
-    The force acts ahead of the plate's center, towards the edge that the wind meets first. The distance is
-    0.175 (1 - 2 a / pi) times the length of the plate along the wind. A square plate perpendicular to the
-    wind has C_N = 1.17.
+    and its coefficient is that of attached flow at small angles and that of separated flow at large ones:
 
-    Sources. Infinite span: S. F. Hoerner, Fluid-Dynamic Lift, 2nd edition, 1985, chapter XXI, eq. (2). Term
-    with R: C. Lindenburg, Stall Coefficients, ECN-RX--01-004, 2001. Coefficient 1.98 and center of pressure:
-    W. Khan and M. Nahon, Real-time modeling of agile fixed-wing UAV aerodynamics, ICUAS 2015, pp. 1188-1195,
-    doi:10.1109/ICUAS.2015.7152411. The originals were not available: the formulas were checked against other
-    programs that cite these works.
+        C_N = (1 - s) (K_p sin a cos a + pi sin^2 a)
+              + s 1.98 sin a (1 / (0.56 + 0.44 sin a) - 0.41 (1 - exp(-17 / R'))),
+        K_p = 2 pi R / (R + 2 (R + 4) / (R + 2)),
+        s = 1 / (1 + exp((a_s - a) / 2.4 deg)),
+        a_s = 7.6 deg + 19.5 deg / (1 + (R / 1.09)^8) + 14.9 deg / (1 + (R / 3.18)^2).
 
-    Validity. The formula holds for thin plates in free, steady, separated flow: angles of attack from about
-    20 to 90 degrees, low Mach number, Reynolds number above 1000. Below 20 degrees it continues smoothly to
-    zero force at 0. Further assumptions of this class are:
+    R' is the longer side divided by the shorter side. The force acts ahead of the plate's center, towards the
+    edge that the wind meets first. As a fraction of the chord, the distance is 0.25 for the term with K_p,
+    0.08 for the next term, and 0.175 (1 - 2 a / pi) for separated flow. Wind on the other face has the same
+    coefficients. A square plate perpendicular to the wind has C_N = 1.17; its coefficient is largest near 32
+    degrees, 1.35.
 
-    - R does not depend on the direction of the wind along the plate;
+    Sources. Both regimes, pi, 0.25, 0.42 - 0.5 = -0.08, 0.175 and 1.98: W. Khan and M. Nahon, Real-time
+    modeling of agile fixed-wing UAV aerodynamics, ICUAS 2015, pp. 1188-1195,
+    doi:10.1109/ICUAS.2015.7152411. They interpolate linearly between two angles of a table, 32 and 40 degrees
+    for R = 1, 16 and 28 degrees for R = 2; s is a smooth fit of this class, with a root mean square deviation
+    of 0.03 and at most 0.2 in C_N. K_p: B. W. McCormick's lift slope. Terms with K_p and pi: E. C. Polhamus'
+    analogy. Separated flow: S. F. Hoerner, Fluid-Dynamic Lift, 2nd edition, 1985, chapter XXI, eq. (2), and
+    C. Lindenburg, Stall Coefficients, ECN-RX--01-004, 2001. The originals were not available: the formulas
+    were checked against other programs that cite these works.
+
+    Validity. Thin plates in free, steady flow, R from 1/6 to 6, all angles of attack, low Mach number,
+    Reynolds number above 1000. Against A. Pelletier and T. J. Mueller, Journal of Aircraft 37(5), 2000, pp.
+    825-832, figures read by another program: C_N is 3 to 10 % larger at R = 2, and up to a third larger at
+    R = 1 and 10 degrees. Further assumptions of this class are:
+
     - wind along a diagonal moves the center of pressure along each side in proportion to its component there;
     - the flow follows w without delay, and the plate's rotation affects the load through w only;
     - there is no friction along the plate, and neither the ground nor an obstacle upwind is near.
 
-    In the turbulence near the ground, mean and peak loads of heliostats are larger. Coefficients for that
-    case are in J. A. Peterka and R. G. Derickson, Wind Load Design Methods for Ground-Based Heliostats and
-    Parabolic Dish Collectors, SAND92-7009, 1992. In this class gusts are a part of `speed`.
+    A plate along the wind, such as a stowed panel, has no mean load. In the turbulence near the ground its
+    load comes from vertical gusts: give them as `vertical_speed`. Peak coefficients that were measured on
+    heliostats in such turbulence are in J. A. Peterka and R. G. Derickson, Wind Load Design Methods for
+    Ground-Based Heliostats and Parabolic Dish Collectors, SAND92-7009, 1992, which was not available; apply
+    them by a `Wrench`.
 
     Attributes:
         name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
@@ -107,6 +103,7 @@ class WindLoad(OnPoint):
         direction: (3,) direction towards which the wind blows, world frame, of any length.
         speed: wind speed along `direction`, m/s, a number or a function of time.
         air_density: rho in kg/m^3, 0 or more.
+        vertical_speed: wind speed along the world's z axis, in addition, m/s, a number or a function of time.
 
     Raises:
         MechanismError: naming the wind load and the invalid value.
@@ -126,6 +123,7 @@ class WindLoad(OnPoint):
     direction: ArrayField = field(kw_only=True)
     speed: float | TimeFunction = field(kw_only=True)
     air_density: float = field(default=STANDARD_AIR, kw_only=True)
+    vertical_speed: float | TimeFunction = field(default=0.0, kw_only=True)
 
     noun = "wind load"
     kind = "wind_load"
@@ -134,6 +132,7 @@ class WindLoad(OnPoint):
     number_fields: ClassVar = OnPoint.number_fields | {
         "direction": NumberField(shape=(3,), allowed="direction"),
         "speed": NumberField("m/s", may_be_function=True),
+        "vertical_speed": NumberField("m/s", may_be_function=True),
         "air_density": NumberField("kg/m^3", least=0.0, strength="wind"),
         "first_side": NumberField("m", shape=(3,), allowed="constructor"),
         "second_side": NumberField("m", shape=(3,), allowed="constructor"),
@@ -181,23 +180,14 @@ class WindLoad(OnPoint):
         first, second = self.first_side / length, self.second_side / width
         return np.column_stack([first, second, cross(first, second)])
 
-    @property
-    def end_loss(self) -> Scalar:
-        """Reduction of the force coefficient by the ends of the plate: 0.41 (1 - exp(-17 / R)), R the aspect
-        ratio."""
-        length, width = self.lengths.tolist()
-        # When code is generated, lengths are symbols, which have no min and max: use |length - width|
-        if isinstance(length, float) and isinstance(width, float):
-            shorter, longer = min(length, width), max(length, width)
-        else:
-            difference = sqrt((length - width) * (length - width) + SQUARE_FLOOR)
-            shorter, longer = 0.5 * (length + width - difference), 0.5 * (length + width + difference)
-        return END_LOSS * (1.0 - exp(-END_RATE * shorter / longer))
-
     def velocity(self, time: float) -> Array:
         """Compute the velocity of the wind (3,), m/s, world frame, at a time in s."""
-        speed = self.speed.value(time) if isinstance(self.speed, TimeFunction) else self.speed
-        return np.asarray(speed / sqrt(self.direction @ self.direction) * self.direction)
+        along, upward = (
+            speed.value(time) if isinstance(speed, TimeFunction) else speed
+            for speed in (self.speed, self.vertical_speed)
+        )
+        horizontal = along / sqrt(self.direction @ self.direction) * self.direction
+        return np.asarray(horizontal + np.array([0.0, 0.0, upward]))
 
     def load(self, at: Surroundings) -> PointLoad:
         """Compute the wind's force at the plate's center and its torque about the center, at a state."""
@@ -205,26 +195,14 @@ class WindLoad(OnPoint):
         k = at.mechanism.body_index(self.body)
         pose, frame = at.poses[k], at.frames[k]
         arm = frame.rotation @ pose.point_to_body(self.point)
-
-        # Relative wind w in the frame of the plate; its speeds normal to the plate and along it
+        # Relative wind in the frame of the plate
         axes = frame.rotation @ (pose.rotation.T @ self.axes)
         w = (self.velocity(at.time) - frame.velocity - cross(frame.angular_velocity, arm)) @ axes
-        floor = CALM_SPEED * CALM_SPEED
-        normal_speed, tangential_speed = sqrt(w[2] * w[2] + floor), sqrt(w[0] * w[0] + w[1] * w[1] + floor)
-        speed = sqrt(normal_speed * normal_speed + tangential_speed * tangential_speed)
-
-        # Normal force, with coefficient = C_N / sin a and sin a = normal_speed / speed
-        hoerner = speed / (HOERNER_CONSTANT * speed + HOERNER_SLOPE * normal_speed)
-        coefficient = NORMAL_COEFFICIENT * (hoerner - self.end_loss)
-        normal_force = 0.5 * self.area * self.air_density * coefficient * speed * w[2]
-        force = axes[:, 2] * normal_force
-
-        # Center of pressure, from the plate's center against the wind. With arctan2(tangential, normal) =
-        # pi / 2 - a, `lead` is 0.175 (1 - 2 a / pi) / tangential_speed
-        length, width = self.lengths
-        lead = (PRESSURE_LEAD * 2.0 / math.pi) * arctan2(tangential_speed, normal_speed) / tangential_speed
-        center = axes[:, 0] * (-(length * lead * w[0])) + axes[:, 1] * (-(width * lead * w[1]))
-        return PointLoad(k, force, cross(center, force), arm)
+        found, factor = plate_load(w, self.lengths), 0.5 * self.air_density * self.area
+        force = axes[:, 2] * (factor * found.normal)
+        # Product of the normal force and the position of the center of pressure; the normal is axes[:, 2]
+        moment = axes[:, 0] * (factor * found.first_moment) + axes[:, 1] * (factor * found.second_moment)
+        return PointLoad(k, force, cross(moment, axes[:, 2]), arm)
 
 
 @checked
@@ -303,13 +281,64 @@ def wind_turbulence(
         >>> len(wind.terms), wind == wind_turbulence(mean=10.0, deviation=1.5, length=11.0, seed=1)
         (41, True)
     """
-    where = "wind turbulence"
+    sines = _turbulent_sines("wind turbulence", mean, deviation, length, seed, lowest, highest, count)
+    return Sum((Polynomial((float(mean),)), *sines))
+
+
+@checked
+@np.errstate(all="ignore")  # the constructor of `Sine` refuses numbers that overflow
+def vertical_turbulence(
+    mean: float,
+    deviation: float,
+    length: float,
+    seed: Annotated[int, Range(0)],
+    lowest: float = 0.01,
+    highest: float = 10.0,
+    count: Annotated[int, Range(1, MAX_SINES)] = 40,
+) -> Sum:
+    """Return a random vertical wind speed of mean 0, for `WindLoad.vertical_speed`.
+
+    The spectrum has the form of that of `wind_turbulence`, with the vertical component's standard deviation
+    0.5 `deviation` and length scale 0.66 / 8.1 `length`, as in IEC 61400-1. The phases are independent of
+    those of `wind_turbulence` with the same seed. The standard was not available; the factors were checked
+    against a program for wind spectra.
+
+    Args:
+        mean: mean wind speed V, m/s.
+        deviation: standard deviation of the wind speed along the mean wind, m/s, as in `wind_turbulence`.
+        length: length scale of the turbulence along the mean wind, m, as in `wind_turbulence`.
+        seed, lowest, highest, count: as in `wind_turbulence`.
+
+    Raises:
+        ArgumentError, MechanismError: as `wind_turbulence`.
+
+    Examples:
+        >>> wind = vertical_turbulence(mean=10.0, deviation=1.5, length=11.0, seed=1)
+        >>> len(wind.terms)
+        40
+    """
+    where, stream = "vertical turbulence", (int(seed), VERTICAL_STREAM)
+    own_deviation, own_length = VERTICAL_DEVIATION * deviation, VERTICAL_LENGTH * length
+    return Sum(_turbulent_sines(where, mean, own_deviation, own_length, stream, lowest, highest, count))
+
+
+def _turbulent_sines(
+    where: str,
+    mean: float,
+    deviation: float,
+    length: float,
+    seed: int | tuple[int, int],
+    lowest: float,
+    highest: float,
+    count: int,
+) -> tuple[Sine, ...]:
+    """Return the sines of a turbulent wind speed, see `wind_turbulence`; `where` names the caller."""
     _check_positive(where, mean=mean, length=length, deviation=deviation)
     _check_positive(where, lowest=lowest, highest=highest)
     if not highest > lowest:
         raise MechanismError(where, f"highest is {highest:g} Hz", f"more than lowest, {lowest:g} Hz")
     mean, deviation, length, lowest, highest = map(float, (mean, deviation, length, lowest, highest))
-    rng = np.random.default_rng(int(seed))
+    rng = np.random.default_rng(seed)
     edges = np.geomspace(lowest, highest, count + 1)
     # fraction of the variance below each edge: the integral of S from 0, divided by s^2
     variance_below = 1.0 - (1.0 + 6.0 * edges * length / mean) ** (-2.0 / 3.0)
@@ -317,7 +346,7 @@ def wind_turbulence(
     frequencies = edges[:-1] * (edges[1:] / edges[:-1]) ** rng.random(count)
     phases = 2.0 * np.pi * rng.random(count)
     sines = zip(amplitudes.tolist(), (2.0 * np.pi * frequencies).tolist(), phases.tolist(), strict=True)
-    return Sum((Polynomial((mean,)), *(Sine(*numbers) for numbers in sines)))
+    return tuple(Sine(*numbers) for numbers in sines)
 
 
 def _check_positive(where: str, **values: float) -> None:

@@ -9,6 +9,7 @@ checks therefore also find mistakes in the methods.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, assert_never
 
@@ -19,10 +20,11 @@ from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
+from newton_euler.model.plate_flow import CALM_SPEED
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.switched_forces import ElasticGear, JointFriction, JointStop
-from newton_euler.model.wind import CALM_SPEED, WindLoad
+from newton_euler.model.wind import WindLoad
 from newton_euler.reading.switched_loads import switched_load
 from newton_euler.scalars import Array
 
@@ -196,8 +198,11 @@ class Wrenches:
         body = self.mechanism.body_index(load.body)
         frame, axes = self.frames[body], self._rotation_since_start(body) @ load.axes
         plate_velocity = frame.velocity + np.cross(frame.angular_velocity, self._lever_arm(body, load.point))
-        speed = load.speed.value(0.0) if isinstance(load.speed, TimeFunction) else load.speed
-        wind_velocity = speed * load.direction / np.linalg.norm(load.direction)
+        speed, upward = (
+            each.value(0.0) if isinstance(each, TimeFunction) else each
+            for each in (load.speed, load.vertical_speed)
+        )
+        wind_velocity = speed * load.direction / np.linalg.norm(load.direction) + [0.0, 0.0, upward]
         return wind_on_plate(load, axes.T @ (wind_velocity - plate_velocity))
 
     def _add_wind(self, load: WindLoad) -> None:
@@ -250,17 +255,29 @@ def wind_on_plate(load: WindLoad, relative: Array) -> Array:
         (3,) force along the normal, N, and moments about the two axes through the center parallel to the
         sides, N m.
     """
-    x, y, z = relative
+    # Scalars of Python: engines call this function in every evaluation of their equations of motion
+    x, y, z = relative.tolist()
+    length, width = (math.hypot(*side.tolist()) for side in (load.first_side, load.second_side))
     # The speed CALM_SPEED (m/s) is added in quadrature, so that the load is smooth at zero wind
-    along, across = np.hypot(np.hypot(x, y), CALM_SPEED), np.hypot(z, CALM_SPEED)
-    attack = np.arctan2(across, along)
-    aspect = max(load.lengths) / min(load.lengths)
-    # Normal force coefficient: 1.98 (Khan and Nahon), 0.56 and 0.44 (Hoerner), 0.41 and 17 (Lindenburg). The
-    # constants are repeated here on purpose, independently of newton_euler.model.wind
-    span_factor = 1.0 / (0.56 + 0.44 * np.sin(attack)) - 0.41 * (1.0 - np.exp(-17.0 / aspect))
-    coefficient = 1.98 * np.sin(attack) * span_factor * z / across
-    normal_force = 0.5 * load.air_density * load.area * (along**2 + across**2) * coefficient
-    # Center of pressure from the plate's center, m along the two sides: up to 0.175 lengths against the wind
-    # (Khan and Nahon)
-    pressure_center = -0.175 * (1.0 - 2.0 * attack / np.pi) * load.lengths * np.array([x, y]) / along
-    return np.array([normal_force, pressure_center[1] * normal_force, -pressure_center[0] * normal_force])
+    along, across = math.hypot(x, y, CALM_SPEED), math.hypot(z, CALM_SPEED)
+    attack = math.atan2(across, along)
+    sine, degrees = math.sin(attack), math.degrees(attack)
+    # Chord along and span across the wind. Constants of all formulas are repeated here on purpose,
+    # independently of newton_euler.model.plate_flow; angles are in degrees
+    first, second = math.hypot(x, CALM_SPEED / math.sqrt(2.0)), math.hypot(y, CALM_SPEED / math.sqrt(2.0))
+    ratio = math.hypot(length * second, width * first) / math.hypot(length * first, width * second)
+    stall = 7.6 + 19.5 / (1.0 + (ratio / 1.09) ** 8) + 14.9 / (1.0 + (ratio / 3.18) ** 2)
+    separated_part = 1.0 / (1.0 + math.exp((stall - degrees) / 2.4))
+    # Attached flow: potential flow with McCormick's lift slope, and vortices (Khan and Nahon)
+    slope = 2.0 * math.pi * ratio / (ratio + 2.0 * (ratio + 4.0) / (ratio + 2.0))
+    potential = (1.0 - separated_part) * slope * sine * math.cos(attack)
+    vortex = (1.0 - separated_part) * math.pi * sine**2
+    # Separated flow: 1.98 (Khan and Nahon), 0.56 and 0.44 (Hoerner), 0.41 and 17 (Lindenburg)
+    end_loss = 0.41 * (1.0 - math.exp(-17.0 * min(length, width) / max(length, width)))
+    separated = separated_part * 1.98 * sine * (1.0 / (0.56 + 0.44 * sine) - end_loss)
+    # Centers of pressure ahead of the plate's center, in chords: 0.25 and 0.42 behind the leading edge
+    moment = 0.25 * potential + (0.5 - 0.42) * vortex + 0.175 * (1.0 - degrees / 90.0) * separated
+    pressure = 0.5 * load.air_density * length * width * (along**2 + across**2) * z / across
+    # Products of forces and positions of their centers along the two sides, against the wind
+    on_first, on_second = -pressure * moment * length * x / along, -pressure * moment * width * y / along
+    return np.array([pressure * (potential + vortex + separated), on_second, -on_first])

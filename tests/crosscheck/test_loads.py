@@ -6,8 +6,14 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import run
+
+from crosscheck.design.wind_validity import wind_ranges
+from crosscheck.library import LOAD_CASES, load
+from crosscheck.library.tracker import PANEL
+from newton_euler import Body, Free, Mechanism, Scene, WindLoad, simulate
 
 EXAMPLE = str(Path(__file__).parents[2] / "examples" / "four_bar.yaml")
 
@@ -92,6 +98,69 @@ def test_wind_at_rest_has_the_largest_speed_of_its_run(capsys, tmp_path):
     assert content["held_winds"]["steady"] == []
     for each, other in zip(*content["loads_of_cases"].values(), strict=True):
         assert each["most"] == pytest.approx(other["most"], rel=1e-5, abs=1e-12)
+
+
+def test_the_default_cases_load_a_stowed_panel_from_both_sides(capsys, tmp_path):
+    """In stow the panel is flat: of the ground's vertical force, weight -+ the normal force of the wind."""
+    status, out, _ = run(capsys, "loads", "tracker_wind", "--at-rest", "--output", tmp_path)
+    assert status == 0
+    content = json.loads((tmp_path / "loads.json").read_text())
+    assert (
+        content["cases"] == ["operating", "gust", "stow_up", "stow_down"] == list(LOAD_CASES["tracker_wind"])
+    )
+    assert "is not reliable" not in out
+    vertical = {}
+    for case in ("stow_up", "stow_down"):
+        found = {
+            (each["element"], each["quantity"]): each["most"] for each in content["loads_of_cases"][case]
+        }
+        names = ("slide_12", "slide_13")
+        vertical[case] = sum(found[name, "actuator force"] for name in names) + found["hinge_14", "force z"]
+    (flow,) = content["winds"]["stow_down"]
+    assert flow["most_attack"] == pytest.approx(np.degrees(np.arctan2(10.0, 40.0)), rel=1e-6)
+    # Normal force of attached flow with little separation, by the formulas of `WindLoad`
+    a, ratio = np.arctan2(10.0, 40.0), flow["most_ratio"]
+    slope = 2.0 * np.pi * ratio / (ratio + 2.0 * (ratio + 4.0) / (ratio + 2.0))
+    force = 0.5 * 1.225 * (40.0**2 + 10.0**2) * 4.0 * PANEL[0] * PANEL[1]
+    force *= slope * np.sin(a) * np.cos(a) + np.pi * np.sin(a) ** 2
+    assert vertical["stow_down"] - vertical["stow_up"] == pytest.approx(2.0 * force, rel=0.01)
+    moving = sum(body.mass for body in load("tracker").mechanism.bodies[1:])
+    # plates of the sliders carry horizontal forces only
+    assert vertical["stow_down"] + vertical["stow_up"] == pytest.approx(2.0 * 9.81 * moving, rel=1e-9)
+
+
+def plate_over_ground(width: float, height: float) -> Scene:
+    """A plate of 1 m along the wind and `width` across it, level at a height above the origin."""
+    mechanism = Mechanism(
+        [Body.ground(), Body("plate", 1e3, [0.0, 0.0, height], np.diag([1e2, 1e2, 2e2]))],
+        [Free("floats", "ground", "plate", [0.0, 0.0, 0.0])],
+    )
+    x, y, z = np.eye(3)
+    wind = WindLoad(
+        "wind", "plate", [0.0, 0.0, height], first_side=x, second_side=width * y, direction=x, speed=10.0,
+        vertical_speed=10.0 * np.tan(np.radians(20.0)),
+    )  # fmt: skip
+    return Scene("plate", mechanism, 1e-3, 1e-3, gravity=-9.81 * z, forces=(wind,))
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "warnings"),
+    [
+        (2.0, 1.0, ()),
+        (8.0, 1.0, ("span / chord is 8",)),
+        (0.1, 1.0, ("span / chord is 0.1",)),
+        (2.0, 0.3, ("0.3 chords above the height 0",)),
+    ],
+)
+def test_wind_outside_of_its_coefficients_is_a_warning(width, height, warnings):
+    scene = plate_over_ground(width, height)
+    (found,) = wind_ranges(scene, simulate(scene))
+    assert (found.least_attack, found.most_attack) == pytest.approx((20.0, 20.0), abs=0.1)
+    assert found.least_ratio == pytest.approx(width, rel=1e-6)
+    assert found.clearance == pytest.approx(height, rel=1e-3)
+    assert bool(found.warning) == bool(warnings)
+    for warning in warnings:
+        assert warning in found.warning
 
 
 def test_round_off_is_no_load_and_rest_is_told(capsys, tmp_path):

@@ -5,7 +5,7 @@ time.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,12 +31,14 @@ class HeldWind(NamedTuple):
 
     Attributes:
         load: name of the wind load.
+        component: "speed" or "vertical_speed".
         speed: the speed of largest magnitude over the run, m/s.
         time: time of this speed in the run, s.
         mean: mean speed over the run, m/s.
     """
 
     load: str
+    component: str
     speed: float
     time: float
     mean: float
@@ -97,12 +99,19 @@ def wind_at_peak(scene: Scene) -> tuple[Scene, list[HeldWind]]:
     """
     forces, held = list(scene.forces), list[HeldWind]()
     for k, force in enumerate(forces):
-        if isinstance(force, WindLoad) and isinstance(force.speed, TimeFunction):
-            times = _sample_times(force.speed, scene.duration)
-            speeds = unstacked([force.speed.value(Stack(times))], len(times))[:, 0]
-            row = int(np.argmax(np.abs(speeds)))
-            held.append(HeldWind(force.name, float(speeds[row]), float(times[row]), float(np.mean(speeds))))
-            forces[k] = replace(force, speed=held[-1].speed)
+        if not isinstance(force, WindLoad):
+            continue
+        constant = dict[str, Any]()
+        for component in force.functions:
+            function = getattr(force, component)
+            if isinstance(function, TimeFunction):
+                times = _sample_times(function, scene.duration)
+                speeds = unstacked([function.value(Stack(times))], len(times))[:, 0]
+                row = int(np.argmax(np.abs(speeds)))
+                found = float(speeds[row]), float(times[row]), float(np.mean(speeds))
+                held.append(HeldWind(force.name, component, *found))
+                constant[component] = held[-1].speed
+        forces[k] = replace(force, **constant)
     return replace(scene, forces=tuple(forces)) if held else scene, held
 
 

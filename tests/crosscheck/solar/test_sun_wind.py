@@ -39,17 +39,26 @@ def wind_force(normal, first_side):
     """N, normal force, and m, distance of its point from the center along the wind, by the formulas that
     `WindLoad` cites, for a wind of 12 m/s to the east."""
     wind = np.array([12.0, 0.0, 0.0])
-    sine = abs(wind @ normal) / 12.0
-    end_loss = 0.41 * (1.0 - np.exp(-17.0 * WIDTH / LENGTH))
-    coefficient = 1.98 * sine * (1.0 / (0.56 + 0.44 * sine) - end_loss)
-    force = 0.5 * 1.225 * LENGTH * WIDTH * 144.0 * coefficient * np.sign(wind @ normal) * normal
+    second_side = np.cross(normal, first_side)
     along = wind - (wind @ normal) * normal
     along /= np.linalg.norm(along)
-    second_side = np.cross(normal, first_side)
+    first, second = along @ first_side, along @ second_side
+    ratio = np.hypot(LENGTH * second, WIDTH * first) / np.hypot(LENGTH * first, WIDTH * second)
+    # coefficients of potential flow, vortices and separated flow, and the leads of their centers in chords
+    sine = abs(wind @ normal) / 12.0
+    degrees = np.degrees(np.arcsin(sine))
+    stall = 7.6 + 19.5 / (1.0 + (ratio / 1.09) ** 8) + 14.9 / (1.0 + (ratio / 3.18) ** 2)
+    separated = 1.0 / (1.0 + np.exp((stall - degrees) / 2.4))
+    slope = 2.0 * np.pi * ratio / (ratio + 2.0 * (ratio + 4.0) / (ratio + 2.0))
+    hoerner = 1.0 / (0.56 + 0.44 * sine) - 0.41 * (1.0 - np.exp(-17.0 * WIDTH / LENGTH))
+    coefficients = np.array([slope * np.sqrt(1.0 - sine**2), np.pi * sine, 1.98 * hoerner]) * sine
+    coefficients *= [1.0 - separated, 1.0 - separated, separated]
+    leads = [0.25, 0.08, 0.175 * (1.0 - degrees / 90.0)]
+    pressure = 0.5 * 1.225 * LENGTH * WIDTH * 144.0
+    force = pressure * coefficients.sum() * np.sign(wind @ normal) * normal
     # ahead of the center, in proportion to the components along both sides
-    lead = 0.175 * (1.0 - 2.0 * np.arcsin(sine) / np.pi)
-    arm = -lead * (LENGTH * (along @ first_side) * first_side + WIDTH * (along @ second_side) * second_side)
-    return force, arm
+    lead = coefficients @ leads / coefficients.sum()
+    return force, -lead * (LENGTH * first * first_side + WIDTH * second * second_side)
 
 
 @pytest.mark.parametrize("row", [16, 26, 34])  # 8, 13 and 17 h

@@ -257,3 +257,7 @@ def test_wind_at_rest_is_the_largest_of_the_run(speed, held, mean):
     assert speed.value(found.time) == pytest.approx(held, rel=2e-3)
     assert found.mean == pytest.approx(mean, abs=0.02)
     assert wind_at_peak(constant) == (constant, [])
+    upward = replace(wind, speed=3.0, vertical_speed=speed)
+    constant, (found,) = wind_at_peak(replace(scene, forces=(upward,)))
+    assert (found.component, constant.forces[0].speed) == ("vertical_speed", 3.0)
+    assert constant.forces[0].vertical_speed == pytest.approx(held, rel=2e-3)
